@@ -9,11 +9,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
 from octex import ahead
 from octex.cli.convert import main
-from octex.jit import cache
+from octex.jit.signatures import types_text
 from tests.conftest import needs_jit
 
 SECTIONS = "convert", "preview", "view", "paint", "warm-up"
@@ -21,68 +22,49 @@ SECTIONS = "convert", "preview", "view", "paint", "warm-up"
 
 @pytest.fixture
 def helpers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The helpers begun, on a machine of four processors; each waits for the end of its input."""
-    begun: list[Any] = []
+    """The helpers started, on a machine of four processors; each waits for the end of its input."""
+    started: list[Any] = []
 
     def popen(*arguments: Any, **settings: Any) -> Any:
-        begun.append(start(*arguments, **settings))
-        return begun[-1]
+        started.append(start(*arguments, **settings))
+        return started[-1]
 
     start = subprocess.Popen
     monkeypatch.setattr(ahead, "_CALL", ("-c", "import sys; sys.stdin.read(); print('over', sys.argv[1:])"))
     monkeypatch.setattr(ahead, "cpu_count", lambda: 4)
-    monkeypatch.setattr(ahead, "_is_new", lambda: False)
     monkeypatch.setattr("octex.ahead.subprocess.Popen", popen)
-    return begun
+    return started
 
 
-def test_helpers_begin_once_where_they_are_asked_for_and_end_with_the_work(
+def miss() -> None:
+    """Have numba compile something."""
+    numba.njit(lambda number: number + number)(1.5)
+
+
+@needs_jit
+def test_helpers_start_once_where_a_kernel_is_missing_and_end_with_the_work(
     helpers: list[Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    ahead.begin()
+    miss()
     assert not helpers
     with pytest.raises(ZeroDivisionError), ahead.ahead("convert", "preview"):
         assert not helpers
-        ahead.begin()
-        ahead.begin()
+        miss()
+        miss()
         assert [helper.args[-4:] for helper in helpers] == [
             [str(number), "3", "convert", "preview"] for number in range(3)
         ]
         assert [helper.poll() for helper in helpers] == [None] * 3
         _ = 1 / 0
     assert [helper.returncode for helper in helpers] == [0, 0, 0]
-    ahead.begin()
+    miss()
     assert len(helpers) == 3
     assert capfd.readouterr() == ("", "")
 
 
-def test_where_nothing_is_compiled_yet_helpers_begin_at_once(
-    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.undo()
-    for name in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(ahead, "LIST", tmp_path / "list.txt")
-    monkeypatch.setattr(ahead, "begin", lambda: helpers.append("begun"))
-    with ahead.ahead("convert"), ahead.ahead():
-        assert helpers == ["begun"]
-    kept = tmp_path / "room" / "__pycache__" / "kernel.nbc"
-    kept.parent.mkdir(parents=True)
-    kept.touch()
-    with ahead.ahead("convert"):
-        assert helpers == ["begun"]
-    kept.unlink()
-    for change in (
-        lambda: monkeypatch.setenv("NUMBA_DISABLE_JIT", "1"),
-        lambda: (monkeypatch.delenv("NUMBA_DISABLE_JIT"), (tmp_path / "compiled").mkdir()),
-    ):
-        change()
-        with ahead.ahead("convert"):
-            assert helpers == ["begun"]
-
-
+@needs_jit
 @pytest.mark.parametrize("reason", ["one processor", "nothing to start", "python inside a program"])
-def test_without_processors_or_a_python_to_start_nothing_begins(
+def test_without_processors_or_a_python_to_start_no_helper_starts(
     reason: str, helpers: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if reason == "one processor":
@@ -90,28 +72,32 @@ def test_without_processors_or_a_python_to_start_nothing_begins(
     else:
         monkeypatch.setattr(sys, "executable", "" if reason == "nothing to start" else "/usr/bin/blender")
     with ahead.ahead("convert"):
-        ahead.begin()
+        miss()
     assert not helpers
 
 
+@needs_jit
 def test_a_helper_that_cannot_be_started_or_fails_is_no_matter(
     helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with monkeypatch.context() as changed, ahead.ahead("convert"):
         changed.setattr(sys, "executable", str(tmp_path / "python"))
-        ahead.begin()
+        miss()
     assert not helpers
     monkeypatch.setattr(ahead, "_CALL", ("-c", "raise SystemExit(3)"))
     with ahead.ahead("convert"):
-        ahead.begin()
+        miss()
+        for helper in helpers:
+            helper.wait()
     assert [helper.returncode for helper in helpers] == [3, 3, 3]
 
 
+@needs_jit
 def test_commands_ask_for_helpers_unless_threads_are_counted(
     helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def read(*_given: Any) -> None:
-        ahead.begin()
+        miss()
         raise ZeroDivisionError
 
     monkeypatch.setattr("octex.cli.convert.read_model", read)
@@ -122,15 +108,17 @@ def test_commands_ask_for_helpers_unless_threads_are_counted(
     assert helpers[0].args[-2:] == ["convert", "preview"]
 
 
+@needs_jit
 def test_a_helper_ends_when_its_command_is_killed(tmp_path: Path) -> None:
     over = tmp_path / "over"
     helper = f"import sys, pathlib; sys.stdin.read(); pathlib.Path({str(over)!r}).touch()"
     code = f"""
 import os
+import numba
 from octex import ahead
 ahead._CALL, ahead.cpu_count = ("-c", {helper!r}), lambda: 2
 with ahead.ahead("convert"):
-    ahead.begin()
+    numba.njit(lambda number: number + number)(1.5)
     os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
@@ -153,24 +141,6 @@ print("late")
     assert done.stdout == b""
 
 
-def test_helpers_begin_with_the_largest_that_they_end_in_time_and_go_on_from_the_end(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    sizes = {"a": 3, "b": 1, "c": 4, "d": 9, "e": 2, "f": 1, "g": 12, "h": 1}
-    monkeypatch.setattr(ahead, "_size_of", sizes.__getitem__)
-    # One helper cannot end d before the command, which compiles 8 until then; c and g it can.
-    assert "".join(ahead.shared(list(sizes), 1)) == "cghfedba"
-    assert "".join(ahead.shared(list(sizes), 2)) == "dghfecba"
-    assert ahead.shared([], 1) == []
-
-
-@needs_jit
-def test_what_calls_more_is_larger() -> None:
-    (first,) = (line for line in ahead.lines("convert") if "evaluate:evaluate" in line)
-    assert ahead._size_of(first) > 5 * ahead._size_of("octex.jit.instructions:low_bits int64") > 0
-    assert ahead._size_of("octex.jit.instructions:gone int64") == 0
-
-
 @needs_jit
 def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,8 +161,8 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
         assert helper.wait() == 0
         assert helper.stdout is not None
         assert helper.stdout.read() == b""
-    (kept,) = (tmp_path / "cache").glob("*/*")
-    assert kept.name.startswith("octex.jit.instructions.low_bits-")
+    (kept,) = (tmp_path / "cache").rglob("*.nbc")
+    assert kept.name.startswith("instructions.low_bits-")
 
 
 @needs_jit
@@ -205,7 +175,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
             kernel, arguments = ahead.read(line)
         except (AttributeError, ImportError, ValueError):
             continue
-        assert cache.types_text(arguments) == line.split(" ", 1)[1]
+        assert types_text(arguments) == line.split(" ", 1)[1]
         fitting += len(inspect.signature(kernel.py_func).parameters) == len(arguments)
     assert len(listed) > 10
     assert fitting > 0.8 * len(listed)

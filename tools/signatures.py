@@ -6,6 +6,7 @@ usage: python tools/signatures.py
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -16,17 +17,26 @@ MODEL = ROOT / "samples" / "droid.glb"
 _HEAD = "# What kernels are called with, by `tools/signatures.py`. See `octex/ahead.py`.\n"
 _RECORDER = """
 import importlib, json, sys
-from octex.jit import cache, decorators
+from numba.core import event
+from octex import ahead
+from octex.jit.signatures import types_text
 
-calls = []
+ahead.cpu_count = lambda: 1  # no helpers
+calls, depth = [], 0
 
-def recorded(compiled, *others):
-    kinds = tuple(map(decorators._unlocked, map(compiled.typeof_pyval, others[2:])))
-    function = compiled.py_func
-    calls.append(f"{function.__module__}:{function.__qualname__} {cache.types_text(kinds)}")
-    return compile_for_args(compiled, *others)
+class Recorder(event.Listener):
+    def on_start(self, told):
+        global depth
+        function = told.data["dispatcher"].py_func
+        if depth == 0:  # what Python calls, and not a kernel
+            calls.append(f"{function.__module__}:{function.__qualname__} {types_text(told.data['args'])}")
+        depth += 1
 
-compile_for_args, decorators._compile_for_args = decorators._compile_for_args, recorded
+    def on_end(self, told):
+        global depth
+        depth -= 1
+
+event.register("numba:compile", Recorder())
 module, *arguments = sys.argv[1:]
 code = importlib.import_module(module).main(arguments)
 print(json.dumps(calls))
@@ -37,7 +47,9 @@ sys.exit(code)
 def record(command: str, *arguments: str | Path) -> list[str]:
     """Run a command of octex and return what it calls kernels with, each once."""
     call = [sys.executable, "-c", _RECORDER, f"octex.cli.{command}", *map(str, arguments), "--quiet"]
-    done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True)
+    with tempfile.TemporaryDirectory() as cache:  # an empty one: what is compiled is what is recorded
+        variables = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True, env=variables)
     return list(dict.fromkeys(json.loads(done.stdout.splitlines()[-1])))
 
 

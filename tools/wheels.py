@@ -3,7 +3,7 @@
 usage: python tools/wheels.py OUTPUT [PYTHON ...]     needs: pip install build twine wheel
 
 Each PYTHON (default: the one that runs this) gets a wheel whose kernels are compiled already, for x86-64
-processors with AVX2 (`octex/jit/cache.py`), by the numba that pip installs with it: with another one they are
+processors with AVX2 (`octex/ahead.py`), by the numba that pip installs with it: with another one they are
 compiled on first use. The test is README's first command, in a new environment: nothing may be compiled, and
 the files must be those that native code writes, to the byte.
 """
@@ -23,10 +23,10 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 _SECTIONS = "convert", "preview", "view", "paint", "warm-up"
 _COMPILE = "import sys; from octex import ahead; ahead.main()"
-_PORTABLE = "from octex.jit.cache import PORTABLE; print(*PORTABLE)"
+_PORTABLE = "from octex.ahead import PORTABLE; print(*PORTABLE.values())"
 _KERNELS = f"""
 from octex import ahead
-print(*dict.fromkeys(line.split(" ")[0].replace(":", ".") for line in ahead.lines(*{_SECTIONS})))
+print(*dict.fromkeys(line.split(" ")[0] for line in ahead.lines(*{_SECTIONS})))
 """
 _VARIABLES = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 _TAG = "import sys; print('cp%d%d' % sys.version_info[:2])"
@@ -75,11 +75,15 @@ def compiled_wheel(plain: Path, python: str, folder: Path) -> Path:
     run(sys.executable, "-m", "wheel", "unpack", plain, "--dest", folder)
     (unpacked,) = folder.glob("octex-*")
     shipped = unpacked / "octex" / "compiled"
-    shipped.mkdir()
-    # What is compiled into these is of no use without them.
+    # Parts are compiled into kernels: they are of no use by themselves.
     for kernel in run(programs / "python", "-P", "-c", _KERNELS).split():
-        for path in (folder / "portable").glob(f"*/{kernel}-*.py*"):
-            shutil.copy(path, shipped)
+        module, _, name = kernel.rpartition(":")
+        files = (folder / "portable").glob(f"{module}.{'?' * 16}/*/{module.rpartition('.')[2]}.{name}-*.nb?")
+        for path in files:
+            to = shipped / path.relative_to(folder / "portable")
+            to.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, to)
+            shutil.copy(path.with_name("checksums"), to.with_name("checksums"))
     description = next(unpacked.glob("*.dist-info")) / "WHEEL"
     description.write_text(description.read_text().replace("Root-Is-Purelib: true", "Root-Is-Purelib: false"))
     run(sys.executable, "-m", "wheel", "pack", unpacked, "--dest-dir", folder)

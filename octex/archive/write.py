@@ -50,7 +50,7 @@ from octex.archive.layout import (
 from octex.archive.models import Models, counting, made, no_counts
 from octex.archive.values import code_values
 from octex.archive.weights import new_squares, solve
-from octex.arrays import Array, Int64s, Uint8s, Uint32s, zeros
+from octex.arrays import Array, Int64s, Uint8s, Uint32s, zeros, unlocked
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
@@ -77,6 +77,7 @@ def write(
     input gives the same bytes. Raises TextureFileError for a tree that is not sound, and OutputError if the
     file cannot be written: then what stood at ``path`` still stands.
     """
+    tensors = {name: unlocked(array) for name, array in tensors.items()}
     arrays = TreeArrays(*(tensors[name] for name in TREE))
     split = SplitTable(*(tensors[name] for name in SPLIT)) if SPLIT[0] in tensors else no_split()
     kept = KeptTable(tensors[KEPT]) if KEPT in tensors else no_kept()

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self, TextIO
 
+from octex.ahead import use_shipped_code
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
@@ -51,6 +52,7 @@ def run(command: str, body: Callable[[], int]) -> int:
     Every failure becomes one line on stderr. A defect shows its traceback if OCTEX_TRACEBACK is set. Told to
     end by SIGINT or SIGTERM, it leaves nothing half-written; told twice, it does not wait for its threads.
     """
+    use_shipped_code()
     with _ended_by_signals():
         return _run(command, body)
 

@@ -1,197 +1,195 @@
-"""Where compiled kernels are kept, and whether they are still what the source says.
+"""Where compiled kernels lie on disk.
 
-Each version of a kernel is a file of its own, named after what it is compiled for, in the folder that numba
-chooses: two processes that add versions at once keep both. (numba lists versions in an index and numbers
-their files: two processes can lose an entry, or file code under another version's types.) A file begins with
-what it belongs to: numba's version, the state of all modules that the kernel is compiled from, and its key.
+Each state of a module has a folder of its own, named after a digest of its source and of all that it imports
+of octex: code never outlives the source that it was compiled from. In it lie numba's own files, and their
+checksums: numba would load a damaged file and crash. While a file is written its folder is locked, since
+processes that add versions at once would mix up numba's index.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
-import pickle
+import os
 import re
+import shutil
 import sys
 import threading
-import time
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numba
-from numba import types
-from numba.core.serialize import dumps
-
-from octex.ahead import WRITING, begin
+from numba.core import event
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-#: Seconds that a process waits, at most, for another, which may have been stopped, to compile the same.
-LONGEST = 600.0
+#: Code that a wheel brings along (`tools/wheels.py`), which commands use (`octex.ahead`).
+SHIPPED = Path(__file__).parents[1] / "compiled"
+#: Objects after which Python collects garbage while numba compiles: by its usual 700 that takes a tenth of
+#: the time, and another thread could drop code that LLVM is reading.
+MANY_OBJECTS = 100_000
+#: Bytes free on a disk, below which nothing is written: numba fails where a file does not fit.
+ROOM = 1 << 26
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
-
-#: Code that a wheel brings along (`tools/wheels.py`), for every processor with these features: x86-64-v3.
-SHIPPED = Path(__file__).parents[1] / "compiled"
-PORTABLE = (
-    "x86-64-v3",
-    "+avx,+avx2,+bmi,+bmi2,+crc32,+cx16,+f16c,+fma,+fxsr,+lzcnt,+movbe,+popcnt,+sahf,+sse3,+sse4.1,+sse4.2,"
-    "+ssse3,+xsave",
-)
+_SUMS = "checksums"
+#: Held while a file is unfinished.
+WRITING = threading.RLock()
+_lock = threading.Lock()
+_checked: set[Path] = set()
 
 
-class CodeFiles:
-    """The versions of one kernel on disk, in place of numba's ``IndexDataCacheFile``.
-
-    ``stamp`` tells the state of the kernel's own file, as numba sees it.
-    """
-
-    def __init__(self, folder: str, function: Any, stamp: object = None) -> None:
-        code, python = function.__code__, f"py{sys.version_info[0]}{sys.version_info[1]}"
-        name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}")
-        self._own = threading.local()
-        self._folder = Path(folder)
-        self._name = f"{name}-{code.co_firstlineno}.{python}{getattr(sys, 'abiflags', '')}"
-        self._state = f"numba {numba.__version__}, {stamp!r}, {digest_behind(function.__module__)}"
-
-    def _path(self, folder: Path, key: str) -> Path:
-        return folder / f"{self._name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
-
-    def load(self, key: Any) -> Any:
-        """Return what is kept under a key of numba's; None if nothing is, or it is of another state."""
-        found = self._load(self._folder, key)
-        if found is None and _can_run_shipped(key):
-            signature, (triple, *_), bytecode = key
-            found = self._load(SHIPPED, (signature, (triple, *PORTABLE), bytecode))
-        if found is None:
-            begin()
-            turns = getattr(self._own, "turns", None)
-            if turns is not None and fcntl is not None:
-                turns.append(_turn(self._path(self._folder, key_text(key))))
-                found = self._load(self._folder, key)
-        return found
-
-    @contextmanager
-    def turns(self) -> Iterator[None]:
-        """While the block lasts, be alone in compiling what is not there, among processes.
-
-        Functions wait for those that they call alone: no two processes wait for each other.
-        """
-        if hasattr(self._own, "turns"):
-            yield
-            return
-        turns = self._own.turns = list[IO[bytes] | None]()
+def cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Return a function compiled by numba with ``options``, on disk where a folder can be written to."""
+    with _lock:
+        folder = _folder_of(function.__module__)
+        if not _has_room(folder):  # each process compiles anew
+            return numba.njit(**options)(function)
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
         try:
-            yield
+            compiled = numba.njit(cache=True, **options)(function)
         finally:
-            del self._own.turns
-            for turn in filter(None, turns):
-                with turn, suppress(OSError):
-                    Path(turn.name).unlink(missing_ok=True)
-                    fcntl.flock(turn, fcntl.LOCK_UN)  # also where a child of this process has the file open
-
-    def _load(self, folder: Path, key: Any) -> Any:
-        text = key_text(key)
-        try:
-            with self._path(folder, text).open("rb") as file:
-                if pickle.load(file) == (self._state, text):
-                    return pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-            pass  # not there, not whole, or of types that are no longer there
-        return None
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep something under a key; without room for it nothing is kept."""
-        text = key_text(key)
-        path = self._path(self._folder, text)
-        unfinished = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
-        with WRITING, suppress(OSError):
-            try:
-                unfinished.write_bytes(pickle.dumps((self._state, text)) + dumps(data))
-                unfinished.replace(path)
-            finally:
-                unfinished.unlink(missing_ok=True)
-
-    def flush(self) -> None:
-        """Remove all versions."""
-        for path in self._folder.glob(f"{self._name}.*.nbc"):
-            path.unlink(missing_ok=True)
+            numba.config.CACHE_DIR = before
+        with suppress(OSError):
+            _check(folder, Path(compiled.stats.cache_path))
+    return compiled
 
 
-def _turn(path: Path) -> IO[bytes] | None:
-    """Wait while another process compiles a version; return the file that makes others wait for this one."""
-    turn = None
+@cache
+def _folder_of(module: str) -> Path:
+    """Return the folder of this state of a module; those of others are removed where no one else has them."""
+    in_tree = Path(__file__).parents[1] / "__pycache__"
+    root = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else in_tree
+    if root == in_tree and not _has_room(root):
+        root = _user_folder()
+    state = f"{numba.__version__} {numba.config.BOUNDSCHECK} {digest_behind(module)}"
+    folder = root / f"{module}.{hashlib.sha256(state.encode()).hexdigest()[:16]}"
+    for other in root.glob(f"{module}.{'?' * 16}") if root == in_tree else ():
+        if other != folder:
+            shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+@cache
+def _has_room(folder: Path) -> bool:
+    """Tell whether files can be put into a folder."""
     with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        turn = path.with_name(f"{path.name}.lock").open("wb")
-        end = time.monotonic() + LONGEST
-        while time.monotonic() < end:
-            try:
-                fcntl.flock(turn, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                time.sleep(0.02)
-    return turn
+        folder.mkdir(parents=True, exist_ok=True)
+        return os.access(folder, os.W_OK) and shutil.disk_usage(folder).free > ROOM
+    return False
 
 
-def _can_run_shipped(key: Any) -> bool:
-    """Tell whether this processor has all that the shipped code may use, and nobody asks for other code."""
-    _, (_, _, features), _ = key
-    return set(PORTABLE[1].split(",")) <= set(features.split(",")) and not numba.config.BOUNDSCHECK
+def _user_folder() -> Path:
+    """Return the folder for what can be made again that the operating system gives a user."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData/Local")) / "octex" / "Cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "octex"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "octex"
 
 
-def key_text(key: tuple[Any, tuple[str, ...], tuple[str, ...]]) -> str:
-    """Return the same words for the same types, machine and bytecode."""
-    signature, machine, bytecode = key
-    return "\n".join([types_text(signature), *machine, *bytecode])
+def _check(folder: Path, path: Path) -> None:
+    """Remove files from ``path``, numba's folder in a module's ``folder``, that are not as they were written.
 
-
-def types_text(signature: Any) -> str:
-    """Return the names of the types of arguments."""
-    return ", ".join(map(type_text, getattr(signature, "args", signature)))
-
-
-def type_text(kind: Any) -> str:
-    """Return the name of a type of arguments, those of named tuples with their modules."""
-    if not isinstance(kind, types.BaseTuple):
-        return str(kind)
-    of = getattr(kind, "instance_class", tuple)
-    return f"{of.__module__}:{of.__qualname__}({', '.join(map(type_text, kind.types))})"
-
-
-def read_types(text: str) -> tuple[Any, ...]:
-    """Return the types that some words of `type_text`, with commas between them, name.
-
-    Raises AttributeError, ImportError or ValueError for what is no type.
+    A wheel's own, and those of octex when it lay elsewhere, are taken over.
     """
-    found, start, depth = [], 0, 0
-    for place, letter in enumerate(f"{text}," if text else ""):
-        depth += (letter == "(") - (letter == ")")
-        if letter == "," and depth == 0:
-            found.append(_read_type(text[start:place].strip()))
-            start = place + 1
-    return tuple(found)
+    if path in _checked:
+        return
+    _checked.add(path)
+    with _locked(path):
+        if not (path / _SUMS).exists():
+            others = [*(SHIPPED / folder.name).glob("*/*"), *folder.glob("*/*")]
+            for other in others:
+                if other.parent != path:
+                    shutil.copyfile(other, path / other.name)
+        sums = _read_sums(path)
+        for name, file in _files(path):
+            if sums.get(name) != zlib.crc32(file.read_bytes()):
+                file.unlink()
 
 
-def _read_type(text: str) -> Any:
-    name, _, inner = text.removesuffix(")").partition("(")
-    if name == "array":
-        dtype, dimensions, layout = inner.split(", ")
-        return types.Array(_read_type(dtype), int(dimensions.removesuffix("d")), layout)
-    if ":" in name:
-        module, _, name = name.partition(":")
-        of, within = getattr(import_module(module), name), read_types(inner)
-        if len(getattr(of, "_fields", within)) != len(within):
-            raise ValueError(f"{of} has not {len(within)} fields")
-        return types.BaseTuple.from_types(within, None if of is tuple else of)
-    return types.boolean if name == "bool" else getattr(types, name)
+def _files(path: Path) -> list[tuple[str, Path]]:
+    return [(file.name, file) for file in sorted(path.glob("*.nb[ci]"))]
+
+
+def _read_sums(path: Path) -> dict[str, int]:
+    try:
+        lines = [line.split(" ", 1) for line in (path / _SUMS).read_text().splitlines()]
+        return {name: int(number) for number, name in lines}
+    except (OSError, ValueError):  # none yet, or damaged
+        return {}
+
+
+def _write_sums(path: Path) -> None:
+    lines = [f"{zlib.crc32(file.read_bytes())} {name}" for name, file in _files(path)]
+    new = path / f"{_SUMS}.{os.getpid()}"
+    new.write_text("\n".join(lines))
+    new.replace(path / _SUMS)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Be alone in writing to a folder."""
+    with WRITING, (path / "lock").open("wb") as file:
+        if fcntl is not None:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+class _Saving(event.Listener):  # type: ignore[misc]
+    """Lock a folder from when numba has compiled a function until it has saved it, and write checksums.
+
+    numba tells when it compiles, and when it takes and gives back its lock: the first time after it has
+    compiled a function is when that is saved.
+    """
+
+    def __init__(self) -> None:
+        self._own = threading.local()
+        self._lock = threading.Lock()
+        self._waiting = 0  # threads that compile, or wait to
+        self._usual: tuple[int, ...] = ()  # Python's thresholds while none does
+
+    def on_start(self, told: Any) -> None:
+        """Let Python collect less garbage."""
+        if told.kind == "numba:compiler_lock":
+            with self._lock:
+                if self._waiting == 0:
+                    self._usual = gc.get_threshold()
+                    gc.set_threshold(max(self._usual[0], MANY_OBJECTS) if self._usual[0] else 0)
+                self._waiting += 1
+
+    def on_end(self, told: Any) -> None:
+        """Lock the folder of what has been compiled; give it back when that is saved."""
+        if told.kind == "numba:compile":
+            path = told.data["dispatcher"].stats.cache_path
+            if path is not None and Path(path) in _checked:
+                self._own.held, self._own.path = ExitStack(), Path(path)
+                with suppress(OSError):
+                    self._own.held.enter_context(_locked(Path(path)))
+            return
+        if getattr(self._own, "held", None) is not None:
+            with suppress(OSError):
+                _write_sums(self._own.path)
+            self._own.held.close()
+            self._own.held = None
+        with self._lock:
+            self._waiting -= 1
+            if self._waiting == 0:
+                gc.set_threshold(*self._usual)
+
+
+_SAVING = _Saving()
+for _kind in ("numba:compile", "numba:compiler_lock"):
+    event.register(_kind, _SAVING)
 
 
 @cache
