@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
+import urllib.parse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -258,7 +260,7 @@ def _write_glb(content: _Content, path: Path) -> None:
 
 def _write_files(content: _Content, path: Path) -> None:
     names = content.names(path.stem)
-    words = content.finish({"uri": f"{path.stem}.bin"}, lambda number: {"uri": names[number]})
+    words = content.finish(_named(f"{path.stem}.bin"), lambda number: _named(names[number]))
     for name, (data, _) in zip(names, content.images, strict=True):
         with replacing(path.with_name(name)) as file:
             file.write(data)
@@ -266,3 +268,8 @@ def _write_files(content: _Content, path: Path) -> None:
         file.writelines(content.arrays)
     with replacing(path) as file:
         file.write(words)
+
+
+def _named(file: str) -> dict[str, Any]:
+    """Return what names a file beside the .gltf."""
+    return {"uri": urllib.parse.quote(os.fsencode(file))}

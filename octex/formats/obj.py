@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,8 @@ _MAPS = {
     "occlusion": ("map_ao", ""),
     "normal": ("norm", ""),
 }
+#: The channels whose factors are stated in sRGB.
+_COLORS = ("base_color", "specular", "emissive")
 
 
 def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
@@ -34,15 +37,16 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     """
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
+    names = _names({number: source.materials[number] for number in used})
     coordinates = source.coordinates[0] if source.coordinates else None
     lines = [f"mtllib {path.stem}.mtl"]
     materials = []
     written: dict[tuple[object, ...], str] = {}
     for number in used:
-        materials.append(f"newmtl material{number}")
+        materials.append(f"newmtl {names[number]}")
         materials += _described(source.materials[number], path, number, images, written)
     with replacing(path.with_suffix(".mtl")) as file:
-        file.write("\n".join([*materials, ""]).encode())
+        file.write("\n".join([*materials, ""]).encode(errors="surrogateescape"))
     positions = surface.vertices
     colors = colors_of_vertices(surface)
     if colors is not None:  # as many programs write them; in sRGB
@@ -60,11 +64,23 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     separator = "//" if coordinates is None else "/"
     corners = np.stack(columns, axis=-1) + 1
     for number in used:
-        lines.append(f"usemtl material{number}")
+        lines.append(f"usemtl {names[number]}")
         for triangle in corners[source.triangle_materials == number].tolist():
             lines.append("f " + " ".join(separator.join(map(str, corner)) for corner in triangle))
     with replacing(path) as file:
-        file.write("\n".join([*lines, ""]).encode())
+        file.write("\n".join([*lines, ""]).encode(errors="surrogateescape"))
+
+
+def _names(materials: Mapping[int, Material]) -> dict[int, str]:
+    """Return a name for each material by its number: its own, where that is one word and not taken."""
+    names: dict[int, str] = {}
+    for number, material in materials.items():
+        # Many readers end a name at a blank, and none reads zeros or halves of surrogate pairs.
+        name = re.sub(r"[\s\0\ud800-\udfff]", "_", material.name) or f"material{number}"
+        while name in names.values():
+            name += "_"
+        names[number] = name
+    return names
 
 
 def _described(
@@ -89,4 +105,5 @@ def _described(
                     file.write(data)
             yield f"{word} {written[key]}"
         if factor:
-            yield f"{factor} " + " ".join(f"{each:.7g}" for each in given.factor)
+            stated = linear_to_srgb(given.factor) if channel in _COLORS else given.factor
+            yield f"{factor} " + " ".join(f"{each:.7g}" for each in stated)
