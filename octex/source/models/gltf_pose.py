@@ -141,13 +141,13 @@ def influences(read: Reader, n_joints: int, what: str) -> tuple[Int64s, Float64s
     if bad.any():
         first = int(np.argmax(bad))
         raise ModelError(
-            f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which must be numbers from "
-            "0 on; export it with normalized weights"
+            f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which must be finite and "
+            "not below 0; export it with normalized weights"
         )
     off = np.count_nonzero(np.abs(sums - 1) > _ROUNDING)
     if off:
-        text = f"{what}: the weights of {off:,} of {len(sums):,} vertices do not sum to 1; they are normalized"
-        warnings.warn(text, ModelWarning, stacklevel=2)
+        text = f"{what}: the weights of {off:,} of {len(sums):,} vertices do not sum to 1; "
+        warnings.warn(text + "octex normalizes them", ModelWarning, stacklevel=2)
         weights[sums == 0, 0] = 1.0
         sums[sums == 0] = 1.0
     if not (numbers < n_joints).all():
