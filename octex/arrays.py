@@ -1,10 +1,11 @@
-"""The types of arrays, by what their elements are; and zeros in files, which many are."""
+"""The types of arrays, by what their elements are; zeros in files; and counts of bits."""
 
 from __future__ import annotations
 
 import mmap
 import os
 import tempfile
+from collections.abc import Callable
 from typing import IO, Any
 
 import numpy as np
@@ -49,3 +50,15 @@ def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
     else:
         file.truncate(count)
     return mmap.mmap(file.fileno(), count)
+
+
+def _bit_counts(words: Integers) -> Uint8s:
+    """Count the bits of unsigned integers by a table, for numpy 1, which has no ``bitwise_count``."""
+    octets = np.ascontiguousarray(words).view(np.uint8).reshape(*words.shape, words.itemsize)
+    counts: Uint8s = _BITS_OF_BYTES[octets].sum(axis=-1, dtype=np.uint8)
+    return counts
+
+
+_BITS_OF_BYTES = np.array([byte.bit_count() for byte in range(256)], np.uint8)
+#: The number of bits that are 1 in each of some unsigned integers.
+bit_counts: Callable[[Integers], Uint8s] = getattr(np, "bitwise_count", _bit_counts)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
+from octex.arrays import bit_counts
 from octex.channels import (
     ALPHA,
     BASE_COLOR,
@@ -194,7 +195,7 @@ def test_nodes_and_their_sides_keep_the_means_of_the_source() -> None:
     nodes = np.setdiff1d(np.arange(means.tree.n_cells), leaves)
     ours, theirs = fitted.channels["base_color"], means.channels["base_color"]
     assert np.array_equal(ours.values[nodes], theirs.values[nodes])
-    owners = np.repeat(means.tree.split.cells, np.bitwise_count(means.tree.split.facings))
+    owners = np.repeat(means.tree.split.cells, bit_counts(means.tree.split.facings))
     of_nodes = np.isin(owners, nodes)
     assert of_nodes.any()
     assert np.array_equal(ours.split_values[of_nodes], theirs.split_values[of_nodes])
@@ -347,7 +348,7 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     assert samples is not None
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
-    facings = np.bitwise_count(flags)
+    facings = bit_counts(flags)
     assert (counts >= facings).all()
     assert (counts <= 2 * facings).all()
     shares = np.add.reduceat(samples.shares.astype(int), samples.firsts[:-1])

@@ -82,7 +82,7 @@ def kept_layout(mesh: Mesh, size: int) -> Layout:
     moved = low[faces] + np.stack([across, down], axis=1)
     charts, edges = charts_of(mesh, uv * size)
     row, column = (moved - moved.min(axis=0)).astype(np.int64).T
-    squares = (charts[faces] * (row.max() + 1) + row) * (column.max() + 1) + column
+    squares = (charts[faces].astype(np.int64) * (row.max() + 1) + row) * (column.max() + 1) + column
     _, numbers = np.unique(squares, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
     return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size)

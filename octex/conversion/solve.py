@@ -50,7 +50,7 @@ class Codes(NamedTuple):
         """Return the values of 8 bits in a colour space."""
         values = decode_table("uint8", space)
         middles = np.append((values[:-1] + values[1:]) / 2, np.inf).astype(np.float32)
-        edges = values[0] + np.arange(_BINS + 1) * ((values[-1] - values[0]) / _BINS)
+        edges = values[0] + np.arange(_BINS + 1) * ((values[-1] - values[0]) / np.float32(_BINS))
         return cls(values, middles, np.searchsorted(middles, edges, side="right").astype(np.uint8))
 
     @classmethod

@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
@@ -123,7 +123,7 @@ class Field:
         found: list[Tiles] = []
         for level in levels:
             tiles = marked(build_tiles(self.level(level).tree), self.tree)
-            n_marked, n_cells = np.bitwise_count(tiles.marks).sum(), sum(self.tree.cells_by_depth()[level])
+            n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
             if not found or 2 * n_marked < n_cells:  # they serve the most
                 found.append(tiles)
         return tuple(found) or None

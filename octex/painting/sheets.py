@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.conversion.cells import BLOCK_BITS, SPREAD
 from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
 from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
@@ -136,7 +136,7 @@ def sheets_of(
 
 def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
     """Return the columns of the pieces in chosen cells, or in all."""
-    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))[pieces.entries]
+    owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
     some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])
     bits = bits_of(pieces.flags)[pieces.entries[some]]
     columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]

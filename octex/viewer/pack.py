@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
 from octex.processing.cast import cast
@@ -312,7 +312,7 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
         if level:
             rows = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
             parts += [node_masks[rows], leaf_masks[rows]]
-            parents = np.repeat(above, np.bitwise_count(node_masks[rows] | leaf_masks[rows]))
+            parents = np.repeat(above, bit_counts(node_masks[rows] | leaf_masks[rows]))
         known = np.uint8(level > 0)
         nodes = np.flatnonzero(is_node)
         parts.append(arrays.areas[first:end][nodes] - known * arrays.areas[parents[nodes]])
