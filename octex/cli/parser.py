@@ -157,9 +157,9 @@ class Parser(argparse.ArgumentParser):
         from octex.cli.main import EVERY
 
         others = [f"octex {name}" for name, each in EVERY.items() if each.has(word)]
-        near = get_close_matches(word, self._options, 1, _ALIKE)
         if others:
             self.error(f"{word} is an option of {' and of '.join(others)}, not of {self.prog}")
+        near = get_close_matches(word, self._options, 1, _ALIKE)
         self.error(f"{word} is no option{f': do you mean {near[0]}' if near else ''}")
 
     def _check_files(self, files: Sequence[str], options: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ from octex.source.images.openimage import check_size, spread
 from octex.source.images.pyramid import Texels
 
 SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
-#: What is packed by a run of equal bytes has as many texels a byte.
+#: zstd packs 128 kB of equal bytes, so many texels of one lane, into four.
 _MOST_PER_BYTE = 65536
 
 
@@ -68,9 +68,9 @@ class _Header(NamedTuple):
 def decode_ktx2(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of the largest image of a KTX2 texture.
 
-    Lanes that a file lacks are 0, alpha is 1; its ``KTXswizzle`` and ``KTXorientation`` are followed. Raises
-    ImageError for a damaged file, texels in blocks, colours multiplied by alpha, and plain texels of several
-    images; MissingExtraError where zstd's or Basis Universal's codes need the extra ``ktx2``.
+    Of plain texels, lanes that the file lacks are 0, alpha is 1; ``KTXswizzle`` and ``KTXorientation`` are
+    followed. Raises ImageError for a damaged file, texels in blocks, colours multiplied by alpha, and plain
+    texels of several images; MissingExtraError where codes need the extra ``ktx2``.
     """
     header = _Header(*struct.unpack_from("<13I5Q", data, len(SIGNATURE)))
     if header.vk_format == 0:
@@ -130,11 +130,12 @@ def _zstd(name: str) -> Any:
 def _metadata(data: bytes) -> dict[bytes, bytes]:
     """Return the values of keys, without the zero at their ends."""
     found = {}
-    while len(data) >= 4:
-        (length,) = struct.unpack_from("<I", data)
-        key, _, value = data[4 : 4 + length].partition(b"\0")
+    at = 0
+    while at + 4 <= len(data):
+        (length,) = struct.unpack_from("<I", data, at)
+        key, _, value = data[at + 4 : at + 4 + length].partition(b"\0")
         found[key] = value.rstrip(b"\0")
-        data = data[4 + length + -length % 4 :]
+        at += 4 + length + -length % 4
     return found
 
 
