@@ -163,8 +163,8 @@ def test_the_studio_turns_with_the_camera():
     assert np.allclose(here, there, atol=1e-5)
 
 
-#: Colour, metallic and roughness of balls, and their mean sRGB codes within 0.89 of the radius, seen from eight sides
-#: in three.js 0.170: RoomEnvironment, NeutralToneMapping, exposure 1.
+#: Colour, metallic and roughness of balls, and their mean sRGB codes within 0.89 of the radius, seen from
+#: eight sides in three.js 0.170: RoomEnvironment, NeutralToneMapping, exposure 1.
 _ROOM = [
     ((0.0, 0.0, 0.0), 0, 0.5, (25, 25, 25)),
     ((0.02, 0.02, 0.02), 0, 0.3, (45, 45, 45)),
@@ -193,7 +193,9 @@ def test_materials_are_as_bright_in_the_studio_as_in_the_room_of_three_js(color,
 
 
 def test_tone_mapping_keeps_colours_below_white_and_compresses_light_beyond():
-    light = np.array([[0.0, 0.0, 0.0], [0.04, 0.04, 0.04], [0.5, 0.3, 0.2], [0.8, 0.1, 0.1], [50.0, 10.0, 10.0]])
+    light = np.array(
+        [[0.0, 0.0, 0.0], [0.04, 0.04, 0.04], [0.5, 0.3, 0.2], [0.8, 0.1, 0.1], [50.0, 10.0, 10.0]]
+    )
     mapped = tone_mapped(light)
     assert np.allclose(mapped[:4], [[0, 0, 0], [0.01, 0.01, 0.01], [0.46, 0.26, 0.16], [0.76, 0.06, 0.06]])
     assert 0.99 < mapped[4, 0] < 1.0

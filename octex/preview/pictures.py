@@ -119,9 +119,8 @@ def lit(
     found = reflected(light, camera, points, faces, normals, material)
     if not light.tone_mapped:
         return appearance._replace(reflected=found)
-    if appearance.emitted is not None:
-        found = found + appearance.emitted
-    return appearance._replace(reflected=tone_mapped(found), emitted=None)
+    seen: Floats = found if appearance.emitted is None else found + appearance.emitted
+    return appearance._replace(reflected=tone_mapped(seen), emitted=None)
 
 
 def posed_normals(surface: Surface, triangles: Int32s, normals: Floats) -> Floats:
