@@ -73,9 +73,10 @@ def reflected(
 
 
 def tone_mapped(light: Floats) -> Float64s:
-    """Return linear light (n, 3) that a screen shows: what is brighter than white is compressed.
+    """Return light (n, 3) as a screen shows it, linear: what is brighter than white is compressed.
 
-    Dark colours lose what a surface that is no metal adds to them. (Khronos PBR Neutral tone mapper, 2024.)
+    Colours lose 0.04, which surfaces that are no metal reflect of white light; dark ones lose less. (Khronos
+    PBR Neutral tone mapper, 2024.)
     """
     least = light.min(axis=1, keepdims=True)
     color = light.astype(np.float64) - np.where(least < 0.08, least - 6.25 * least * least, 0.04)

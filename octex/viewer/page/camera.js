@@ -112,7 +112,7 @@ export class Camera {
     this.distance = Math.max(Math.min(away, this.radius), NEAREST_ZOOM * this.radius);
   }
 
-  // Where it is, and a camera's that was written so.
+  // Where it stands, and the bounds of the model that it sees.
   get state() {
     const { turn, tilt, target, distance, low, high } = this;
     return { turn, tilt, target, distance, low, high };

@@ -214,6 +214,7 @@ export class Gpu {
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
+    this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
     else this.drawSurface(look, camera, width, height);
   }
@@ -344,7 +345,6 @@ export class Gpu {
   // Cells of a level as cubes: colours, or which of them a pixel sees.
   drawCubes(look, camera, pixel = null, picture = null) {
     const { gl } = this, level = this.cubesLevel(look);
-    this.makesCubes = false;
     for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
       const { origin, size, channels, flags } = part.header, cubes = part.cubesAt(level);

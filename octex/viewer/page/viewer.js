@@ -305,7 +305,8 @@ class Viewer {
     }
     this.isDrawn = true;
     this.isSharp = isStill;
-    if (!this.isSharp || this.turning) this.again();
+    if (this.gpu.makesCubes) this.move();
+    else if (!this.isSharp || this.turning) this.again();
   }
 
   draw(scale) {
@@ -318,7 +319,6 @@ class Viewer {
     this.spent = performance.now() - began;
     if (programs === this.gpu.programs.size) this.cost = this.spent / (width * height);
     this.pictures++;
-    if (this.gpu.makesCubes) this.move();
   }
 
   // The size of pictures that are saved, in pixels, and their names without ending.
