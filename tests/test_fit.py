@@ -182,7 +182,7 @@ def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_n
     bright = FaceSource((LIGHT._replace(dtype=dtype),), [[9.0] * 3, [0.0] * 3, [1.5] * 3, [0.0] * 3])
     light = octex.convert(Surface(TETRAHEDRON, FACES, bright), 3).channels["emissive"]
     assert light.values.max() > 9
-    with pytest.raises(ArgumentError, match="channel 'emissive' may go above 1, which uint8 cannot hold"):
+    with pytest.raises(ArgumentError, match="channel 'emissive' goes above 1, which uint8 cannot hold"):
         octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
 
 
@@ -225,6 +225,25 @@ def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
     fitted.validate()
     ours, theirs = (texture.channels["base_color"].values.astype(int) for texture in (fitted, means))
     assert depth or np.abs(ours - theirs).max() < 128
+
+
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_leaves_whose_samples_all_miss_what_is_in_them_keep_their_means(channel: str, depth: int) -> None:
+    x, y = (each.ravel() / 24 for each in np.meshgrid(np.arange(12, 24), np.arange(24)))
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / 24
+    small = (np.stack([x, y], axis=1)[:, None] + square).reshape(-1, 2)
+    flat = np.concatenate([square * [12, 24], small])  # one half is two triangles, the other many
+    vertices = np.column_stack([flat, 0.2 * flat[:, 0] + 0.1 * flat[:, 1]])
+    triangles = (4 * np.arange(len(flat) // 4)[:, None, None] + HALVES).reshape(-1, 3)
+
+    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
+        return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
+
+    surface = Surface.from_arrays(vertices, triangles).with_sources({channel: halves})
+    fitted, plain = (octex.convert(surface, depth, channels=[channel], fit=fit) for fit in (True, False))
+    assert np.abs(fitted.rows(channel) - plain.rows(channel)).max() <= 0.01
 
 
 def test_a_cell_met_without_area_is_fitted_like_others() -> None:

@@ -26,6 +26,9 @@ LEAST_WEIGHT = np.float32(0.03)
 _DARK = np.float32(0.0015)
 #: Samples of a leaf that differ by less, relative to the largest, are one value: two steps of float16.
 _SAME = np.float32(2.0**-10)
+#: A mean lies outside of its samples' values if it does so by more, relative to the largest, and by more than
+#: they differ: two codes of 8 bits.
+_OUTSIDE = np.float32(2.0**-6)
 _BINS = 4096
 _ZERO = np.float32(0)
 
@@ -158,29 +161,60 @@ def residuals(
 
 
 @kernel
-def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[Float32s, Bools]:
-    """Return dᵢ of each unknown, and whether all its samples have one value."""
+def diagonal(equations: Equations, rows: Float32s) -> Float32s:
+    """Return dᵢ of each unknown."""
     starts, samples, weights = equations
     sums = new_array(starts.size - 1, np.float32)
-    is_flat = new_array(starts.size - 1, np.bool_)
     for leaf in range(starts.size - 1):
         total = np.float32(0)
+        for i in range(starts[leaf], starts[leaf + 1]):
+            total += weights[i] * weights[i] * rows[np.uint64(samples[i]), 3]
+        sums[leaf] = total
+    return sums
+
+
+@inlined
+def _is_outside(low: np.float32, high: np.float32, mean: np.float32, largest: np.float32) -> bool:
+    return bool(max(low - mean, mean - high) > high - low + _OUTSIDE * largest)
+
+
+@kernel
+def compare_samples(equations: Equations, targets: Float32s, means: Float32s) -> tuple[Bools, Bools]:
+    """Say which unknowns' samples all have one value, and whose ``means`` (leaves, 4) lie outside of them.
+
+    Samples are points: where a source has detail finer than the pieces that these are taken from, all of them
+    may miss what the mean has.
+    """
+    starts, samples, _ = equations
+    is_flat = new_array(starts.size - 1, np.bool_)
+    is_outside = new_array(starts.size - 1, np.bool_)
+    for leaf in range(starts.size - 1):
         low_x = low_y = low_z = np.float32(np.inf)
         high_x = high_y = high_z = np.float32(-np.inf)
         for i in range(starts[leaf], starts[leaf + 1]):
-            sample, weight = np.uint64(samples[i]), weights[i]
-            total += weight * weight * rows[sample, 3]
+            sample = np.uint64(samples[i])
             x, y, z = targets[sample, 0], targets[sample, 1], targets[sample, 2]
             low_x, high_x = min(low_x, x), max(high_x, x)
             low_y, high_y = min(low_y, y), max(high_y, y)
             low_z, high_z = min(low_z, z), max(high_z, z)
-        sums[leaf] = total
-        is_flat[leaf] = (
-            high_x - low_x <= _SAME * max(abs(low_x), abs(high_x))
-            and high_y - low_y <= _SAME * max(abs(low_y), abs(high_y))
-            and high_z - low_z <= _SAME * max(abs(low_z), abs(high_z))
+        of_x, of_y, of_z = (
+            max(abs(low_x), abs(high_x)),
+            max(abs(low_y), abs(high_y)),
+            max(abs(low_z), abs(high_z)),
         )
-    return sums, is_flat
+        is_flat[leaf] = (
+            high_x - low_x <= _SAME * of_x
+            and high_y - low_y <= _SAME * of_y
+            and high_z - low_z <= _SAME * of_z
+        )
+        a, b, c = means[leaf, 0], means[leaf, 1], means[leaf, 2]
+        largest = max(max(of_x, of_y, of_z), max(abs(a), abs(b), abs(c)))
+        is_outside[leaf] = (
+            _is_outside(low_x, high_x, a, largest)
+            or _is_outside(low_y, high_y, b, largest)
+            or _is_outside(low_z, high_z, c, largest)
+        )
+    return is_flat, is_outside
 
 
 @kernel
