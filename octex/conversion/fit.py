@@ -281,17 +281,20 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
             rows = lookups.residuals(found, wanted, shares, components, is_light)
             equations = equations or lookups.equations()
             is_flat, is_outside = compare_samples(equations, wanted, means)
-            stays = is_fixed | is_outside
+            stays = is_outside | is_fixed[:, None]
             approach(equations, rows, found)
-            found[: lookups.unknowns][stays] = means[: lookups.unknowns][stays]
+            np.copyto(found[: lookups.unknowns, :3], means[: lookups.unknowns, :3], where=stays)
             rows = lookups.residuals(found, wanted, shares, components, is_light)
             sums = diagonal(equations, rows)
-            sums[stays] = 0.0
+            sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
             to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
             for turn in range(SWEEPS):
                 codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-                sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
+                sweep(
+                    *(equations, rows, sums, is_flat, stays, means, components),
+                    *(*limits, codes, turn % 2, found),
+                )
             values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
             coverage = values[:, group.columns[0]].copy()

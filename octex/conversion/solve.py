@@ -174,20 +174,23 @@ def diagonal(equations: Equations, rows: Float32s) -> Float32s:
 
 
 @inlined
-def _is_outside(low: np.float32, high: np.float32, mean: np.float32, largest: np.float32) -> bool:
+def _is_outside(low: np.float32, high: np.float32, mean: np.float32) -> bool:
+    largest = max(abs(low), abs(high), abs(mean))
     return bool(max(low - mean, mean - high) > high - low + _OUTSIDE * largest)
 
 
 @kernel
 def compare_samples(equations: Equations, targets: Float32s, means: Float32s) -> tuple[Bools, Bools]:
-    """Say which unknowns' samples all have one value, and whose ``means`` (leaves, 4) lie outside of them.
+    """Say which unknowns' samples all have one value, and which of their means lie outside of these.
+
+    ``means`` (leaves, 4); what lies outside is said of each component (unknowns, 3).
 
     Samples are points: where a source has detail finer than the pieces that these are taken from, all of them
     may miss what the mean has.
     """
     starts, samples, _ = equations
     is_flat = new_array(starts.size - 1, np.bool_)
-    is_outside = new_array(starts.size - 1, np.bool_)
+    is_outside = new_array((starts.size - 1, 3), np.bool_)
     for leaf in range(starts.size - 1):
         low_x = low_y = low_z = np.float32(np.inf)
         high_x = high_y = high_z = np.float32(-np.inf)
@@ -197,23 +200,14 @@ def compare_samples(equations: Equations, targets: Float32s, means: Float32s) ->
             low_x, high_x = min(low_x, x), max(high_x, x)
             low_y, high_y = min(low_y, y), max(high_y, y)
             low_z, high_z = min(low_z, z), max(high_z, z)
-        of_x, of_y, of_z = (
-            max(abs(low_x), abs(high_x)),
-            max(abs(low_y), abs(high_y)),
-            max(abs(low_z), abs(high_z)),
-        )
         is_flat[leaf] = (
-            high_x - low_x <= _SAME * of_x
-            and high_y - low_y <= _SAME * of_y
-            and high_z - low_z <= _SAME * of_z
+            high_x - low_x <= _SAME * max(abs(low_x), abs(high_x))
+            and high_y - low_y <= _SAME * max(abs(low_y), abs(high_y))
+            and high_z - low_z <= _SAME * max(abs(low_z), abs(high_z))
         )
-        a, b, c = means[leaf, 0], means[leaf, 1], means[leaf, 2]
-        largest = max(max(of_x, of_y, of_z), max(abs(a), abs(b), abs(c)))
-        is_outside[leaf] = (
-            _is_outside(low_x, high_x, a, largest)
-            or _is_outside(low_y, high_y, b, largest)
-            or _is_outside(low_z, high_z, c, largest)
-        )
+        is_outside[leaf, 0] = _is_outside(low_x, high_x, means[leaf, 0])
+        is_outside[leaf, 1] = _is_outside(low_y, high_y, means[leaf, 1])
+        is_outside[leaf, 2] = _is_outside(low_z, high_z, means[leaf, 2])
     return is_flat, is_outside
 
 
@@ -251,6 +245,7 @@ def sweep(
     rows: Float32s,
     sums: Float32s,
     is_flat: Bools,
+    stays: Bools,
     means: Float32s,
     components: int,
     low: float,
@@ -261,8 +256,9 @@ def sweep(
 ) -> None:
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
-    With ``codes`` they become stored numbers. Leaves whose samples have one value then stay at their means if
-    they are less than two codes away: what others are rounded by is no reason to stir them.
+    Those that ``stays`` (unknowns, 3) marks do not change. With ``codes`` they become stored numbers. Leaves
+    whose samples have one value then stay at their means if they are less than two codes away: what others are
+    rounded by is no reason to stir them.
     """
     starts, samples, weights = equations
     is_rounding = codes.values.size > 0
@@ -290,8 +286,9 @@ def sweep(
             x = _rounded(x, means[leaf, 0], codes, scale, is_flat[leaf])
             y = _rounded(y, means[leaf, 1], codes, scale, is_flat[leaf])
             z = _rounded(z, means[leaf, 2], codes, scale, is_flat[leaf])
-        y = y if components > 1 else zero
-        z = z if components > 2 else zero
+        x = a if stays[leaf, 0] else x
+        y = (b if stays[leaf, 1] else y) if components > 1 else zero
+        z = (c if stays[leaf, 2] else z) if components > 2 else zero
         if x == a and y == b and z == c:
             continue
         values[leaf, 0], values[leaf, 1], values[leaf, 2] = x, y, z
