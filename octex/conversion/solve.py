@@ -257,8 +257,8 @@ def sweep(
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
     Those that ``stays`` (unknowns, 3) marks do not change. With ``codes`` they become stored numbers. Leaves
-    whose samples have one value then stay at their means if they are less than two codes away: what others are
-    rounded by is no reason to stir them.
+    whose samples have one value then stay at their means if they are less than two codes away: what others
+    are rounded by is no reason to stir them.
     """
     starts, samples, weights = equations
     is_rounding = codes.values.size > 0
