@@ -228,6 +228,25 @@ def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
     assert depth or np.abs(ours - theirs).max() < 128
 
 
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_leaves_whose_samples_all_miss_what_is_in_them_keep_their_means(channel: str, depth: int) -> None:
+    x, y = (each.ravel() / 24 for each in np.meshgrid(np.arange(12, 24), np.arange(24)))
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / 24
+    small = (np.stack([x, y], axis=1)[:, None] + square).reshape(-1, 2)
+    flat = np.concatenate([square * [12, 24], small])  # one half is two triangles, the other many
+    vertices = np.column_stack([flat, 0.2 * flat[:, 0] + 0.1 * flat[:, 1]])
+    triangles = (4 * np.arange(len(flat) // 4)[:, None, None] + HALVES).reshape(-1, 3)
+
+    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
+        return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
+
+    surface = Surface.from_arrays(vertices, triangles).with_sources({channel: halves})
+    fitted, plain = (octex.convert(surface, depth, channels=[channel], fit=fit) for fit in (True, False))
+    assert np.abs(fitted.rows(channel) - plain.rows(channel)).max() <= 0.01
+
+
 def test_a_cell_met_without_area_is_fitted_like_others() -> None:
     # The lower faces lie in cell planes: cells on the other side are only touched.
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

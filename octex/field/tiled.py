@@ -28,6 +28,7 @@ from octex.field.taps import (
     Taps,
     direction_of,
     face,
+    hold_outside,
     parts_of,
     place_points,
     shares_of,
@@ -390,6 +391,8 @@ def look_up_tiled(
         else:
             taps = _of_points(room, count)
             more, rest = _find_taps(search, here, each[:count], taps, empty, rim, ahead)
+            if gradient:
+                hold_outside(taps, here)
             if is_seen:
                 sums.values[:], sums.totals[:] = 0.0, 0.0
                 add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
