@@ -3,13 +3,19 @@
 Functions that work in parallel take ``threads`` and ``executor``, and hand both to `workers`: so many
 threads, by default all processors for large batches and the calling thread alone for small ones; or the
 workers of any executor. What a worker calls works alone in its thread.
+
+A task returns what it makes. Workers of other processes get copies of arrays, to read only. A task that
+writes to the arrays it is given takes its workers from `sharing`: threads of this process.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import os
+import pickle
 import threading
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -144,14 +150,15 @@ def workers(
     """Yield who does so many ``tasks``, None being many: ``executor``, or threads that end with the block.
 
     These are so many ``threads``, for None a thread for each processor; the calling thread alone for one
-    task, and for None in a thread that works for octex already. Raises ArgumentError for threads and an
-    executor, and for what is neither.
+    task, and for None in a thread that works for octex already. An executor of other processes gets copies
+    of what tasks are given. Raises ArgumentError for threads and an executor, and for what is neither.
     """
     executor, threads = as_executor(executor), as_threads(threads)
     if executor is not None and threads is not None:
         raise ArgumentError("give threads or an executor, not both")
     if executor is not None:
-        yield executor
+        is_ready = shares_memory(executor) or isinstance(executor, _Elsewhere)
+        yield executor if is_ready else _Elsewhere(executor)
         return
     count = cpu_count() if threads is None else threads if _most is None else min(threads, _most)
     if tasks is not None:
@@ -163,6 +170,51 @@ def workers(
         yield pool
 
 
+def shares_memory(executor: Executor) -> bool:
+    """Say whether an executor surely works in this process."""
+    return isinstance(executor, (_Here, ThreadPoolExecutor))
+
+
+class _Elsewhere(Executor):
+    """Gives tasks to an executor of other processes, with copies of their arrays."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def submit(self, function: Callable[..., Result], /, *given: Any, **named: Any) -> Future[Result]:
+        buffers: list[pickle.PickleBuffer] = []
+        text = io.BytesIO()
+        try:
+            _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, given, named))
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise ArgumentError(
+                f"executor: a task cannot be sent to its processes: {error}; define functions in a module, "
+                "or give threads"
+            ) from error
+        copies = [buffer.raw().tobytes() for buffer in buffers]
+        return self._executor.submit(_do, text.getvalue(), copies)
+
+
+class _Pickler(pickle.Pickler):
+    """Keeps the elements of all arrays apart from the rest."""
+
+    def reducer_override(self, given: Any) -> Any:
+        flags = getattr(given, "flags", None)
+        if flags is None or getattr(flags, "forc", True):
+            return NotImplemented
+        return given.copy().__reduce_ex__(5)
+
+
+def _do(text: bytes, copies: list[bytes]) -> Any:
+    """Do a task that was sent here; raises RuntimeError for one that writes to what it was given."""
+    sums = [zlib.adler32(copy) for copy in copies]
+    function, given, named = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
+    found = function(*given, **named)
+    if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
+        raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
+    return found
+
+
 @contextmanager
 def sharing(executor: Executor) -> Iterator[Executor]:
     """Yield who does tasks that write to arrays of this process.
@@ -171,7 +223,7 @@ def sharing(executor: Executor) -> Iterator[Executor]:
     with the block.
     """
     here = getattr(executor, "here", executor)
-    if isinstance(here, (_Here, ThreadPoolExecutor)):
+    if here is not None and shares_memory(here):
         yield here
         return
     with workers() as own:
