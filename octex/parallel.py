@@ -121,14 +121,29 @@ def _note_worker() -> None:
 
 
 class built_once(cached_property[Result]):  # noqa: N801  (as what it derives from)
-    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them."""
+    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them.
+
+    Meanwhile only those who ask for the same of the same object wait.
+    """
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
-        with _BUILDING:
-            return super().__get__(instance, owner)
+        if instance is None:
+            return self
+        name, values = self.attrname, instance.__dict__
+        with _BEGINNING:
+            turn = _turns.setdefault((id(instance), name), threading.RLock())
+        with turn:
+            try:
+                if name not in values:
+                    values[name] = self.func(instance)
+                return values[name]
+            finally:
+                with _BEGINNING:
+                    _turns.pop((id(instance), name), None)
 
 
-_BUILDING = threading.RLock()  # only until an object has the value
+_BEGINNING = threading.Lock()
+_turns: dict[tuple[int, str | None], threading.RLock] = {}  # only until an object has the value
 
 
 class _Here(Executor):
