@@ -4,8 +4,8 @@ Functions that work in parallel take ``threads`` and ``executor``, and hand both
 threads, by default all processors for large batches and the calling thread alone for small ones; or the
 workers of any executor. What a worker calls works alone in its thread.
 
-A task returns what it makes. Workers of other processes get copies of arrays, to read only. A task that
-writes to the arrays it is given takes its workers from `sharing`: threads of this process.
+A task returns what it makes: `start` sends other processes copies of arrays, to read only. A task that writes
+to the arrays it is given takes its workers from `sharing`: threads of this process.
 """
 
 from __future__ import annotations
@@ -165,15 +165,14 @@ def workers(
     """Yield who does so many ``tasks``, None being many: ``executor``, or threads that end with the block.
 
     These are so many ``threads``, for None a thread for each processor; the calling thread alone for one
-    task, and for None in a thread that works for octex already. An executor of other processes gets copies
-    of what tasks are given. Raises ArgumentError for threads and an executor, and for what is neither.
+    task, and for None in a thread that works for octex already. Raises ArgumentError for threads and an
+    executor, and for what is neither.
     """
     executor, threads = as_executor(executor), as_threads(threads)
     if executor is not None and threads is not None:
         raise ArgumentError("give threads or an executor, not both")
     if executor is not None:
-        is_ready = shares_memory(executor) or isinstance(executor, _Elsewhere)
-        yield executor if is_ready else _Elsewhere(executor)
+        yield executor
         return
     count = cpu_count() if threads is None else threads if _most is None else min(threads, _most)
     if tasks is not None:
@@ -190,24 +189,23 @@ def shares_memory(executor: Executor) -> bool:
     return isinstance(executor, (_Here, ThreadPoolExecutor))
 
 
-class _Elsewhere(Executor):
-    """Gives tasks to an executor of other processes, with copies of their arrays."""
+def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -> Future[Result]:
+    """Have an executor do a task; other processes get copies of its arrays, which it must not write to.
 
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def submit(self, function: Callable[..., Result], /, *given: Any, **named: Any) -> Future[Result]:
-        buffers: list[pickle.PickleBuffer] = []
-        text = io.BytesIO()
-        try:
-            _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, given, named))
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ArgumentError(
-                f"executor: a task cannot be sent to its processes: {error}; define functions in a module, "
-                "or give threads"
-            ) from error
-        copies = [buffer.raw().tobytes() for buffer in buffers]
-        return self._executor.submit(_do, text.getvalue(), copies)
+    Raises ArgumentError for a task that cannot be sent to them.
+    """
+    if shares_memory(executor) or hasattr(executor, "here"):
+        return executor.submit(function, *given)
+    buffers: list[pickle.PickleBuffer] = []
+    text = io.BytesIO()
+    try:
+        _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, given))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ArgumentError(
+            f"executor: a task cannot be sent to its processes: {error}; define functions in a module, or "
+            "give threads"
+        ) from error
+    return executor.submit(_do, text.getvalue(), [buffer.raw().tobytes() for buffer in buffers])
 
 
 class _Pickler(pickle.Pickler):
@@ -223,8 +221,8 @@ class _Pickler(pickle.Pickler):
 def _do(text: bytes, copies: list[bytes]) -> Any:
     """Do a task that was sent here; raises RuntimeError for one that writes to what it was given."""
     sums = [zlib.adler32(copy) for copy in copies]
-    function, given, named = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
-    found = function(*given, **named)
+    function, given = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
+    found = function(*given)
     if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
         raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
     return found
@@ -265,7 +263,7 @@ def ordered_map(
     done = 0
     try:
         for item in items:
-            pending.append(executor.submit(function, item))
+            pending.append(start(executor, function, item))
             if len(pending) >= window:
                 yield pending.popleft().result()
                 done += 1

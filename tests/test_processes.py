@@ -21,7 +21,7 @@ import octex
 from octex.channels import ALPHA, BASE_COLOR
 from octex.field.field import Field
 from octex.jit import kernel
-from octex.parallel import sharing, workers
+from octex.parallel import sharing, start, workers
 from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
@@ -270,14 +270,14 @@ def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes: Execu
     with workers(None, processes) as pool:
         for numbers in (np.zeros(4), np.zeros(8)[::2]):
             with pytest.raises(ValueError, match="read-only"):
-                pool.submit(by_numpy, numbers).result()
+                start(pool, by_numpy, numbers).result()
             with pytest.raises(RuntimeError, match=r"by_kernel.* writes to arrays that are not shared"):
-                pool.submit(by_kernel, numbers).result()
+                start(pool, by_kernel, numbers).result()
         with pytest.raises(octex.OctexError, match=r"executor: .*define functions in a module"):
-            pool.submit(lambda: 1)
+            start(pool, lambda: 1)
         with sharing(pool) as here:
             numbers = np.zeros(4)
-            here.submit(by_kernel, numbers).result()
+            start(here, by_kernel, numbers).result()
             assert numbers[0] == 1
 
 

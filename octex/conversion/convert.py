@@ -200,7 +200,7 @@ def convert(
                     "the executor"
                 )
             folder = stack.enter_context(large.scratch(target.parent))
-            pool = large.Tasks(executor or pool, folder, is_here=is_here)
+            pool = large.Tasks(pool, folder, is_here=is_here)
         filled = cell_levels(
             surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted
         )

@@ -14,7 +14,7 @@ from octex.channels import ALPHA, encode
 from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
 from octex.editing.nodes import Nodes, all_children, by_level, node_cells
 from octex.functions import answer
-from octex.parallel import ordered_map, sharing
+from octex.parallel import ordered_map, sharing, start
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, find_made, take, unite
@@ -106,7 +106,7 @@ class Mixing:
         rows = rows_of(tree.split, made.cells)
         owners = np.searchsorted(made.cells, rows.cells)
         tasks = [
-            self._executor.submit(side.residuals, name, made, owners, rows.bits)
+            start(self._executor, side.residuals, name, made, owners, rows.bits)
             for side in (self._first, self._second)
         ]
         one, other = (task.result() for task in tasks)
