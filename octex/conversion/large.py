@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import io
 import mmap
+import os
 import pickle
 import secrets
 import weakref
@@ -54,6 +55,7 @@ class Scratch:
         self.folder = folder
         self._files: dict[Path, _File] = {}
         self._named: dict[Path, mmap.mmap] = {}
+        self._process = os.getpid()
 
     def new_path(self) -> Path:
         """Return the path of a file that is not there yet."""
@@ -74,8 +76,9 @@ class Scratch:
 
     def _free(self, path: Path) -> None:
         del self._files[path]
-        with suppress(OSError):
-            path.unlink()
+        if os.getpid() == self._process:  # not a fork of it
+            with suppress(OSError):
+                path.unlink()
 
     def flush(self) -> None:
         """Write out what other machines are about to read."""
