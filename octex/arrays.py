@@ -11,6 +11,8 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.errors import OutputError
+
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
 Int8s = npt.NDArray[np.int8]
@@ -35,12 +37,17 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
     """Return so many bytes of 0: in memory, or if they are more in a temporary file, whose pages may go.
 
-    Raises OSError where there is no room for that file.
+    Raises OutputError where there is no room for that file.
     """
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
-    with tempfile.TemporaryFile() as file:
-        return np.frombuffer(zeros_in(file, count), np.uint8)
+    try:
+        with tempfile.TemporaryFile() as file:
+            return np.frombuffer(zeros_in(file, count), np.uint8)
+    except OSError as error:
+        raise OutputError(
+            f"{tempfile.gettempdir()}: has no place for {count:,} bytes: {error.strerror or error}; make room"
+        ) from error
 
 
 def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -175,3 +177,32 @@ codes = [main(each.split()) for each in words]
 print(*sorted({"numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm"} & set(sys.modules)), file=sys.stderr)
 """
     assert python(code).stderr.splitlines()[-1] == ""
+
+
+INTERRUPTED = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+from octex.cli import start
+for name in [name for name in sys.modules if name in ("argparse", "octex.errors")]:
+    del sys.modules[name]
+sys.meta_path.insert(0, Finder())
+function = getattr(start, sys.argv.pop(2))
+sys.exit(function())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("module", ["argparse", "octex.errors", "octex.cli.common", "octex.cli.arguments"])
+def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module: str) -> None:
+    scripts = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    for command, target in scripts["scripts"].items():
+        home, _, function = target.partition(":")
+        assert home == "octex.cli.start"
+        done = python(INTERRUPTED, module, function, "--version")
+        assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import octex
+from octex.cli import start
 
 ROOT = Path(octex.__file__).parent
 MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.rglob("*.py"))
@@ -78,7 +79,7 @@ EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = {target.partition(":")[0] for target in PROJECT["scripts"].values()}
+COMMANDS = {*start.MODULES.values(), *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
 
 
 @cache

@@ -35,7 +35,7 @@ from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
-from octex.parallel import Progress, as_progress, ordered_map, workers
+from octex.parallel import Progress, as_progress, ordered_map, sharing, workers
 from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
@@ -134,7 +134,7 @@ def bake(
         surface = surface.placed_in(texture)
     else:
         other = _Other.of(as_surface(source, "source"), texture, distance)
-    with workers(threads, executor) as pool:
+    with workers(threads, executor) as given, sharing(given) as pool:
         report("unwrap", 0, 1)
         sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))

@@ -7,6 +7,7 @@ thin part, from one of two walls in a cell to the other, or from part to part.
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -95,12 +96,8 @@ def sheets_of(
     if within is not None:
         blocks = some_blocks(blocks, within.reaches(blocks, max(level - BLOCK_BITS, 0)))
 
-    def columns_of(run: Run) -> Columns:
-        pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
-        return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
-
     runs = even_runs(most_pieces(grid, faces, blocks, level))
-    columns = list(ordered_map(executor, columns_of, runs))
+    columns = list(ordered_map(executor, partial(_columns_of, grid, faces, blocks, level, within), runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.lexsort((codes, triangles))
     codes, triangles = codes[order], triangles[order]
@@ -132,6 +129,14 @@ def sheets_of(
         pairs,
         1.0 / np.maximum(apart, _NEAR),
     )
+
+
+def _columns_of(
+    grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: Run
+) -> Columns:
+    """Cut what lies in some blocks, and in the region if one is given."""
+    pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+    return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
 
 
 def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
