@@ -56,7 +56,7 @@ BAKE = Command(
         ),
         option(
             "--texture-size",
-            "texels a side of the maps (default: a power of two that keeps the cells, up to 8192)",
+            "texels a side of the maps (default: a power of two that keeps the leaves, up to 8192)",
             metavar="N",
             type=whole_number,
         ),
@@ -72,7 +72,12 @@ BAKE = Command(
             metavar="DISTANCE",
             type=length,
         ),
-        option("--padding", "texels around each chart (default 8)", metavar="N", type=whole_number),
+        option(
+            "--padding",
+            "texels around each chart (default 8, or fewer where an atlas has no room)",
+            metavar="N",
+            type=whole_number,
+        ),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
             "--images",
@@ -190,7 +195,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 max_distance=options.max_distance,
                 uv=options.uv or "auto",
                 texture_size=options.texture_size,
-                padding=8 if options.padding is None else options.padding,
+                padding=options.padding,
                 channels=options.channels,
                 bits=bits,
                 supersample=1 if options.supersample is None else options.supersample,
