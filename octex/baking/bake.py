@@ -104,7 +104,7 @@ def bake(
 
     Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
     agree in the latter two become one. Where all are opaque and the texture has alpha below 1, they are masks
-    if hardly any is between 0 and 1, else they blend. Maps without variation become numbers.
+    if hardly any is between 0 and 1, else they blend. Channels without variation become numbers.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
