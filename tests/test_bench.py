@@ -18,7 +18,7 @@ pytestmark = [needs_jit, pytest.mark.skipif(sys.platform != "linux", reason="the
 
 #: A figure beside its target.
 VERDICT = re.compile(
-    r"^ {9}(?P<what>.*?) +(?P<value>\S+) .*? target (?P<relation>[≥≤]) (?P<target>\S+)$", re.M
+    r"^ {9}(?P<what>.*?) {2,}(?P<value>\S+) .*? target (?P<relation>[≥≤]) (?P<target>\S+)$", re.M
 )
 #: What is left out without peers.
 PEERS = (
