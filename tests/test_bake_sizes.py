@@ -18,6 +18,7 @@ from octex.baking.layout import unit_area
 from octex.baking.texels import draw_texels
 from octex.cli import main as cli
 from octex.cli.common import bytes_text
+from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -263,3 +264,20 @@ def test_large_images_are_told_and_smaller_formats_offered(
     assert f"its images take {size}: --image-format webp makes them smaller without loss, jpeg" in made
     assert "--image-format" not in told("webp.glb", "--image-format", "webp")
     assert (tmp_path / "webp.glb").stat().st_size < sum(sizes)
+
+
+def test_a_material_whose_image_gltf_would_multiply_by_its_number_is_refused(tmp_path: Path) -> None:
+    plain = cube_with_charts()
+    assert plain.uv is not None
+    texture = Texture(np.full((4, 4, 4), 30000, np.uint16))
+    owners = np.zeros(len(plain.triangles), np.int32)
+    for inputs, words in (
+        ({"alpha": Input((1.0,), texture, (3,))}, "base_color and alpha in one image"),
+        ({"metallic": Input((1.0,), texture, (2,)), "roughness": Input((0.5,))}, "metallic and roughness in"),
+    ):
+        source = MaterialSource(
+            [Material(inputs, "blend")], owners, plain.rest, plain.triangles, coordinates=[plain.uv]
+        )
+        surface = Surface(plain.vertices, plain.triangles, source, uv=plain.uv)
+        with pytest.raises(ModelError, match=words):
+            octex.write_model(surface, tmp_path / "a.glb")

@@ -96,7 +96,7 @@ def bake(
                  up to 8192, whose texels are about as wide as the leaves on its triangles, or narrower;
                  leaves that are finer, on less than 1 % of these, do not count
     padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart. By default 8,
-                 or fewer in an atlas that would be larger for it, or would have no room
+                 or fewer in an atlas whose charts would have too little room
     channels     those that are baked, by name; by default all that materials have
     bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
                  may be above 1, directions as (x + 1) / 2

@@ -236,9 +236,11 @@ def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input |
 
     Where one of them is a number, the image must be 1 there. Raises ModelError for what glTF cannot say.
     """
-    read = [inputs[name] for name in pair if name in inputs and inputs[name].texture is not None]
+    plain = {"base_color": Input((1.0,) * 3)}
+    given = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
+    read = [each for each in given.values() if each.texture is not None]
     texels = [each.texture.texels for each in read if each.texture is not None]
-    numbers = [name for name in pair if name in inputs and inputs[name].texture is None and name != "alpha"]
+    numbers = [name for name, each in given.items() if each.texture is None and name != "alpha"]
     is_one = all(each is texels[0] for each in texels)
     if texels and not (is_one and all((texels[0][..., _LANES[name]] == 65535).all() for name in numbers)):
         raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
