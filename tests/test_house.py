@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import re
 import subprocess
 import sys
 import tomllib
@@ -169,3 +170,15 @@ def test_importing_octex_or_a_command_loads_nothing_heavy(module: str) -> None:
     code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_the_extra_test_brings_what_tests_are_skipped_without() -> None:
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
+    listed = [each for extra in project["optional-dependencies"].values() for each in extra]
+    brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]
+    packages = {"pxr": "usd-core", "opengl_basisu": "opengl-basisu"}
+    left_out = {"moto", "s3fs", "scipy"}  # much to install for a test each
+    texts = [path.read_text("utf-8") for path in (ROOT.parent / "tests").glob("*.py")]
+    modules = set(re.findall(r'importorskip\(\s*"(\w+)', " ".join(texts)))
+    assert "playwright" in modules
+    assert {packages.get(module, module.lower()) for module in modules - left_out} <= brought

@@ -8,10 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from octex.channels import linear_to_srgb
+from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, colors_of_vertices, image_file, image_name, materials_of
+from octex.formats.images import (
+    ImageFormat,
+    Written,
+    colors_of_vertices,
+    file_format,
+    image_file,
+    image_name,
+    materials_of,
+)
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -26,11 +34,9 @@ _MAPS = {
     "occlusion": ("map_ao", ""),
     "normal": ("norm", ""),
 }
-#: The channels whose factors are stated in sRGB.
-_COLORS = ("base_color", "specular", "emissive")
 
 
-def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
+def write_obj(surface: Surface, path: Path, images: ImageFormat) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
 
     Raises ModelError for values above 1, and for materials that read several sets of texture coordinates.
@@ -69,6 +75,8 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
             lines.append("f " + " ".join(separator.join(map(str, corner)) for corner in triangle))
     with replacing(path) as file:
         file.write("\n".join([*lines, ""]).encode(errors="surrogateescape"))
+    made = [path.with_name(name) for name in written.values()]
+    return Written([path, path.with_suffix(".mtl"), *made], sum(each.stat().st_size for each in made))
 
 
 def _names(materials: Mapping[int, Material]) -> dict[int, str]:
@@ -98,12 +106,14 @@ def _described(
                 raise ModelError("an .obj file has one set of texture coordinates; write a .glb")
             key = id(given.texture.texels), given.lanes
             if key not in written:
-                data, ending = image_file(given.texture.texels, given.lanes, images)
+                data, ending = image_file(given.texture.texels, given.lanes, file_format(images, [channel]))
                 stem = image_name(path.stem, material, channel, f"{number}-{channel}")
                 written[key] = f"{stem}.{ending}"
                 with replacing(path.with_name(written[key])) as file:
                     file.write(data)
             yield f"{word} {written[key]}"
         if factor:
-            stated = linear_to_srgb(given.factor) if channel in _COLORS else given.factor
-            yield f"{factor} " + " ".join(f"{each:.7g}" for each in stated)
+            values = np.array(given.factor)
+            if CHANNELS[channel].space == "srgb":
+                values = linear_to_srgb(values)
+            yield f"{factor} " + " ".join(f"{each:.7g}" for each in values)

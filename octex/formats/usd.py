@@ -14,7 +14,7 @@ import numpy as np
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
+from octex.formats.images import ImageFormat, Written, encoded_images, image_names, materials_of
 from octex.formats.origins import origin_of
 from octex.formats.units import METERS, Unit
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
@@ -41,7 +41,7 @@ _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpac
 _MATERIALS = "/model/materials"
 
 
-def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> None:
+def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> Written:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
 
     The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. A model far from the origin is
@@ -92,6 +92,8 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
                     file.write(data)
         with replacing(path) as file:
             file.write(made.read_bytes())
+    beside = [] if is_package else [path.with_name(name) for name in names]
+    return Written([path, *beside], sum(len(data) for data, _ in files))
 
 
 def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
