@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: kept for the source they come from, checked when read, written by many at once."""
+"""Compiled kernels on disk: they fit the source, are checked when read, and many processes write them."""
 
 from __future__ import annotations
 

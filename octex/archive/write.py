@@ -50,7 +50,7 @@ from octex.archive.layout import (
 from octex.archive.models import Models, counting, made, no_counts
 from octex.archive.values import code_values
 from octex.archive.weights import new_squares, solve
-from octex.arrays import Array, Int64s, Uint8s, Uint32s, zeros, unlocked
+from octex.arrays import Array, Int64s, Uint8s, Uint32s, unlocked, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays

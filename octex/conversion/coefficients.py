@@ -16,7 +16,7 @@ from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.taps import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
-from octex.jit import inlined, kernel, new_zeros, popcount, spline_rows, trailing_zeros
+from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -54,10 +54,10 @@ class Windows(NamedTuple):
 def new_windows(fields: int, vectors: int) -> Windows:
     """Return windows of which nothing is known."""
     return Windows(
-        new_zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
-        new_zeros((fields, _LEVELS), np.bool_),
-        new_zeros((fields, _LEVELS), np.uint64),
-        new_zeros((fields * _LEVELS * vectors, 2, 4), np.float32),
+        np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
+        np.zeros((fields, _LEVELS), np.bool_),
+        np.zeros((fields, _LEVELS), np.uint64),
+        np.zeros((fields * _LEVELS * vectors, 2, 4), np.float32),
     )
 
 

@@ -15,7 +15,7 @@ from octex.conversion.numbering import Leaves, Outside, extend, number_of
 from octex.conversion.samples import PLACE_STEPS, Samples
 from octex.conversion.solve import LEAST_WEIGHT, Equations, by_unknown, write_residual
 from octex.field.tiles import Tiles, tile_row
-from octex.jit import fused_kernel, kernel, new_array, new_zeros, weighted_cube
+from octex.jit import fused_kernel, kernel, weighted_cube
 from octex.tree.morton import decode, decode_cells
 
 #: Bits of a cell's code below that of its cube.
@@ -120,7 +120,7 @@ def _firsts(codes: Int64s) -> Int64s:
     count = 0
     for n in range(codes.size):
         count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
-    firsts = new_array(count + 1, np.int64)
+    firsts = np.empty(count + 1, np.int64)
     count = 0
     for n in range(codes.size):
         firsts[count] = n
@@ -204,7 +204,7 @@ def _number(cells: Int32s, first: int, end: int, outside: Outside) -> None:
 def _axes(places: Uint16s, chosen: Int64s) -> Float32s:
     """Return the weights of the quadratic B-spline along each axis."""
     half, one = np.float32(0.5), np.float32(1)
-    axes = new_array((chosen.size, 12), np.float32)
+    axes = np.empty((chosen.size, 12), np.float32)
     for n in range(chosen.size):
         row, sample = np.uint64(n), np.uint64(chosen[n])
         for axis in range(3):
@@ -233,7 +233,7 @@ def _residuals(
 ) -> None:
     """Write the residuals of the samples in cubes, and the inverse of what their weights sum to."""
     zero, one = np.float32(0), np.float32(1)
-    grid = new_zeros(4 * _PLACES_OF_CUBE, np.float32)
+    grid = np.zeros(4 * _PLACES_OF_CUBE, np.float32)
     for cube in range(cubes.owns.size):
         begin, end = cubes.starts[cube], cubes.starts[cube + 1]
         for entry in range(begin, end):
@@ -269,12 +269,12 @@ def _equations(
     What is made here is known to overlap nothing: given arrays take half as long again.
     """
     size = axes.shape[0]
-    ends = new_zeros(size + 1, np.int64)
-    leaves, weights = new_array(27 * size + 1, np.int32), new_array(27 * size + 1, np.float32)
-    grid = new_array(_PLACES_OF_CUBE, np.int32)
+    ends = np.zeros(size + 1, np.int64)
+    leaves, weights = np.empty(27 * size + 1, np.int32), np.empty(27 * size + 1, np.float32)
+    grid = np.empty(_PLACES_OF_CUBE, np.int32)
     grid[:] = -1
-    cells, offsets = new_array(28, np.int32), new_array(28, np.int32)
-    products = new_array(27, np.float32)
+    cells, offsets = np.empty(28, np.int32), np.empty(28, np.int32)
+    products = np.empty(27, np.float32)
     one = np.uint64(1)
     count = 0
     for part in range(2):

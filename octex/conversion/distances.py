@@ -15,7 +15,7 @@ from octex.conversion.samples import Samples, sample_points
 from octex.field.field import Field
 from octex.field.lookups import Query, look_up
 from octex.field.splines import QUADRATIC
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel
 from octex.texture.blend import stored
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
@@ -84,7 +84,7 @@ def far_samples(
     found: Float32s, wanted: Float32s, rows: Int64s, coverage: Float32s, alpha: int, most: float
 ) -> Bools:
     """Say which codes (n, columns) are more than ``most`` from those of samples ``rows`` (n,)."""
-    far = new_array(rows.size, np.bool_)
+    far = np.empty(rows.size, np.bool_)
     for n in range(rows.size):
         far[n] = not _are_near(found, n, wanted, rows[n], coverage, alpha, np.float32(most))
     return far

@@ -11,7 +11,7 @@ from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.conversion import large
 from octex.conversion.coefficients import SPLIT_KIND
 from octex.field.field import Field, Listed
-from octex.jit import kernel, new_zeros, trailing_zeros
+from octex.jit import kernel, trailing_zeros
 from octex.parallel import ordered_map
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode_cells
@@ -71,7 +71,7 @@ def _gather_kinds(
     groups: Uint64s, flags: Uint8s, n_nodes: int, kinds: Uint64s, parents: Uint32s, octants: Uint8s
 ) -> None:
     """Write the kind of each leaf, the kinds of all leaves below each node; each cell's parent and octant."""
-    cells = new_zeros(n_nodes, np.uint32)  # of each node
+    cells = np.zeros(n_nodes, np.uint32)  # of each node
     one, byte = np.uint64(1), np.uint64(0xFF)
     child, child_node = 1, 1
     octants[0] = _NODE if n_nodes > 0 else 0

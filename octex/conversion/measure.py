@@ -16,7 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.codes import SLOPE
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -75,7 +75,7 @@ def encoded(values: Float32s, columns: ErrorColumns) -> Float32s:
     more = 0
     for component in range(components):
         more += columns.vectors[component] >= 0
-    codes = new_array((values.shape[0], components + more), np.float32)
+    codes = np.empty((values.shape[0], components + more), np.float32)
     for n in range(values.shape[0]):
         column = components
         for component in range(components):

@@ -29,7 +29,7 @@ from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.taps import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
-from octex.jit import inlined, kernel, new_zeros
+from octex.jit import inlined, kernel
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
@@ -138,12 +138,12 @@ def _find_far(
     walks = (new_walk(), new_walk())
     windows = new_windows(4, vectors)  # of both fields; of both looked up with a normal
     scratch = Scratch(
-        new_zeros((vectors, 4), np.float32),
-        new_zeros((2, components, MOST_POINTS), np.float32),
-        new_zeros((2 * components, MOST_POINTS), np.float64),
-        new_zeros((3, MOST_POINTS), np.float32),
-        new_zeros((1, 3), np.float32),
-        new_zeros((2, components), np.float32),
+        np.zeros((vectors, 4), np.float32),
+        np.zeros((2, components, MOST_POINTS), np.float32),
+        np.zeros((2 * components, MOST_POINTS), np.float64),
+        np.zeros((3, MOST_POINTS), np.float32),
+        np.zeros((1, 3), np.float32),
+        np.zeros((2, components), np.float32),
     )
     for n in range(cells.size):
         cell, is_bare = int(cells[n]), bool(are_bare[n])

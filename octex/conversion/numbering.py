@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Int32s, Int64s, bit_counts
 from octex.conversion import large
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel
 from octex.tree.octree import Octree, distinct
 
 
@@ -57,7 +57,7 @@ class Leaves(NamedTuple):
         The samples are then those of these leaves alone.
         """
         cells = self.numbers_of(chosen)
-        counts = np.bitwise_count(tree.split.facings).astype(np.int64)
+        counts = bit_counts(tree.split.facings).astype(np.int64)
         at = np.searchsorted(tree.split.cells, cells)
         first_rows, counts = (np.cumsum(counts) - counts)[at], counts[at]
         heads = np.cumsum(counts) - counts
@@ -107,8 +107,8 @@ def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]
         total += count if count <= most else most + 1
-    members = new_array(total, np.int64)
-    strides = new_array(total, np.float32)
+    members = np.empty(total, np.int64)
+    strides = np.empty(total, np.float32)
     n = 0
     for leaf in leaves:
         count = firsts[leaf + 1] - firsts[leaf]

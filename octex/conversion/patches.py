@@ -30,7 +30,7 @@ from octex.field.bricks import (
     note_nodes,
 )
 from octex.field.taps import view_of
-from octex.jit import fused_kernel, inlined, new_zeros, step, weighted_cube
+from octex.jit import fused_kernel, inlined, step, weighted_cube
 from octex.texture.blend import stored
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.morton import decode as decode_cell
@@ -179,11 +179,11 @@ def _find_near(
     near: Uint8s,
 ) -> None:
     bottom = samples.depth - _STEPS  # the level of bricks
-    kinds = new_zeros((2, CELLS), np.uint64)
-    points = new_zeros((3, MOST_POINTS), np.float32)
-    found = new_zeros((2, columns.kinds.size, MOST_POINTS), np.float32)
-    bounds = new_zeros((2, columns.kinds.size), np.float32)
-    normal = new_zeros((1, 3), np.float32)
+    kinds = np.zeros((2, CELLS), np.uint64)
+    points = np.zeros((3, MOST_POINTS), np.float32)
+    found = np.zeros((2, columns.kinds.size, MOST_POINTS), np.float32)
+    bounds = np.zeros((2, columns.kinds.size), np.float32)
+    normal = np.zeros((1, 3), np.float32)
     latest = np.int64(-1)
     of_brick = np.uint64(0)
     are_known = False

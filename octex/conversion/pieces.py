@@ -25,7 +25,7 @@ from octex.conversion.cells import (
     load_triangle,
 )
 from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
-from octex.jit import inlined, kernel, new_array, popcount, trailing_zeros
+from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 
@@ -76,9 +76,9 @@ def most_pieces(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> 
     It sizes the arrays of `cut` and cuts the work into parts.
     """
     shift = GRID_BITS - depth
-    bounds = new_array(blocks.codes.size, np.int64)
-    corners = new_array((3, 3), np.int64)
-    normal = new_array(3, np.int64)
+    bounds = np.empty(blocks.codes.size, np.int64)
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
     for block in range(blocks.codes.size):
         bounds[block] = 0
         origin = _block_origin(blocks.codes[block])
@@ -112,21 +112,21 @@ def _bin(
     ``most`` is the sum, ``most_in_block`` the largest of what `most_pieces` tells.
     """
     shift = GRID_BITS - depth
-    corners = new_array((3, 3), np.int64)
-    normal = new_array(3, np.int64)
-    sides = new_array((6, 3), np.int64)
-    columns = new_array((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
-    origin = new_array(3, np.int64)
-    counts = new_array(BLOCK_CELLS, np.int64)
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    sides = np.empty((6, 3), np.int64)
+    columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
+    origin = np.empty(3, np.int64)
+    counts = np.empty(BLOCK_CELLS, np.int64)
     for cell in range(BLOCK_CELLS):
         counts[cell] = 0
-    codes = new_array(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
-    starts = new_array(codes.size + 1, np.int64)
+    codes = np.empty(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
+    starts = np.empty(codes.size + 1, np.int64)
     n_blocks = 0
-    members = new_array(most, np.int32)
+    members = np.empty(most, np.int32)
     n_members = 0
-    pair_cells = new_array(most_in_block, np.int32)
-    pair_triangles = new_array(most_in_block, np.int32)
+    pair_cells = np.empty(most_in_block, np.int32)
+    pair_triangles = np.empty(most_in_block, np.int32)
     for block in range(blocks.codes.size):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         n_pairs = 0
@@ -207,26 +207,26 @@ def cut(
     without clipping: codes and flags alone.
     """
     shift = GRID_BITS - depth
-    corners = new_array((3, 3), np.int64)
-    normal = new_array(3, np.int64)
-    sides = new_array((6, 3), np.int64)
-    columns = new_array((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
-    origin = new_array(3, np.int64)
-    polygons = new_array((POLYGONS, 2, MAX_VERTICES), np.float64)
-    mask = new_array(BLOCK_CELLS // 8, np.uint64)
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    sides = np.empty((6, 3), np.int64)
+    columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
+    origin = np.empty(3, np.int64)
+    polygons = np.empty((POLYGONS, 2, MAX_VERTICES), np.float64)
+    mask = np.empty(BLOCK_CELLS // 8, np.uint64)
     for word in range(mask.size):
         mask[word] = np.uint64(0)
-    ranks = new_array(BLOCK_CELLS // 8, np.int32)
-    used = new_array(BLOCK_CELLS // 8, np.int32)
-    codes = new_array(min(most, (last_block - first_block) * BLOCK_CELLS), np.int64)
-    flags = new_array(codes.size, np.uint8)
+    ranks = np.empty(BLOCK_CELLS // 8, np.int32)
+    used = np.empty(BLOCK_CELLS // 8, np.int32)
+    codes = np.empty(min(most, (last_block - first_block) * BLOCK_CELLS), np.int64)
+    flags = np.empty(codes.size, np.uint8)
     n_cells = 0
     n_entries = 0
     room = 0 if keys_only else most
-    entries = new_array(room, np.int32)
-    members = new_array(room, np.int32)
-    barycentric = new_array((room, 3), np.float64)
-    areas = new_array(room, np.float64)
+    entries = np.empty(room, np.int32)
+    members = np.empty(room, np.int32)
+    barycentric = np.empty((room, 3), np.float64)
+    areas = np.empty(room, np.float64)
     n_pieces = 0
     for block in range(first_block, last_block):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])

@@ -13,7 +13,7 @@ import numpy as np
 
 from octex.arrays import Bools, Int64s, Uint8s
 from octex.conversion import large
-from octex.jit import kernel, new_array
+from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.layout import SPLIT
 from octex.tree.octree import Octree
@@ -127,8 +127,8 @@ def grafted(
 @kernel
 def _leaves_of(codes: Int64s, depths: Uint8s, depth: int) -> tuple[Int64s, Int64s]:
     """Return the first finest cell of each leaf, and the leaf's Morton code at its own level."""
-    starts = new_array(codes.size, np.int64)
-    leaves = new_array(codes.size, np.int64)
+    starts = np.empty(codes.size, np.int64)
+    leaves = np.empty(codes.size, np.int64)
     count = 0
     end = np.int64(-1)  # of the latest leaf, as a code of the deepest level
     for n in range(codes.size):

@@ -17,7 +17,7 @@ from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Pieces
-from octex.jit import inlined, kernel, new_array, popcount
+from octex.jit import inlined, kernel, popcount
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
@@ -214,7 +214,7 @@ def _points(
     edge: float,
     chosen: Int64s,
 ) -> Float64s:
-    points = new_array((chosen.size, 3), np.float64)
+    points = np.empty((chosen.size, 3), np.float64)
     step = 1.0 / PLACE_STEPS
     cell = np.int64(0)
     for n in range(chosen.size):
@@ -250,14 +250,14 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
     Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
     each sample's share of its cell's area.
     """
-    counts = new_array(flags.size, np.uint8)
+    counts = np.empty(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
-    largest = new_array((n_entries, 2), np.int64)
+    largest = np.empty((n_entries, 2), np.int64)
     for entry in range(n_entries):
         largest[entry, 0] = largest[entry, 1] = -1
-    totals = new_array(n_entries, np.float64)
+    totals = np.empty(n_entries, np.float64)
     for entry in range(n_entries):  # numpy's zeros compile for a quarter of a second a type
         totals[entry] = 0.0
     for piece in range(entries.size):
@@ -268,8 +268,8 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
             largest[entry, 0] = piece
         elif largest[entry, 1] < 0 or areas[piece] > areas[largest[entry, 1]]:
             largest[entry, 1] = piece
-    firsts = new_array(n_entries, np.int32)
-    shares = new_array(2 * n_entries, np.uint8)
+    firsts = np.empty(n_entries, np.int32)
+    shares = np.empty(2 * n_entries, np.uint8)
     n_samples = 0
     entry = 0
     for cell in range(flags.size):
@@ -294,8 +294,8 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
                 n_samples += 2
         counts[cell] = n_samples - first
         entry = end
-    order = new_array(n_samples, np.int32)
-    chosen = new_array(n_samples, np.int64)
+    order = np.empty(n_samples, np.int32)
+    chosen = np.empty(n_samples, np.int64)
     n = 0
     for piece in range(entries.size):  # in the order in which a source is read fastest
         entry = entries[piece]
@@ -321,8 +321,8 @@ def _reorder(
 @kernel
 def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
-    normals = new_array((triangles.size, 3), np.int8)
-    edges = new_array((2, 3), np.float64)
+    normals = np.empty((triangles.size, 3), np.int8)
+    edges = np.empty((2, 3), np.float64)
     for n in range(triangles.size):
         if n > 0 and triangles[n] == triangles[n - 1]:
             for axis in range(3):
@@ -364,7 +364,7 @@ def _place(
     places: Uint16s,
 ) -> None:
     """Write where chosen pieces lie in their cells; the middle of piece chosen[i] is sample order[i]."""
-    cells = new_array(order.size, np.int32)
+    cells = np.empty(order.size, np.int32)
     n = 0
     for cell in range(counts.size):
         for _ in range(counts[cell]):

@@ -28,7 +28,7 @@ from octex.channels import (
 )
 from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_by_level
 from octex.editing.split import rows_facing
-from octex.jit import decoded, kernel, new_array
+from octex.jit import decoded, kernel
 from octex.texture import Channel, OctreeTexture
 from octex.texture.blend import NO_TABLE
 from octex.tree.areas import AREAS, area_codes
@@ -289,7 +289,7 @@ def _average_rows_of(
     means: Float32s,
 ) -> None:
     """Average runs of rows of cells, and after them of kept coefficients."""
-    sums = new_array(codes.shape[1], np.float64)
+    sums = np.empty(codes.shape[1], np.float64)
     for n in range(starts.size - 1):
         total = 0.0
         sums[:] = 0.0

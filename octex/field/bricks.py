@@ -46,7 +46,6 @@ from octex.jit import (
     decoded,
     fused_kernel,
     inlined,
-    new_zeros,
     popcount,
     prefetch,
     refine_rows,
@@ -564,7 +563,7 @@ def look_up_crowded(
     enter(tree, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
     ends[0], split[0] = codes.size, False
-    path = new_zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
+    path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
     while begin < codes.size:
         while begin >= ends[level]:
             level -= 1

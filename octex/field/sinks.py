@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
 from octex.field.taps import AT_ONCE, Taps, end_of, scale
-from octex.jit import decoded, fused_kernel, inlined, kernel, new_array, part, prefetch
+from octex.jit import decoded, fused_kernel, inlined, kernel, part, prefetch
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -249,10 +249,18 @@ class Sums(NamedTuple):
 
 
 @fused_kernel
-def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Float32s, sums: Sums) -> None:
+def add_up(
+    taps: Taps,
+    codes: Codes,
+    is_asked: bool,
+    owners: Int32s,
+    shares: Float32s,
+    share_slopes: Float32s,
+    sums: Sums,
+) -> None:
     """Add the blends of looks, times their shares, to those of the points that own them.
 
-    ``is_asked`` as in `blend`.
+    ``share_slopes`` (looks, 3) are the derivatives of the shares, for gradients. ``is_asked`` as in `blend`.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     gradient = sums.total_slopes.shape[0] > 0
@@ -274,10 +282,14 @@ def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Flo
             sums.totals[owner] += share * total
             if gradient:
                 slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
+                added = a, b, c, d
                 for axis in range(3):
-                    sums.total_slopes[owner, axis] += share * slopes[4][axis]
+                    share_slope = np.float64(share_slopes[n, axis])
+                    sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * total
                     for component in range(components):
-                        sums.slopes[owner, component, axis] += share * slopes[component][axis]
+                        sums.slopes[owner, component, axis] += (
+                            share * slopes[component][axis] + share_slope * added[component]
+                        )
 
 
 @kernel
@@ -301,7 +313,7 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
     """
     flat = flat_of(alpha)
     end = end_of(taps)
-    parts = new_array(end, np.float32)
+    parts = np.empty(end, np.float32)
     least = np.float32(1.0)
     if not is_asked:
         _ask(taps, 0, taps.starts.size, alpha)

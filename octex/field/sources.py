@@ -20,8 +20,6 @@ from octex.jit import (
     fused_part,
     inlined,
     kernel,
-    new_array,
-    new_zeros,
     part,
     popcount,
     prefetch,
@@ -70,7 +68,7 @@ def nearest_rows(
     ``last`` is the largest cell number; ``ahead`` is asked for.
     Points that no cell of the tiles holds are listed in ``empty``; returns their number.
     """
-    near, codes = new_near(), new_zeros(GROUP, np.int32)
+    near, codes = new_near(), np.zeros(GROUP, np.int32)
     flat = places.reshape(-1)
     n_empty = 0
     for begin in range(0, places.shape[0], GROUP):
@@ -157,9 +155,9 @@ def linear_taps(
     """Find the taps of trilinear interpolation, from index ``end`` on. See `quadratic_taps`."""
     near = new_near()
     steps, octants, bits = (
-        new_zeros(3 * GROUP, np.float32),
-        new_zeros(8 * GROUP, np.uint8),
-        new_zeros(8 * GROUP, np.uint8),
+        np.zeros(3 * GROUP, np.float32),
+        np.zeros(8 * GROUP, np.uint8),
+        np.zeros(8 * GROUP, np.uint8),
     )
     flat = places.reshape(-1)
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
@@ -250,17 +248,17 @@ class Group(NamedTuple):
 @part
 def new_group(gradient: bool) -> Group:
     """Return a group that knows nothing. It serves one tree and one spline."""
-    latest = new_array(2, np.int64)
+    latest = np.empty(2, np.int64)
     latest[0] = latest[1] = -1
     return Group(
         new_near(),
-        new_zeros(GROUP, np.uint8),
-        new_zeros(GROUP, np.uint8),
-        new_zeros(30 * GROUP, np.float32),
-        new_zeros(55 * GROUP if gradient else 0, np.float32),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(30 * GROUP, np.float32),
+        np.zeros(55 * GROUP if gradient else 0, np.float32),
         latest,
-        new_zeros(4, np.uint64),
-        new_zeros(27, np.int64),
+        np.zeros(4, np.uint64),
+        np.zeros(27, np.int64),
     )
 
 

@@ -28,6 +28,7 @@ from octex.field.taps import (
     Taps,
     direction_of,
     face,
+    hold_outside,
     parts_of,
     place_points,
     shares_of,
@@ -40,8 +41,6 @@ from octex.jit import (
     fused_part,
     inlined,
     kernel,
-    new_array,
-    new_zeros,
     part,
     popcount,
     prefetch,
@@ -220,8 +219,8 @@ def add_facing(
     The taps are cells, which weigh by their ``areas`` if there are any.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
-    parts, of_rows = new_zeros(9, np.float32), new_zeros((8, 3), np.float32)
-    wanted, split = new_zeros(9, np.uint8), new_zeros(AT_ONCE, np.uint8)
+    parts, of_rows = np.zeros(9, np.float32), np.zeros((8, 3), np.float32)
+    wanted, split = np.zeros(9, np.uint8), np.zeros(AT_ONCE, np.uint8)
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
         if facings.rows.size > 0:
@@ -287,17 +286,17 @@ def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tu
     if is_split:
         room *= 1 + MOST_ROWS
     taps = Taps(
-        new_array(room, np.uint32),
-        new_array(room, np.float32),
-        new_array((room if gradient else 0, 3), np.float32),
-        new_zeros(points, np.int64),
-        new_zeros(points, np.int64),
-        new_zeros(points, np.float32),
+        np.empty(room, np.uint32),
+        np.empty(room, np.float32),
+        np.empty((room if gradient else 0, 3), np.float32),
+        np.zeros(points, np.int64),
+        np.zeros(points, np.int64),
+        np.zeros(points, np.float32),
     )
-    numbers = new_array(points, np.int64)
+    numbers = np.empty(points, np.int64)
     for n in range(points):
         numbers[n] = n
-    return taps, new_array((points, 3), np.float64), numbers
+    return taps, np.empty((points, 3), np.float64), numbers
 
 
 @part
@@ -351,18 +350,18 @@ def look_up_tiled(
     is_split = search.facings.rows.size > 0 and search.faces and not is_seen
     room, places, each = _new_room(search, step, is_split, gradient)
     some = step if is_some else 0
-    own_points, own_normals = new_array((some, 3), np.float64), new_array((some, 3), np.float32)
-    own_values = new_array((some, results.shape[1]), np.float32)
-    own_slopes = new_array((some if gradient else 0, gradients.shape[1], 3), np.float32)
+    own_points, own_normals = np.empty((some, 3), np.float64), np.empty((some, 3), np.float32)
+    own_values = np.empty((some, results.shape[1]), np.float32)
+    own_slopes = np.empty((some if gradient else 0, gradients.shape[1], 3), np.float32)
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
     ahead = _read_ahead(search, channel.codes, bytes_of(alpha))
     components = channel.codes.values.shape[1]
     seen = step if is_seen else 0
     sums = Sums(
-        new_array((seen, components), np.float64),
-        new_array(seen, np.float64),
-        new_array((0, components, 3), np.float64),
-        new_array((0, 3), np.float64),
+        np.empty((seen, components), np.float64),
+        np.empty(seen, np.float64),
+        np.empty((0, components, 3), np.float64),
+        np.empty((0, 3), np.float64),
     )
     owners, shares = np.arange(seen, dtype=np.int32), np.ones(seen, np.float32)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or search.faces or search.is_off)
@@ -390,6 +389,8 @@ def look_up_tiled(
         else:
             taps = _of_points(room, count)
             more, rest = _find_taps(search, here, each[:count], taps, empty, rim, ahead)
+            if gradient:
+                hold_outside(taps, here)
             if is_seen:
                 sums.values[:], sums.totals[:] = 0.0, 0.0
                 add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
@@ -437,7 +438,7 @@ def add_tiled(
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
     room, places, each = _new_room(search, step, False, False)
-    facing = new_array((step if search.faces else 0, 3), np.float32)
+    facing = np.empty((step if search.faces else 0, 3), np.float32)
     ahead = _read_ahead(search, codes, search.areas[:0].reshape(0, 1))
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):

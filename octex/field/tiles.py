@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
-from octex.jit import inlined, kernel, new_zeros, part, popcount, prefetch, trailing_zeros
+from octex.errors import OutputError
+from octex.jit import inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
@@ -163,7 +164,7 @@ def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
     size = 8 * (rows + 1) * np.dtype(dtype).itemsize
     try:
         memory = zeros(size + CACHE_LINE, _IN_MEMORY)
-    except OSError:  # no room for a file
+    except OutputError:  # no room for a file
         memory = np.zeros(size + CACHE_LINE, np.uint8)
     start = -memory.ctypes.data % CACHE_LINE
     return memory[start : start + size].view(dtype)
@@ -277,13 +278,13 @@ class Near(NamedTuple):
 @part
 def new_near() -> Near:
     """Return what knows nothing. It serves one tree."""
-    latest = new_zeros(3, np.int64)
+    latest = np.zeros(3, np.int64)
     latest[0] = -1
     return Near(
-        new_zeros(GROUP, np.int64),
-        new_zeros(GROUP, np.uint8),
-        new_zeros(GROUP, np.int64),
-        new_zeros(8 * (GROUP + 1), np.int64),
+        np.zeros(GROUP, np.int64),
+        np.zeros(GROUP, np.uint8),
+        np.zeros(GROUP, np.int64),
+        np.zeros(8 * (GROUP + 1), np.int64),
         latest,
     )
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR, refine, send_up
-from octex.jit import inlined, kernel, new_zeros, popcount, trailing_zeros
+from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 
 BYTE = np.uint64(0xFF)
@@ -108,17 +108,17 @@ def new_walk() -> Walk:
     levels = MAX_DEPTH + 1
     return Walk(
         np.full(6, -1, np.int64),
-        new_zeros((levels, 6), np.int64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 4), np.uint64),
-        new_zeros((levels, 27), np.int64),
-        new_zeros((levels, 27), np.int64),
-        new_zeros((SHARES + 4, 125), np.float64),
-        new_zeros((4, MOST_TAPS), np.float64),
+        np.zeros((levels, 6), np.int64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 4), np.uint64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((levels, 27), np.int64),
+        np.zeros((SHARES + 4, 125), np.float64),
+        np.zeros((4, MOST_TAPS), np.float64),
     )
 
 

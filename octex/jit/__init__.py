@@ -1,11 +1,11 @@
 """How octex compiles: what makes kernels of functions, and the instructions that numba lacks.
 
-With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins.
+With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins. numba
+is used by its public names alone.
 
-shortcuts     numba's steps from Python to LLVM's code, with less work
-compilers     those of kernels, and of the parts that only kernels call
 decorators    kernel, part …: what compiles functions
-cache         where compiled kernels are kept, and whether they are still what the source says
+cache         where compiled kernels lie on disk, and whether they are still what the source says
+signatures    the types of a kernel's arguments as text
 instructions  bits, memory, arrays
 vectors       rows of four numbers, and boxes eight at a time
 """
@@ -16,13 +16,12 @@ from octex.jit.decorators import fused_part as fused_part
 from octex.jit.decorators import inlined as inlined
 from octex.jit.decorators import kernel as kernel
 from octex.jit.decorators import part as part
+from octex.jit.decorators import public_inlined as public_inlined
 from octex.jit.decorators import step as step
 from octex.jit.decorators import summing_kernel as summing_kernel
 from octex.jit.instructions import bytes_of as bytes_of
 from octex.jit.instructions import decoded as decoded
 from octex.jit.instructions import low_bits as low_bits
-from octex.jit.instructions import new_array as new_array
-from octex.jit.instructions import new_zeros as new_zeros
 from octex.jit.instructions import popcount as popcount
 from octex.jit.instructions import prefetch as prefetch
 from octex.jit.instructions import trailing_zeros as trailing_zeros

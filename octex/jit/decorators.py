@@ -61,6 +61,14 @@ def inlined(function: Function) -> Function:
     return _compiled(function, no_cpython_wrapper=True, _nrt=False, forceinline=True)
 
 
+def public_inlined(function: Function) -> Function:
+    """Compile like ``inlined`` a function for users' kernels, which Python can call too.
+
+    To call one of the others from Python ends the process.
+    """
+    return _compiled(function, _nrt=False, forceinline=True)
+
+
 def _compiled(function: Function, **options: Any) -> Function:
     from octex.jit.cache import cached  # not above: no code is compiled from it
 

@@ -1,21 +1,18 @@
-"""Instructions that numba lacks, and arrays that it would compile anew for each type in each process."""
+"""Instructions that numba lacks: counting bits, asking for memory ahead, arrays as bytes."""
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
-from numba.core.typing.npydecl import parse_dtype
 from numba.extending import intrinsic
-from numba.np.arrayobj import _empty_nd_impl, make_array, populate_array
+from numba.np.arrayobj import make_array, populate_array
 
 from octex.jit.decorators import DISABLED, kernel
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def pointer_to(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
@@ -36,14 +33,6 @@ if DISABLED:
 
     def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
         """Ask for the memory of a row of an array ahead of its use."""
-
-    def new_array(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
-        """Return an array that is not filled in."""
-        return np.empty(shape, dtype)
-
-    def new_zeros(shape: Any, dtype: type[Scalar] | np.dtype[Scalar]) -> np.ndarray[Any, np.dtype[Scalar]]:
-        """Return an array of zeros."""
-        return np.zeros(shape, dtype)
 
     def bytes_of(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         """Return the bytes of a C-ordered array, in rows as long as its last axis."""
@@ -91,42 +80,6 @@ else:
             return context.get_dummy_value()
 
         return types.void(array, types.int64), codegen
-
-    # numba compiles its own ``empty`` and ``zeros`` anew for each type, in each process.
-
-    def _allocated(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        shape, kind = arguments[0], signature.args[0]
-        sizes, kinds = [shape], [kind]
-        if isinstance(kind, types.BaseTuple):
-            sizes, kinds = cgutils.unpack_tuple(builder, shape), list(kind)
-        pairs = zip(sizes, kinds, strict=True)
-        sizes = [context.cast(builder, size, own, types.intp) for size, own in pairs]
-        return _empty_nd_impl(context, builder, signature.return_type, sizes)
-
-    def _array_type(shape: Any, dtype: Any) -> Any:
-        dimensions = len(shape) if isinstance(shape, types.BaseTuple) else 1
-        return types.Array(parse_dtype(dtype), dimensions, "C")(shape, dtype)
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def new_array(_context: Any, shape: Any, dtype: Any) -> Any:
-        """Return an array that is not filled in."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return _allocated(context, builder, signature, arguments)._getvalue()
-
-        return _array_type(shape, dtype), codegen
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def new_zeros(_context: Any, shape: Any, dtype: Any) -> Any:
-        """Return an array of zeros."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = _allocated(context, builder, signature, arguments)
-            count = builder.mul(array.nitems, array.itemsize)
-            cgutils.memset(builder, array.data, count, 0)
-            return array._getvalue()
-
-        return _array_type(shape, dtype), codegen
 
     @intrinsic  # type: ignore[untyped-decorator]
     def bytes_of(_context: Any, array: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The types of a kernel's arguments as text: ``uint8:2C`` is a C-ordered array of two axes, ``r`` read-only."""
+"""Types of arguments as text: ``uint8:2C`` is an array of two axes in C order, ``uint8:2Cr`` read-only."""
 
 from __future__ import annotations
 

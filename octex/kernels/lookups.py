@@ -8,12 +8,12 @@ import numpy as np
 
 from octex.arrays import Float32s, Uint32s
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import collect, fill_window, finest, normalize, rounded
+from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import AREA_WEIGHTS, LEAST, OFF, direction_of, parts_of, ramp, shares_of
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, Walk, follow
-from octex.jit import decoded, inlined, popcount, step
+from octex.jit import decoded, inlined, popcount, public_inlined, step
 from octex.kernels.layout import LookupArrays, Scratch, Values
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
@@ -154,8 +154,9 @@ def _walked(
         if is_cut or walk.levels[here, NODES] == 0:
             here -= 1
         is_cut = is_off = True
-    normalize(walk, n, total, weights, slopes, 0)
-    return n, 0.0 if is_off else total
+    cover = 0.0 if is_off else total
+    write_taps(walk, n, total, max(cover, np.float64(OFF)), True, weights, slopes, 0)
+    return n, cover
 
 
 @inlined
@@ -177,7 +178,6 @@ def _find(
         _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
         scratch.walk, scratch.rows, scratch.weights, scratch.slopes,
     )  # fmt: skip
-    _scale(scratch, n, max(cover, np.float64(OFF)))
     return n, cover == 0.0
 
 
@@ -337,7 +337,7 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
     return _mean(scratch)
 
 
-@inlined
+@public_inlined
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
@@ -359,21 +359,21 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     return _value(values, arrays.components, cell)
 
 
-@inlined
+@public_inlined
 def linear(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves by the paper's own rule, which jumps where the depth changes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, LINEAR, scratch)
 
 
-@inlined
+@public_inlined
 def quadratic(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves: a quadratic spline, continuous in its slopes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, QUADRATIC, scratch)
 
 
-@inlined
+@public_inlined
 def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector, scratch: Scratch) -> Color:
     """Return the mean over a square of some width around a rest position, of what faces a normal.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int64s
-from octex.jit import inlined, kernel, new_array, new_zeros, part, squares_to_boxes, trailing_zeros
+from octex.jit import inlined, kernel, part, squares_to_boxes, trailing_zeros
 from octex.tree.morton import encode
 
 WIDTH = 8
@@ -61,17 +61,17 @@ class Kept(NamedTuple):
 @part
 def new_search() -> Search:
     """Return room for a search."""
-    return Search(new_array((_STACK, 2), np.int64), new_array(_STACK, np.float32), new_array(8, np.float32))
+    return Search(np.empty((_STACK, 2), np.int64), np.empty(_STACK, np.float32), np.empty(8, np.float32))
 
 
 @part
 def new_kept(margin: float) -> Kept:
     """Return empty balls, to be made wider than asked for by about ``margin`` at first."""
-    balls = new_zeros((2, 5), np.float64)
+    balls = np.zeros((2, 5), np.float64)
     balls[:, 3] = -1.0
     balls[0, 4], balls[1, 4] = margin, 4.0 * margin
-    nodes = new_array((2, _MOST_KEPT), np.int64)
-    return Kept(nodes[0], nodes[1], new_zeros(2, np.int64), balls[0], balls[1])
+    nodes = np.empty((2, _MOST_KEPT), np.int64)
+    return Kept(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
 
 
 def morton_order(positions: Float64s) -> Int64s:
@@ -102,7 +102,7 @@ def _index_bits(count: int) -> int:
 
 @kernel
 def _keys(positions: Float64s, low: Float64s, scale: float) -> Int64s:
-    keys = new_array(len(positions), np.int64)
+    keys = np.empty(len(positions), np.int64)
     for n in range(keys.size):
         i = int((positions[n, 0] - low[0]) * scale)
         j = int((positions[n, 1] - low[1]) * scale)

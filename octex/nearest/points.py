@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int64s
-from octex.jit import inlined, kernel, new_array, new_zeros, squares_to_boxes, trailing_zeros
+from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     WIDTH,
     Boxes,
@@ -129,7 +129,7 @@ def _around(
 ) -> None:
     boxes = cloud.boxes
     search, kept = new_search(), new_kept(width)
-    sums = new_zeros(means.shape[1], np.float64)
+    sums = np.zeros(means.shape[1], np.float64)
     last = -1
     for n in range(len(places)):
         point = places[n, 0], places[n, 1], places[n, 2]
@@ -211,7 +211,7 @@ def _nearest(
 def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
     """Return how far, squared, the nearest other point is from each of some rows; 0 for its like."""
     search = new_search()
-    squares = new_array(chosen.size, np.float64)
+    squares = np.empty(chosen.size, np.float64)
     for n in range(chosen.size):
         own = chosen[n]
         point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]

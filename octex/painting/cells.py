@@ -12,8 +12,8 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
-from octex.jit import kernel, new_array, new_zeros
-from octex.parallel import ordered_map
+from octex.jit import kernel
+from octex.parallel import ordered_map, sharing
 from octex.texture import OctreeTexture
 from octex.tree import morton
 from octex.tree.beside import boundary, near, with_boundary
@@ -267,7 +267,8 @@ def with_skirt(
         np.zeros(skirt.size, np.uint8),
     )
     parts = [some(extra, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
-    list(ordered_map(executor, lambda part: _average_beside(part, level, beside), parts))
+    with sharing(executor) as pool:
+        list(ordered_map(pool, lambda part: _average_beside(part, level, beside), parts))
     return _joined(paint, extra)
 
 
@@ -278,9 +279,9 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
     The paint in and around a block of 8³ cells is looked up for all that are in it.
     """
     components = paint.values.shape[1]
-    sums = new_array(components, np.float64)
-    nearest = new_zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before
-    around = new_array((10, 10, 10), np.int64)  # the place of paint in the block and beside it, or −1
+    sums = np.empty(components, np.float64)
+    nearest = np.zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before
+    around = np.empty((10, 10, 10), np.int64)  # the place of paint in the block and beside it, or −1
     last = np.int64(-1)
     end = ((1 << level) - 1) >> 2
     for n in range(skirt.codes.size):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel
 from octex.painting.multigrid import Graph, added, coarser, graph_of, solve
 
 #: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
@@ -155,7 +155,7 @@ def _pass(
     Forward, choose labels too, given those of the sheets before.
     """
     count, most = candidates.shape
-    sums, costs = new_array(most, np.float64), new_array(most, np.float64)
+    sums, costs = np.empty(most, np.float64), np.empty(most, np.float64)
     for step in range(count):
         n = count - 1 - step if backward else step
         if candidates[n, 0] < 0:
@@ -219,7 +219,7 @@ def _move(graph: Graph, views: Views, labels: Int32s) -> int:
     """
     changed = 0
     pictures = views.costs.shape[1]
-    tried = new_array(pictures, np.int64)
+    tried = np.empty(pictures, np.int64)
     tried[:] = -1
     for n in range(labels.size):
         if labels[n] < 0:

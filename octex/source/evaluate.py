@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.gather import gather
 from octex.source.images.pyramid import Images
@@ -126,19 +126,19 @@ def evaluate(
     values: Float32s,
 ) -> None:
     """Fill in the values (n, columns) at points of triangles; ``filter`` is as `filters.told`."""
-    places = new_array(TAP_ROOM, np.int64)
-    weights = new_array(TAP_ROOM, np.float64)
+    places = np.empty(TAP_ROOM, np.int64)
+    weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
     for material in range(tables.first_stacks.size - 1):
         first, end = tables.first_stacks[material], tables.first_stacks[material + 1]
         most_stacks = max(most_stacks, end - first)
         if end > first:
             most_images = max(most_images, tables.stacks[end, 5] - tables.stacks[first, 5])
-    lanes = new_array(1 + 4 * most_images, np.float32)
+    lanes = np.empty(1 + 4 * most_images, np.float32)
     for lane in range(lanes.size):
         lanes[lane] = np.float32(1.0)
     # What a triangle's points share is loaded once for a run of them: a quarter off each read.
-    shared = new_array((most_stacks, 11), np.float64)
+    shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
     widest = np.inf

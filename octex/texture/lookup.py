@@ -38,7 +38,21 @@ class _Fault(NamedTuple):
     row: int
 
 
-class _Blocks(Sequence[tuple[Given, list[Array]]]):
+class _Block(NamedTuple):
+    """What is given of some points, and the rows of their answers, which do not travel to other processes."""
+
+    given: Given
+    answers: list[Array]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _block_to_answer, (self.given, [(each.shape, each.dtype) for each in self.answers])
+
+
+def _block_to_answer(given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
+    return _Block(given, [np.empty(*each) for each in answers])
+
+
+class _Blocks(Sequence[_Block]):
     """What is given of points and the rows of their answers, block by block."""
 
     def __init__(self, given: Given, answers: list[Array]) -> None:
@@ -50,9 +64,9 @@ class _Blocks(Sequence[tuple[Given, list[Array]]]):
     def __getitem__(self, number: Any) -> Any:
         rows = slice(number * BLOCK, (number + 1) * BLOCK)
         given = {name: array[rows] for name, array in self._given.items()}
-        return given, [answer[rows] for answer in self._answers]
+        return _Block(given, [answer[rows] for answer in self._answers])
 
-    def __iter__(self) -> Iterator[tuple[Given, list[Array]]]:
+    def __iter__(self) -> Iterator[_Block]:
         return (self[number] for number in range(len(self)))
 
 
@@ -65,7 +79,7 @@ def in_blocks(
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
     if _is_one_block(given, threads, executor):
-        fault, _ = _checked_block(look_up, (given, answers))
+        fault, _ = _checked_block(look_up, _Block(given, answers))
         _check(fault, 0, given)
         return
     for begin, found in each_block(given, answers, look_up, threads, executor):
@@ -83,7 +97,7 @@ def each_block(
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
     if _is_one_block(given, threads, executor):
-        fault, found = _checked_block(look_up, (given, list(answers)))
+        fault, found = _checked_block(look_up, _Block(given, list(answers)))
         _check(fault, 0, given)
         yield 0, found
         return
@@ -167,7 +181,7 @@ def _check(fault: _Fault | None, begin: int, given: Given) -> None:
         raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
 
-def _checked_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
+def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
     given, answers = block
     taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
     for name, array in taken.items() if len(taken) > 1 else ():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint64s
-from octex.jit import inlined, kernel, new_array, trailing_zeros
+from octex.arrays import Bools, Int64s, Uint64s, bit_counts
+from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.edit import first_not_below
 from octex.tree.morton import decode, spread
 from octex.tree.octree import distinct
@@ -45,7 +45,7 @@ def _around(codes: Int64s, level: int, without: Int64s) -> Int64s:
     blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
     masks = _masks_around(codes, level, blocks)
     _clear(without, blocks, masks)
-    found = np.empty(int(np.bitwise_count(masks).sum()), np.int64)
+    found = np.empty(int(bit_counts(masks).sum()), np.int64)
     _write(blocks, masks, found)
     return found
 
@@ -59,12 +59,12 @@ def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
 
 @kernel
 def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
-    around = new_array(27, np.uint64)
-    ways = new_array((3, 3), np.int64)  # along each axis the bits of the blocks before, here and after it
+    around = np.empty(27, np.uint64)
+    ways = np.empty((3, 3), np.int64)  # along each axis the bits of the blocks before, here and after it
     bits = 1
     while 1 << bits < 2 * blocks.size:
         bits += 1
-    slots = new_array(1 << bits, np.int32)  # of a hash table: blocks' numbers, or −1
+    slots = np.empty(1 << bits, np.int32)  # of a hash table: blocks' numbers, or −1
     slots[:] = -1
     for at in range(blocks.size):
         slot = _slot(blocks[at], bits)

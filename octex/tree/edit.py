@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
-from octex.jit import inlined, kernel, new_zeros, popcount
+from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
@@ -63,9 +63,7 @@ def _locate(
     arrays: TreeArrays, codes: Int64s, level: int, cells: Int64s, levels: Int64s, nodes: Int64s
 ) -> None:
     deepest = min(level, arrays.level_cells.size - 2)
-    path = new_zeros(
-        (MAX_DEPTH + 1, 2), np.int64
-    )  # cell and node at each level on the way to the code before
+    path = np.zeros((MAX_DEPTH + 1, 2), np.int64)  # cell and node at each level on the way to the code before
     path[0, 1] = 0 if arrays.groups.shape[0] > 0 else -1
     reached, previous = 0, np.int64(0)
     for n in range(codes.size):

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Int64s
-from octex.jit import kernel, new_array, part
+from octex.jit import kernel, part
 
 
 @part
@@ -59,7 +59,7 @@ def decode_cells(codes: npt.ArrayLike) -> Int64s:
 
 @kernel
 def _encode_all(i: Int64s, j: Int64s, k: Int64s) -> Int64s:
-    codes = new_array(i.size, np.int64)
+    codes = np.empty(i.size, np.int64)
     for n in range(i.size):
         codes[n] = encode(i[n], j[n], k[n])
     return codes
@@ -67,7 +67,7 @@ def _encode_all(i: Int64s, j: Int64s, k: Int64s) -> Int64s:
 
 @kernel
 def _decode_all(codes: Int64s) -> Int64s:
-    cells = new_array((codes.size, 3), np.int64)
+    cells = np.empty((codes.size, 3), np.int64)
     for n in range(codes.size):
         cells[n, 0], cells[n, 1], cells[n, 2] = decode(codes[n])
     return cells

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint8s
-from octex.jit import kernel, new_array, summing_kernel
+from octex.jit import kernel, summing_kernel
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, TreeArrays
 from octex.tree.morton import decode
@@ -56,11 +56,11 @@ def _estimate(
     depths: Uint8s,
     normals: Float32s,
 ) -> None:
-    nodes = new_array(_STACK, np.int64)
-    places = new_array((_STACK, 4), np.int64)
-    around = new_array((4, _MOST_CELLS), np.float64)
-    around_flags = new_array(_MOST_CELLS, np.int64)
-    moments = new_array(10, np.float64)
+    nodes = np.empty(_STACK, np.int64)
+    places = np.empty((_STACK, 4), np.int64)
+    around = np.empty((4, _MOST_CELLS), np.float64)
+    around_flags = np.empty(_MOST_CELLS, np.int64)
+    moments = np.empty(10, np.float64)
     n_around = last_block = last_depth = -1
     for n in range(cells.size):
         code, depth = int(codes[n]), int(np.int64(depths[n]))

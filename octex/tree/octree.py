@@ -8,10 +8,10 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s
+from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s, bit_counts
 from octex.checks import as_depth
 from octex.errors import ArgumentError
-from octex.jit import kernel, new_array, new_zeros, popcount, trailing_zeros
+from octex.jit import kernel, popcount, trailing_zeros
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -194,7 +194,7 @@ class Octree:
         level_nodes[-1] = n_nodes
         n_split = count_before(self.split.cells, n_cells)
         facings = self.split.facings[:n_split]
-        rows = int(np.bitwise_count(facings).sum())
+        rows = int(bit_counts(facings).sum())
         kept = self.kept.cells[: count_before(self.kept.cells, n_cells)]
         n_kept = count_before(kept, int(arrays.level_cells[level]))
         flags = arrays.flags[:n_cells]
@@ -315,9 +315,9 @@ def _first_fault(codes: Int64s, depths: Uint8s) -> int:
 def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
     """Merge the nodes and leaves of a level; return their parents' codes, node masks and leaf masks."""
     n_cells = nodes.size + leaves.size
-    codes = new_array(n_cells, np.int64)
-    node_masks = new_array(n_cells, np.uint8)
-    leaf_masks = new_array(n_cells, np.uint8)
+    codes = np.empty(n_cells, np.int64)
+    node_masks = np.empty(n_cells, np.uint8)
+    leaf_masks = np.empty(n_cells, np.uint8)
     n, next_node, next_leaf = -1, 0, 0
     parent = np.int64(-1)
     node_mask = leaf_mask = 0
@@ -370,8 +370,8 @@ def _cut(groups: Uint64s, first: int, end: int) -> None:
 @kernel
 def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: int) -> tuple[Int64s, Bools]:
     """Codes of the children of nodes first … end−1, whose codes are given, and which of them are nodes."""
-    child_codes = new_zeros(n_children, np.int64)
-    is_node = new_zeros(n_children, np.bool_)
+    child_codes = np.zeros(n_children, np.int64)
+    is_node = np.zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
         g, shift = node >> 3, np.uint64(8 * (node & 7))

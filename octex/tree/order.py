@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
-from octex.jit import inlined, kernel, new_array, new_zeros, prefetch
+from octex.jit import inlined, kernel, prefetch
 from octex.tree.morton import encode
 from octex.tree.search import UNITS, Origin, Positions, count_of, position
 
@@ -39,9 +39,7 @@ class Order(NamedTuple):
 def order_of(places: Float64s) -> Order:
     """Return points of texture space (n, 3) unsorted."""
     n = places.shape[0]
-    order = Order(
-        new_array(n, np.int64), new_array(n, np.int32), new_array(n, np.int64), new_array(n, np.int32)
-    )
+    order = Order(np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32))
     for m in range(n):
         i, j, k = cell_of(places[m, 0], UNITS), cell_of(places[m, 1], UNITS), cell_of(places[m, 2], UNITS)
         order.codes[m], order.numbers[m] = encode(i, j, k), m
@@ -56,8 +54,8 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     """
     n = count_of(points)
     cells, shift = 1 << _COARSE, np.float64(1 << _COARSE) / size
-    digits, counts = new_array(n, np.uint16), new_zeros((1 << 3 * _COARSE) + 1, np.int64)
-    nothing = new_array(0, np.int32)
+    digits, counts = np.empty(n, np.uint16), np.zeros((1 << 3 * _COARSE) + 1, np.int64)
+    nothing = np.empty(0, np.int32)
     previous, changes = -1, 0
     for m in range(n):
         x, y, z = position(points, m)
@@ -75,7 +73,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
         return nothing
     for digit in range(1, counts.size):
         counts[digit] += counts[digit - 1]
-    numbers = new_array(n, np.int32)
+    numbers = np.empty(n, np.int32)
     for m in range(n):
         at = counts[digits[m]]
         counts[digits[m]] = at + 1

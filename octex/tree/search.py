@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Floats, Int64s
-from octex.jit import inlined, kernel, new_array, new_zeros, popcount
+from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
 
@@ -128,10 +128,10 @@ def new_scratch(arrays: TreeArrays) -> Scratch:
     path[0] = 0 if arrays.groups.shape[0] > 0 else -1
     return Scratch(
         path,
-        new_zeros(4, np.int64),
-        new_array((MAX_DEPTH + 1, 8), np.int64),
-        new_array((MAX_DEPTH + 1, 8), np.int64),
-        new_array((MAX_DEPTH + 1, 8), np.int64),
+        np.zeros(4, np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
+        np.empty((MAX_DEPTH + 1, 8), np.int64),
     )
 
 

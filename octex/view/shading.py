@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
-from octex.jit import kernel, new_array, new_zeros
+from octex.jit import kernel
 from octex.source.welding import welded
 from octex.view.camera import Camera
 
@@ -85,14 +85,14 @@ def _smoothed(
 @kernel
 def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
     """Say which positions are in the box around chosen triangles."""
-    box = new_array((2, 3), np.float64)
+    box = np.empty((2, 3), np.float64)
     box[0], box[1] = np.inf, -np.inf
     for n in range(chosen.size):
         for corner in range(3):
             for axis in range(3):
                 here = positions[triangles[chosen[n], corner], axis]
                 box[0, axis], box[1, axis] = min(box[0, axis], here), max(box[1, axis], here)
-    inside = new_zeros(len(positions), np.bool_)
+    inside = np.zeros(len(positions), np.bool_)
     for n in range(len(positions)):
         is_in = True
         for axis in range(3):
@@ -107,15 +107,15 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, 
 
     All other places become −1.
     """
-    is_used = new_zeros(places.size + 1, np.bool_)  # none, −1, is the last
+    is_used = np.zeros(places.size + 1, np.bool_)  # none, −1, is the last
     for n in range(chosen.size):
         for corner in range(3):
             is_used[places[triangles[chosen[n], corner]]] = True
     for n in range(places.size):
         if places[n] >= 0 and not is_used[places[n]]:
             places[n] = -1
-    near = new_array(len(triangles), np.int32)
-    rows = new_array(len(triangles), np.int32)
+    near = np.empty(len(triangles), np.int32)
+    rows = np.empty(len(triangles), np.int32)
     count = at = 0
     for n in range(len(triangles)):
         if max(places[triangles[n, 0]], places[triangles[n, 1]], places[triangles[n, 2]]) >= 0:
@@ -129,14 +129,14 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, 
 @kernel
 def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
     """Return the corners of triangles by their vertices' places, from 0, and where each place's begin."""
-    starts = new_zeros(places.size + 1, np.int64)
+    starts = np.zeros(places.size + 1, np.int64)
     for n in range(len(triangles)):
         for corner in range(3):
             starts[places[triangles[n, corner]] + 1] += 1
     starts[0] = 0
     for place in range(places.size):
         starts[place + 1] += starts[place]
-    corners = new_array(triangles.size, np.int32)
+    corners = np.empty(triangles.size, np.int32)
     for n in range(len(triangles)):
         for corner in range(3):
             place = places[triangles[n, corner]]

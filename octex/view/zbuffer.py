@@ -18,8 +18,8 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.checks import as_points
 from octex.errors import ArgumentError
-from octex.jit import kernel, new_array, new_zeros, part
-from octex.parallel import cpu_count, ordered_map
+from octex.jit import kernel, part
+from octex.parallel import cpu_count, ordered_map, sharing
 from octex.view.camera import Camera
 
 Index = int | np.integer[Any]
@@ -89,8 +89,9 @@ def z_buffer(
         return found
     bands = min(cpu_count(), camera.height)
     ends = [camera.height * band // bands for band in range(bands + 1)]
-    for _ in ordered_map(executor, draw, list(pairwise(ends))):
-        pass
+    with sharing(executor) as pool:
+        for _ in ordered_map(pool, draw, list(pairwise(ends))):
+            pass
     return found
 
 
@@ -122,9 +123,9 @@ def _to_screen(
 
     Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
     """
-    screen = new_array((len(positions), 4), np.float64)
-    snapped = new_zeros(len(positions), np.bool_)
-    outside = new_zeros(len(positions), np.uint8)
+    screen = np.empty((len(positions), 4), np.float64)
+    snapped = np.zeros(len(positions), np.bool_)
+    outside = np.zeros(len(positions), np.uint8)
     for n in range(len(positions)):
         for row in range(4):
             # Not a matrix product: vertices at one position must land on the same bits.
@@ -237,8 +238,8 @@ def _draw(
 ) -> None:
     height, width = seen.shape
     is_behind = len(before) > 0
-    edges = new_array((3, 6), np.float64)
-    row_constant = new_array(3, np.float64)
+    edges = np.empty((3, 6), np.float64)
+    row_constant = np.empty(3, np.float64)
     for number in range(len(triangles)):
         a, b, c = (
             np.int64(triangles[number, 0]),
