@@ -403,3 +403,20 @@ def assert_same_field(
             f"{name} with{'out' if normals is None else ''} normals at {points[worst].tolist()} was "
             f"{one[name][worst].tolist()}, is {other[name][worst].tolist()}"
         )
+
+
+def assert_one_color(texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int) -> None:
+    """Lookups on the surface answer one colour, whatever their normals and widths."""
+    samples = surface.placed_in(texture).scatter(200, seed)
+    turned = np.random.default_rng(seed).normal(size=samples.normals.shape).astype(np.float32)
+    slack = 1.5 * code_width(texture.channels[name].format) + 1e-5
+    for width in (None, texture.placement.size / 2**texture.tree.max_depth, texture.placement.size / 9):
+        for normals in (None, samples.normals, turned):
+            found = texture.sample(samples.rest, name, width=width, normals=normals, normalize=False)
+            apart = np.abs(found - color).max(axis=1)
+            worst = int(apart.argmax())
+            assert apart[worst] <= slack, (
+                f"painted over, {name} with width {width} and normals "
+                f"{None if normals is None else normals[worst].tolist()} at {samples.rest[worst].tolist()} is "
+                f"{found[worst].tolist()}, not {color}"
+            )

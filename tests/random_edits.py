@@ -591,6 +591,26 @@ def assert_filled(
 # --- processing
 
 
+def draw_fill_all(random: Random, run: Run) -> Step:
+    """Paint one colour over everything."""
+    texture = run.texture
+    depth = int(np.clip(texture.tree.max_depth + random.integers(-1, 2), 1, 6))
+    name = one_of(random, [each for each in texture.channels if each not in ("alpha", "normal")])
+    color = color_of(random, texture.channels[name].format.components)
+    options: dict[str, object] = {
+        "channel": None if name == "base_color" else repr(name),
+        "blend": one_of(random, (None, "'replace'")),
+        "max_depth": one_of(random, (None, depth)),
+    }
+    region = "np.ones(len(surface.triangles), bool)"
+    line = call("texture = octex.fill", "texture", "surface", region, color, **options)
+
+    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:  # noqa: ARG001
+        claims.assert_one_color(after, run.surface, name, color, len(run.steps))
+
+    return Step((line,), claim, is_exact=True)
+
+
 def draw_map(random: Random, run: Run) -> Step:
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     scale, shift = one_of(random, ((0.5, 0.25), (-1.0, 1.0), (1.0, 0.0), (0.25, 0.0)))
@@ -786,6 +806,7 @@ def draw_curves(random: Random, run: Run) -> Step:
 
 STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_fill, 6),
+    (draw_fill_all, 1),
     (draw_paint, 4),
     (draw_layer, 2),
     (draw_again, 1),

@@ -392,6 +392,23 @@ def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: in
     np.testing.assert_allclose(green.sample(points), np.tile([0.0, 1, 0], (2000, 1)), atol=1e-6)
 
 
+@pytest.mark.parametrize("blend", ["over", "replace"])
+def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(blend: Blend) -> None:
+    surface, color = octex.load_surface(DROID), np.array([0.2, 0.7, 0.4])
+    texture = octex.convert(surface, 4, channels=["base_color"])
+    samples = surface.scatter(3000, 0)
+    extent = np.ptp(texture.bounds, axis=0).max()
+    place = octex.Sphere(tuple(samples.rest[0]), 0.2 * extent)
+    texture = octex.fill(texture, surface, place, (1, 0, 0), max_depth=6)
+    painted = octex.fill(texture, surface, np.ones(len(surface.triangles), np.bool_), color, blend=blend)
+    painted.validate()
+    for width in (None, 0.02 * extent):
+        found = painted.sample(samples.rest, normals=samples.normals, width=width)
+        np.testing.assert_allclose(found, np.tile(color, (len(found), 1)), atol=0.003)
+    rows = decode(painted.channels["base_color"].split_values, "srgb")
+    np.testing.assert_allclose(rows, np.tile(color, (len(rows), 1)), atol=0.003)
+
+
 @pytest.mark.parametrize("depth", [4, 5])
 @pytest.mark.parametrize("kind", ["overlapping", "triangle"])
 def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str, depth: int) -> None:

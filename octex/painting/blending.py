@@ -20,7 +20,7 @@ from octex.painting.averages import (
     residuals_before,
     residuals_of_paint,
 )
-from octex.painting.cells import Paint, painted_channel, refine_paint
+from octex.painting.cells import Paint, leave_bare, painted_channel, refine_paint, some
 from octex.painting.kept import bare_leaves, on_kept, with_old_skirts
 from octex.painting.pictures import Blend
 from octex.painting.raising import Raised
@@ -111,11 +111,11 @@ def blend_paint(
     paint = refine_paint(raised.paint, layer, tree, opacity)
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
-    cells, values, coverage, sources = _on_leaves(tree, paint)
+    cells, own = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, layer.tree, cells, sources, above)
+    may_split = _may_split(tree, layer.tree, cells, own.cells, above)
     base = _split(raised.texture, may_split)
-    met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
+    met = {name: each for name, each in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
     names = [name for name in met if name == target or blend == "over" or fresh.any()]
     parts = no_parts(base.tree, names)
@@ -123,8 +123,8 @@ def blend_paint(
     channels = _writable(base, base.channels if is_averaged else names)
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
-        old = {name: decode(own.values[cells[here]], own.format.space) for name, own in met.items()}
-        made = mixed(blend, target, old, values[here], coverage[here], fresh[here])
+        old = {name: decode(each.values[cells[here]], each.format.space) for name, each in met.items()}
+        made = mixed(blend, target, old, own.values[here], own.coverage[here], fresh[here])
         for name, (new, part) in made.items():
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
@@ -132,8 +132,8 @@ def blend_paint(
     kept = on_kept(tree, paint, bare)
     if kept.rows.size:
         old = {
-            name: decode(own.kept_values[kept.rows], own.format.space)
-            for name, own in raised.texture.channels.items()
+            name: decode(each.kept_values[kept.rows], each.format.space)
+            for name, each in raised.texture.channels.items()
             if name in parts
         }
         fresh = is_fresh[tree.kept.cells[kept.rows]]
@@ -144,7 +144,7 @@ def blend_paint(
 
     rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
-    values, coverage = _shown(layer, sources[owners], rows.bits, opacity)
+    values, coverage = _shown(layer, some(own, owners), rows.bits, opacity)
     old = {name: decode(base.channels[name].split_values[rows.rows], met[name].format.space) for name in met}
     fresh = is_fresh[rows.cells]
     bare_rows = fresh & (coverage == 0)
@@ -249,11 +249,18 @@ def _averaged(
     return Merged(made, own, is_fresh, raised.old < 0, painted, is_told)
 
 
-def _shown(layer: OctreeTexture, sources: Int64s, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
-    """Return what paint, of cells ``sources`` (n,) of its octree, shows facings (n,), and its coverage."""
-    values = rows_facing(layer, layer.channels[painted_channel(layer)], sources, bits)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], sources, bits)[:, 0] * np.float32(opacity)
-    coverage[layer.tree.arrays.flags[sources] & bits == 0] = 0
+def _shown(layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
+    """Return the paint on facings (n,) of cells (n,), and its coverage.
+
+    A facing that the paint octree's cell lacks, as those of skirts may be, has the paint of the cell as a
+    whole; it is bare if the paint has other facings alone.
+    """
+    values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
+    is_absent = layer.tree.arrays.flags[paint.cells] & bits == 0
+    values[is_absent] = paint.values[is_absent]
+    is_bare = leave_bare(bits, paint.flags)
+    coverage[is_absent] = np.where(is_bare, np.float32(0), paint.coverage)[is_absent]
     return values, coverage
 
 
@@ -295,20 +302,20 @@ def _settled(
     return found, is_told
 
 
-def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
-    """Return the leaves that are painted, ascending, and their paint, coverage and sources."""
+def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
+    """Return the leaves that are painted, ascending, and the paint on them, from the root level by level."""
     found = []
     for level, each in enumerate(paint):
         if each.codes.size:
             where = locate(tree, each.codes, level)
             if not (where.is_leaf & (where.levels == level)).all():
                 raise DefectError(f"paint of level {level} does not lie on leaves")
-            found.append((where.cells, each.values, each.coverage, each.cells))
+            found.append((where.cells, *each))
     columns = zip(*found, strict=True)
-    cells, values, coverage, sources = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
+    cells, *paint_on = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
     if (np.diff(cells) <= 0).any():
         raise DefectError("paint lies twice on a cell, or out of order")
-    return cells, values, coverage, sources
+    return cells, Paint(*paint_on)
 
 
 def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, above: Above) -> Int64s:

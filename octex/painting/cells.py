@@ -322,7 +322,7 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
         skirt.coverage[n] = coverage / max(count, 1)
 
 
-def some(paint: Paint, chosen: Bools | slice) -> Paint:
+def some(paint: Paint, chosen: Bools | Int64s | slice) -> Paint:
     """Return the paint on some of the cells."""
     codes, values, coverage, cells, flags = paint
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], flags[chosen])
