@@ -691,6 +691,12 @@ def draw_mix(random: Random, run: Run) -> Step:
         amount = call("beyond", axis, round(place_on(random, run)[axis], 3), one_of(random, (0.0, 0.2)))
     elif how < 0.4 and "roughness" in run.texture.channels:
         amount = "octex.cast(texture, channels=['roughness'])"
+    if amount in ("0.0", "1.0"):
+
+        def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+            pair = before, run.names["other"]
+            claims.assert_prevails(after, *(pair if amount == "0.0" else pair[::-1]), run.surface)
+
     line = call("texture = octex.mix", "texture", "other", amount)
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 
@@ -711,6 +717,8 @@ def draw_combine(random: Random, run: Run) -> Step:
         if not before.tree.n_leaves:
             return
         claims.assert_far_cells_stay(before, after, where, 0.01)
+        if not over:
+            claims.assert_prevails(after, run.names["other"], before, run.surface)
 
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 

@@ -10,16 +10,14 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s
 from octex.painting.cells import (
-    SKIRT,
     Paint,
     among_at,
-    are_beside,
-    is_within,
     leave_bare,
     paint_at,
     with_skirt,
 )
-from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.areas import SKIRT
+from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
 

@@ -130,10 +130,9 @@ class Mixing:
         whole = self._amount if isinstance(self._amount, float) and self._amount in (0.0, 1.0) else None
         is_mixed = self._both.copy()
         is_mixed[self._nodes] = False
-        if whole is not None:
+        if whole is not None:  # the other has nothing below leaves of this one
             self._share[self._both] = whole
-            taken = self._second if whole else self._first
-            is_mixed &= taken.origins.cells < NOTHING
+            is_mixed[:] = False
         found: dict[str, Array] = {}
         for name, channel in self._texture.channels.items():
             stored = [side.texture.channels[name].values for side in (self._first, self._second)]
