@@ -354,6 +354,25 @@ def assert_far_field_stays(
     assert_same_field(before, after, points[far], normals[far])
 
 
+def assert_other_channels_stay(
+    before: OctreeTexture, after: OctreeTexture, surface: Any, painted: str, seed: int
+) -> None:
+    """Paint on one channel leaves lookups of others as they were; of textures without alpha.
+
+    Left out is what is near cells that were added where nothing was: these weigh more than what the field
+    spreads to there.
+    """
+    names = [name for name in before.channels if name != painted]
+    if not names or ALPHA.name in after.channels:
+        return
+    points = surface.placed_in(before).scatter(300, seed).rest
+    cells, known = cells_of(before), cells_of(after)
+    is_new = ~np.isin(known.keys, cells.keys) & ~_below_leaves(known, cells)
+    added = Boxes(known.low[is_new], known.high[is_new], known.edges[is_new])
+    points = points[before.contains(points) & after.contains(points) & (added.gaps(points, points) > 1.0)]
+    assert_same_field(*(octex.cast(texture, channels=names) for texture in (before, after)), points, None)
+
+
 def _with_other_rows(before: OctreeTexture, after: OctreeTexture, at: Array) -> Array:
     """Nodes that keep a coefficient and have other rows after; ``at`` are the cells' numbers then."""
     rows = rows_of(before.tree.split, before.tree.kept.cells.astype(np.int64))

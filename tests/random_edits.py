@@ -527,6 +527,7 @@ def draw_fill(random: Random, run: Run) -> Step:
         if run.surface.placed_in(before) is not run.surface:
             return  # parts were moved, the region is where they were
         near(lambda _run, _before: where)(run, before, after)
+        claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
         if kind in ("sphere", "box") and not soft:
             assert_filled(run, before, after, where, name, color, blend, opacity)
 
@@ -605,7 +606,8 @@ def draw_fill_all(random: Random, run: Run) -> Step:
     region = "np.ones(len(surface.triangles), bool)"
     line = call("texture = octex.fill", "texture", "surface", region, color, **options)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:  # noqa: ARG001
+    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
         claims.assert_one_color(after, run.surface, name, color, len(run.steps))
 
     return Step((line,), claim, is_exact=True)

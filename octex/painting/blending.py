@@ -48,7 +48,7 @@ def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -
         paint = 1 - (1 - base) * (1 - paint)
     elif blend == "erase":
         paint = np.zeros_like(base)
-    return base + part * (paint - base)
+    return (1 - part) * base + part * paint  # all of the paint where it is opaque, however bright the base is
 
 
 def mixed(
