@@ -111,11 +111,11 @@ def blend_paint(
     paint = refine_paint(raised.paint, layer, tree, opacity)
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
-    cells, own = _on_leaves(tree, paint)
+    cells, on_leaves = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, layer.tree, cells, own.cells, above)
+    may_split = _may_split(tree, layer.tree, cells, on_leaves.cells, above)
     base = _split(raised.texture, may_split)
-    met = {name: each for name, each in raised.texture.channels.items() if name in (target, ALPHA.name)}
+    met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
     names = [name for name in met if name == target or blend == "over" or fresh.any()]
     parts = no_parts(base.tree, names)
@@ -123,8 +123,9 @@ def blend_paint(
     channels = _writable(base, base.channels if is_averaged else names)
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
-        old = {name: decode(each.values[cells[here]], each.format.space) for name, each in met.items()}
-        made = mixed(blend, target, old, own.values[here], own.coverage[here], fresh[here])
+        old = {name: decode(own.values[cells[here]], own.format.space) for name, own in met.items()}
+        of_paint = on_leaves.values[here], on_leaves.coverage[here]
+        made = mixed(blend, target, old, *of_paint, fresh[here])
         for name, (new, part) in made.items():
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
@@ -132,8 +133,8 @@ def blend_paint(
     kept = on_kept(tree, paint, bare)
     if kept.rows.size:
         old = {
-            name: decode(each.kept_values[kept.rows], each.format.space)
-            for name, each in raised.texture.channels.items()
+            name: decode(own.kept_values[kept.rows], own.format.space)
+            for name, own in raised.texture.channels.items()
             if name in parts
         }
         fresh = is_fresh[tree.kept.cells[kept.rows]]
@@ -144,7 +145,7 @@ def blend_paint(
 
     rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
-    values, coverage = _shown(layer, some(own, owners), rows.bits, opacity)
+    values, coverage = _shown(layer, some(on_leaves, owners), rows.bits, opacity)
     old = {name: decode(base.channels[name].split_values[rows.rows], met[name].format.space) for name in met}
     fresh = is_fresh[rows.cells]
     bare_rows = fresh & (coverage == 0)
@@ -303,7 +304,7 @@ def _settled(
 
 
 def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
-    """Return the leaves that are painted, ascending, and the paint on them, from the root level by level."""
+    """Return the leaves that are painted, ascending, and the paint on them."""
     found = []
     for level, each in enumerate(paint):
         if each.codes.size:

@@ -36,7 +36,8 @@ _BLOCK, _MANY = 1 << 14, 1 << 20
 class Mixing:
     """Two textures of the same channels, stored alike, on the tree of both.
 
-    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that.
+    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that. With
+    the number 0 or 1 the texture that is not taken has no cells that the other hides; see `without_hidden`.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class Mixing:
         whole = self._amount if isinstance(self._amount, float) and self._amount in (0.0, 1.0) else None
         is_mixed = self._both.copy()
         is_mixed[self._nodes] = False
-        if whole is not None:  # the other has nothing below leaves of this one
+        if whole is not None:
             self._share[self._both] = whole
             is_mixed[:] = False
         found: dict[str, Array] = {}
