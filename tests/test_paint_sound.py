@@ -409,6 +409,21 @@ def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(ble
     np.testing.assert_allclose(rows, np.tile(color, (len(rows), 1)), atol=0.003)
 
 
+@pytest.mark.parametrize("depth", [5, 6])
+def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(depth: int) -> None:
+    surface = sheet(np.eye(3), 0.004)
+    place = octex.Sphere((0.0, 0.0, 0.0), 0.3)
+    red = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=depth)
+    samples = surface.scatter(3000, 0)
+    inner = np.abs(samples.rest[:, :2]).max(axis=1) < 0.35
+    front, back = (inner & (sign * samples.normals[:, 2] > 0.9) for sign in (1, -1))
+    chosen = np.flatnonzero(surface.rest[surface.triangles][..., 2].min(axis=1) > 0)
+    painted = octex.fill(red, surface, chosen, (0, 0, 1))
+    before, found = (each.sample(samples.rest, normals=samples.normals) for each in (red, painted))
+    np.testing.assert_allclose(found[front], np.tile([0.0, 0, 1], (front.sum(), 1)), atol=0.003)
+    assert np.abs(found - before)[back].max() < 0.13
+
+
 @pytest.mark.parametrize("depth", [4, 5])
 @pytest.mark.parametrize("kind", ["overlapping", "triangle"])
 def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str, depth: int) -> None:

@@ -95,13 +95,13 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
-    """Say which cells (n,) of a level are beside some of leaves, given by level.
+    """Say which cells (n,) of a level are in or beside some of leaves, given by level.
 
     With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
-    around = boundary(codes, level)
+    around = with_boundary(codes, level)
     found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
         own = leaves[at][among_at(leaves[at], at, around, level)]
