@@ -310,6 +310,20 @@ def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> 
     assert found.tree.kept.cells.size
 
 
+@pytest.mark.parametrize(("radius", "depth"), [(0.3, 4), (0.8, 5)])
+def test_half_erased_over_finer_paint_is_half_everywhere(radius: float, depth: int) -> None:
+    surface = waved("overlapping", 14, ["base_color"], 26)
+    texture = octex.convert(surface, 3, dtype="float16", fit=False)
+    place = octex.Sphere(tuple(surface.rest[0]), radius)
+    texture = octex.fill(texture, surface, place, (1, 0, 0), max_depth=depth)
+    everything = np.ones(len(surface.triangles), np.bool_)
+    texture = octex.fill(
+        texture, surface, everything, (0, 0, 0), opacity=0.5, blend="erase", max_depth=depth + 1
+    )
+    found = texture.sample(surface.scatter(3000).rest, "alpha")
+    np.testing.assert_allclose(found, np.full((3000, 1), 0.5), atol=0.003)
+
+
 def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface() -> None:
     surface = ball(16)
     colors = 0.5 + 0.4 * surface.vertices

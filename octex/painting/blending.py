@@ -137,8 +137,8 @@ def blend_paint(
             for name, own in raised.texture.channels.items()
             if name in parts
         }
-        fresh = is_fresh[tree.kept.cells[kept.rows]]
-        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, fresh).items():
+        no_fresh = np.zeros(kept.rows.size, np.bool_)  # also where a node is the average of new skirts alone
+        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, no_fresh).items():
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
             channels[name] = channels[name]._replace(kept_values=stored)
