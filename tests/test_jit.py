@@ -129,6 +129,9 @@ def test_what_is_not_whole_or_cannot_be_written_is_as_if_it_were_not_there(tmp_p
     for size in (0, 10, len(whole) - 1):
         path.write_bytes(whole[:size])
         assert files.load(of("this")) is None
+    for at in range(len(whole)):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 64]) + whole[at + 1 :])
+        assert files.load(of("this")) is None, at
     path.unlink()
     path.mkdir()  # nothing can be put there
     files.save(of("this"), [1])

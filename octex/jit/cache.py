@@ -3,7 +3,8 @@
 Each version of a kernel is a file of its own, named after what it is compiled for, in the folder that numba
 chooses: two processes that add versions at once keep both. (numba lists versions in an index and numbers
 their files: two processes can lose an entry, or file code under another version's types.) A file begins with
-what it belongs to: numba's version, the state of all modules that the kernel is compiled from, and its key.
+a digest of what it belongs to (numba's version, the state of all modules that the kernel is compiled from,
+and its key) and of its content: a damaged file is compiled anew.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
+#: Bytes of a file's digest.
+_SIZE = hashlib.sha256().digest_size
 #: Seconds that a process waits, at most, for another, which may have been stopped, to compile the same.
 LONGEST = 600.0
 #: Imports of octex, of whole modules or of names in them.
@@ -100,12 +103,16 @@ class CodeFiles:
     def _load(self, folder: Path, key: Any) -> Any:
         text = key_text(key)
         try:
-            with self._path(folder, text).open("rb") as file:
-                if pickle.load(file) == (self._state, text):
-                    return pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-            pass  # not there, not whole, or of types that are no longer there
+            content = self._path(folder, text).read_bytes()
+            # Damaged code would crash where it is run.
+            if content[:_SIZE] == self._digest(text, content[_SIZE:]):
+                return pickle.loads(content[_SIZE:])
+        except (OSError, AttributeError, ImportError):
+            pass  # not there, or of types that are no longer there
         return None
+
+    def _digest(self, text: str, content: bytes) -> bytes:
+        return hashlib.sha256(f"{self._state}\n{text}\n".encode() + content).digest()
 
     def save(self, key: Any, data: Any) -> None:
         """Keep something under a key; without room for it nothing is kept."""
@@ -114,7 +121,8 @@ class CodeFiles:
         unfinished = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
         with WRITING, suppress(OSError):
             try:
-                unfinished.write_bytes(pickle.dumps((self._state, text)) + dumps(data))
+                content = dumps(data)
+                unfinished.write_bytes(self._digest(text, content) + content)
                 unfinished.replace(path)
             finally:
                 unfinished.unlink(missing_ok=True)
