@@ -354,6 +354,25 @@ def assert_far_field_stays(
     assert_same_field(before, after, points[far], normals[far])
 
 
+def assert_other_channels_stay(
+    before: OctreeTexture, after: OctreeTexture, surface: Any, painted: str, seed: int
+) -> None:
+    """Paint on one channel leaves lookups of others as they were; of textures without alpha.
+
+    Left out is what is near cells that were added where nothing was: these weigh more than what the field
+    spreads to there.
+    """
+    names = [name for name in before.channels if name != painted]
+    if not names or ALPHA.name in after.channels:
+        return
+    points = surface.placed_in(before).scatter(300, seed).rest
+    cells, known = cells_of(before), cells_of(after)
+    is_new = ~np.isin(known.keys, cells.keys) & ~_below_leaves(known, cells)
+    added = Boxes(known.low[is_new], known.high[is_new], known.edges[is_new])
+    points = points[before.contains(points) & after.contains(points) & (added.gaps(points, points) > 1.0)]
+    assert_same_field(*(octex.cast(texture, channels=names) for texture in (before, after)), points, None)
+
+
 def _with_other_rows(before: OctreeTexture, after: OctreeTexture, at: Array) -> Array:
     """Nodes that keep a coefficient and have other rows after; ``at`` are the cells' numbers then."""
     rows = rows_of(before.tree.split, before.tree.kept.cells.astype(np.int64))
@@ -403,3 +422,29 @@ def assert_same_field(
             f"{name} with{'out' if normals is None else ''} normals at {points[worst].tolist()} was "
             f"{one[name][worst].tolist()}, is {other[name][worst].tolist()}"
         )
+
+
+def assert_one_color(texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int) -> None:
+    """Lookups on the surface answer one colour, whatever their normals and widths."""
+    samples = surface.placed_in(texture).scatter(200, seed)
+    turned = np.random.default_rng(seed).normal(size=samples.normals.shape).astype(np.float32)
+    slack = 1.5 * code_width(texture.channels[name].format) + 1e-5
+    for width in (None, texture.placement.size / 2**texture.tree.max_depth, texture.placement.size / 9):
+        for normals in (None, samples.normals, turned):
+            found = texture.sample(samples.rest, name, width=width, normals=normals, normalize=False)
+            apart = np.abs(found - color).max(axis=1)
+            worst = int(apart.argmax())
+            facing = "no normal" if normals is None else f"normal {normals[worst].tolist()}"
+            assert apart[worst] <= slack, (
+                f"painted over, {name} at {samples.rest[worst].tolist()} with width {width} and {facing} is "
+                f"{found[worst].tolist()}, not {color}"
+            )
+
+
+def assert_prevails(made: OctreeTexture, one: OctreeTexture, hidden: OctreeTexture, surface: Any) -> None:
+    """Lookups answer as one of two textures, unless the other has surface that it lacks."""
+    if not one.tree.n_leaves or adds_leaves(one, hidden):
+        return
+    samples = surface.placed_in(one).scatter(200, 1)
+    assert_same_field(one, made, samples.rest, None)
+    assert_same_field(one, made, samples.rest, samples.normals)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from octex.channels import decode, encode
 from octex.editing.refined import refined_values
 from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import decode_cells
 
 Place = tuple[int, int]  # level, Morton code
 Floats = npt.NDArray[np.floating[Any]]
@@ -83,6 +84,35 @@ def value_at(texture: OctreeTexture, name: str, cells: dict[Place, Cell], place:
     return refined_values(texture.tree, texture.channels, codes, place[0])[name][0]
 
 
+def left(texture: OctreeTexture, over: OctreeTexture) -> set[Place]:
+    """The cells of a texture that another laid over it wholly does not hide.
+
+    Hidden are what is below the other's leaves, and skirts that it lacks that are beside nothing but what it
+    has.
+    """
+    cells, others = cells_of(texture), cells_of(over)
+    is_over = {place for place, cell in others.items() if cell.is_leaf and over.tree.n_leaves}
+    leaves, skirts, alone = set(), set(), set()
+    for place, cell in cells.items():
+        level, code = place
+        if any((level - up, code >> 3 * up) in is_over for up in range(1, level + 1)):
+            continue
+        if place in is_over or (cell.is_leaf and place in others):
+            leaves.add(place)
+        elif cell.is_leaf:
+            (skirts if texture.tree.arrays.areas[cell.number] == 1 else alone).add(place)
+    leaves |= alone | {place for place in skirts if any(are_beside(place, each) for each in alone)}
+    return {(level - up, code >> 3 * up) for level, code in leaves for up in range(level + 1)}
+
+
+def are_beside(place: Place, other: Place) -> bool:
+    """Say whether another cell is in a cell, around it, or holds a cell around it."""
+    low, high = (decode_cells(np.array([code]))[0] for _, code in (place, other))
+    finer = max(place[0], other[0])
+    one, two = 2 ** (finer - place[0]), 2 ** (finer - other[0])
+    return bool(((high * two < (low + 2) * one) & ((high + 1) * two > (low - 1) * one)).all())
+
+
 class Mixed(NamedTuple):
     """A value for each leaf of the union, the second's part there, and which places are cells."""
 
@@ -96,7 +126,10 @@ def mixed(
 ) -> Mixed:
     """Mix leaf by leaf: both channels' values, weighed by alpha, where both have something."""
     one, other = cells_of(first), cells_of(second)
-    places = sorted(one.keys() | other.keys())
+    cells = [set(one), set(other)]
+    if not over and amount in (0.0, 1.0):
+        cells[int(1 - amount)] = left(*((first, second) if amount else (second, first)))
+    places = sorted(cells[0] | cells[1])
     nodes = {(level - 1, code >> 3) for level, code in places if level}
     values, share = {}, {}
     for place in places:

@@ -527,6 +527,7 @@ def draw_fill(random: Random, run: Run) -> Step:
         if run.surface.placed_in(before) is not run.surface:
             return  # parts were moved, the region is where they were
         near(lambda _run, _before: where)(run, before, after)
+        claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
         if kind in ("sphere", "box") and not soft:
             assert_filled(run, before, after, where, name, color, blend, opacity)
 
@@ -589,6 +590,29 @@ def assert_filled(
 
 
 # --- processing
+
+
+def draw_fill_all(random: Random, run: Run) -> Step:
+    """Paint one colour over everything."""
+    texture = run.texture
+    depth = int(np.clip(texture.tree.max_depth + random.integers(-1, 2), 1, 6))
+    name = one_of(random, [each for each in texture.channels if each not in ("alpha", "normal")])
+    color = color_of(random, texture.channels[name].format.components)
+    options: dict[str, object] = {
+        "channel": None if name == "base_color" else repr(name),
+        "blend": one_of(random, (None, "'replace'")),
+        "max_depth": one_of(random, (None, depth)),
+    }
+    region = "np.ones(len(surface.triangles), bool)"
+    line = call("texture = octex.fill", "texture", "surface", region, color, **options)
+
+    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
+        if any("octex.resize" in line for line in run.script()):
+            return  # which has made cells off the surface that no paint is on
+        claims.assert_one_color(after, run.surface, name, color, len(run.steps))
+
+    return Step((line,), claim, is_exact=True)
 
 
 def draw_map(random: Random, run: Run) -> Step:
@@ -671,6 +695,12 @@ def draw_mix(random: Random, run: Run) -> Step:
         amount = call("beyond", axis, round(place_on(random, run)[axis], 3), one_of(random, (0.0, 0.2)))
     elif how < 0.4 and "roughness" in run.texture.channels:
         amount = "octex.cast(texture, channels=['roughness'])"
+    if amount in ("0.0", "1.0"):
+
+        def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+            pair = before, run.names["other"]
+            claims.assert_prevails(after, *(pair if amount == "0.0" else pair[::-1]), run.surface)
+
     line = call("texture = octex.mix", "texture", "other", amount)
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 
@@ -691,6 +721,8 @@ def draw_combine(random: Random, run: Run) -> Step:
         if not before.tree.n_leaves:
             return
         claims.assert_far_cells_stay(before, after, where, 0.01)
+        if not over:
+            claims.assert_prevails(after, run.names["other"], before, run.surface)
 
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 
@@ -786,6 +818,7 @@ def draw_curves(random: Random, run: Run) -> Step:
 
 STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_fill, 6),
+    (draw_fill_all, 1),
     (draw_paint, 4),
     (draw_layer, 2),
     (draw_again, 1),

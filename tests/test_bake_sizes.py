@@ -60,15 +60,15 @@ def test_all_charts_of_the_droid_have_room_in_small_maps(
 def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
     droid: tuple[octex.OctreeTexture, Surface], size: int | None
 ) -> None:
-    texture, surface = droid
+    _, surface = droid
+    texture = octex.convert(surface, 9, channels=["base_color"])  # at 8 a hundredth of its texels overlap
     kept = octex.bake(texture, surface, texture_size=size)
     assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
     assert kept.uv is not None
     is_same = np.isclose(kept.uv.values[kept.uv.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
-    assert (
-        is_same == (own.values[own.rows] != 0.0).any(axis=(1, 2))
-    ).mean() > 0.99  # parts without get an atlas
+    has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
+    assert (is_same == has_coordinates).mean() > 0.99
 
 
 def scattered_triangles(count: int) -> Surface:

@@ -306,6 +306,12 @@ def test_blend_modes_are_their_formulas() -> None:
         np.testing.assert_allclose(blended(base, paint, part, blend), expected[blend], atol=1e-6)
 
 
+def test_opaque_paint_leaves_nothing_of_what_was_there_however_bright_it_was() -> None:
+    old, new = np.full((1, 3), 3e7, np.float32), np.array([[0.2, 0.7, 0.0]], np.float32)
+    for blend in ("over", "replace"):
+        np.testing.assert_array_equal(blended(old, new, np.ones(1, np.float32), blend), new)
+
+
 @pytest.mark.parametrize("blend", BLENDS)
 def test_pictures_are_blended_in_linear_light(blend: Any) -> None:
     surface, camera = plain(square(), (0.4, 0.2, 0.6)), above(3.0, 64, 192.0)

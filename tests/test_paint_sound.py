@@ -310,6 +310,20 @@ def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> 
     assert found.tree.kept.cells.size
 
 
+@pytest.mark.parametrize(("radius", "depth"), [(0.3, 4), (0.8, 5)])
+def test_half_erased_over_finer_paint_is_half_everywhere(radius: float, depth: int) -> None:
+    surface = waved("overlapping", 14, ["base_color"], 26)
+    texture = octex.convert(surface, 3, dtype="float16", fit=False)
+    place = octex.Sphere(tuple(surface.rest[0]), radius)
+    texture = octex.fill(texture, surface, place, (1, 0, 0), max_depth=depth)
+    everything = np.ones(len(surface.triangles), np.bool_)
+    texture = octex.fill(
+        texture, surface, everything, (0, 0, 0), opacity=0.5, blend="erase", max_depth=depth + 1
+    )
+    found = texture.sample(surface.scatter(3000).rest, "alpha")
+    np.testing.assert_allclose(found, np.full((3000, 1), 0.5), atol=0.003)
+
+
 def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface() -> None:
     surface = ball(16)
     colors = 0.5 + 0.4 * surface.vertices
@@ -390,6 +404,38 @@ def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: in
     green = octex.fill(red, surface, octex.Sphere((0, 0, 0), 9.0), (0, 1, 0), max_depth=depth)
     points = surface.scatter(2000).rest
     np.testing.assert_allclose(green.sample(points), np.tile([0.0, 1, 0], (2000, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("blend", ["over", "replace"])
+def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(blend: Blend) -> None:
+    surface, color = octex.load_surface(DROID), np.array([0.2, 0.7, 0.4])
+    texture = octex.convert(surface, 4, channels=["base_color"])
+    samples = surface.scatter(3000, 0)
+    extent = np.ptp(texture.bounds, axis=0).max()
+    place = octex.Sphere(tuple(samples.rest[0]), 0.2 * extent)
+    texture = octex.fill(texture, surface, place, (1, 0, 0), max_depth=6)
+    painted = octex.fill(texture, surface, np.ones(len(surface.triangles), np.bool_), color, blend=blend)
+    painted.validate()
+    for width in (None, 0.02 * extent):
+        found = painted.sample(samples.rest, normals=samples.normals, width=width)
+        np.testing.assert_allclose(found, np.tile(color, (len(found), 1)), atol=0.003)
+    rows = decode(painted.channels["base_color"].split_values, "srgb")
+    np.testing.assert_allclose(rows, np.tile(color, (len(rows), 1)), atol=0.003)
+
+
+@pytest.mark.parametrize("depth", [5, 6])
+def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(depth: int) -> None:
+    surface = sheet(np.eye(3), 0.004)
+    place = octex.Sphere((0.0, 0.0, 0.0), 0.3)
+    red = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=depth)
+    samples = surface.scatter(3000, 0)
+    inner = np.abs(samples.rest[:, :2]).max(axis=1) < 0.35
+    front, back = (inner & (sign * samples.normals[:, 2] > 0.9) for sign in (1, -1))
+    chosen = np.flatnonzero(surface.rest[surface.triangles][..., 2].min(axis=1) > 0)
+    painted = octex.fill(red, surface, chosen, (0, 0, 1))
+    before, found = (each.sample(samples.rest, normals=samples.normals) for each in (red, painted))
+    np.testing.assert_allclose(found[front], np.tile([0.0, 0, 1], (front.sum(), 1)), atol=0.003)
+    assert np.abs(found - before)[back].max() < 0.13
 
 
 @pytest.mark.parametrize("depth", [4, 5])

@@ -131,14 +131,26 @@ def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells() -> None
     coarse = octex.map(fine.level(3), lambda values: 1 - values)
     points = np.random.default_rng(0).normal(size=(500, 3))
     points = 0.5 + 0.45 * points / np.linalg.norm(points, axis=1)[:, None]
-    for made, wanted in (
-        (octex.combine(fine, coarse), coarse),
-        (octex.mix(coarse, fine, 0.0), coarse),
-        (octex.combine(coarse, fine), fine),
-        (octex.mix(fine, coarse, 0.0), fine),
-    ):
+    for one, other in ((coarse, fine), (fine, coarse)):
+        made = octex.mix(one, other, lambda points: np.zeros(len(points)))
         assert made.tree.n_leaves == fine.tree.n_leaves
-        np.testing.assert_allclose(made.sample(points), wanted.sample(points), atol=0.01)
+        np.testing.assert_allclose(made.sample(points), one.sample(points), atol=0.01)
+
+
+@needs_jit
+@pytest.mark.parametrize("kind", ["sheet", "overlapping"])
+def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind: str) -> None:
+    surface = waved(kind, 4, ["base_color"], 7)
+    texture = octex.convert(surface, 4)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.5)
+    finer = octex.fill(texture, surface, place, (1, 0, 0), max_depth=6)  # with skirts and finer facings
+    samples = surface.scatter(2000, 0)
+    for one, other in ((texture, finer), (finer, texture)):
+        for made in (octex.mix(one, other, 0), octex.mix(other, one, 1), octex.combine(other, one)):
+            for normals in (None, samples.normals):
+                wanted = one.sample(samples.rest, normals=normals)
+                np.testing.assert_array_equal(made.sample(samples.rest, normals=normals), wanted)
+    assert_same(octex.mix(texture, finer, 0), texture)
 
 
 def test_rows_are_mixed_facing_by_facing() -> None:
@@ -247,7 +259,7 @@ def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too() -> N
 def test_cells_below_leaves_show_each_way_what_a_finer_texture_shows(kind: str) -> None:
     texture = octex.convert(waved(kind, 4, ["base_color", "alpha"], 7), 3, dtype="float32")
     finer = octex.resize(texture, 4)
-    made = octex.mix(texture, finer, 0.0)
+    made = octex.mix(texture, finer, lambda points: np.zeros(len(points)))
     assert finer.tree.split.cells.size > texture.tree.split.cells.size > 0
     for one, other in zip(
         [*made.tree.arrays, *made.tree.split], [*finer.tree.arrays, *finer.tree.split], strict=True

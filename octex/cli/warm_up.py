@@ -18,6 +18,7 @@ from octex.parallel import Progress
 from octex.preview import Bump, write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
+from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.search import Positions
@@ -96,7 +97,8 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
     (folder / "needle.obj").write_text(_OBJ)
     (folder / "needle.mtl").write_text(_MTL)
     (folder / "needle.ply").write_text(_PLY)
-    PIL.Image.fromarray(np.full((4, 4), 30000, np.uint16)).save(folder / "needle.png")
+    # Of several values: constants are baked as factors.
+    PIL.Image.fromarray(np.arange(0, 48000, 3000, np.uint16).reshape(4, 4)).save(folder / "needle.png")
     textured = octex.load_surface(folder / "needle.obj")
     deformed = textured.with_rest(2.0 * textured.vertices)
     translucent = octex.Surface.from_arrays(
@@ -104,7 +106,7 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
         textured.triangles,
         colors=np.full((len(textured.vertices), 4), 0.5),
         uv=textured.vertices[:, :2],
-        image=np.full((4, 4, 4), 128, np.uint8),
+        image=np.arange(64, dtype=np.uint8).reshape(4, 4, 4) * 4,
         rest=textured.vertices[:, ::-1],
     )
     return [deformed, octex.load_surface(folder / "needle.ply"), translucent]
@@ -145,6 +147,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     put_rows(np.empty((numbers.size, 3), np.float32), numbers, np.empty((100, 3), np.float32))
     encode_cells([(1, 2, 3)])
     texture.tree.level_codes(6)
+    area_codes(np.ones(1))
     write_points(texture, folder / "points.ply")
     write_preview(folder / "texture.png", None, texture, (64, 64))
 
@@ -214,10 +217,14 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
 
     surface, translucent = surfaces[0], surfaces[2]
     texture = octex.convert(surface, 3)
-    octex.bake(octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, supersample=2)
+    octex.bake(
+        octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, padding=2, supersample=2
+    )
     barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
     atlas.projected(surface)
-    octex.write_model(octex.bake(texture, surface, uv="atlas", texture_size=64), folder / "baked.glb")
+    octex.write_model(
+        octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2), folder / "baked.glb"
+    )
     octex.bake_vertices(texture, surface, subdivide="auto")
     octex.displace(surface, texture, "base_color", 0.01)
 

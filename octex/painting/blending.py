@@ -20,7 +20,7 @@ from octex.painting.averages import (
     residuals_before,
     residuals_of_paint,
 )
-from octex.painting.cells import Paint, painted_channel, refine_paint
+from octex.painting.cells import Paint, leave_bare, painted_channel, refine_paint, some
 from octex.painting.kept import bare_leaves, on_kept, with_old_skirts
 from octex.painting.pictures import Blend
 from octex.painting.raising import Raised
@@ -48,7 +48,7 @@ def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -
         paint = 1 - (1 - base) * (1 - paint)
     elif blend == "erase":
         paint = np.zeros_like(base)
-    return base + part * (paint - base)
+    return (1 - part) * base + part * paint  # all of the paint where it is opaque, however bright the base is
 
 
 def mixed(
@@ -111,9 +111,9 @@ def blend_paint(
     paint = refine_paint(raised.paint, layer, tree, opacity)
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
-    cells, values, coverage, sources = _on_leaves(tree, paint)
+    cells, on_leaves = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, layer.tree, cells, sources, above)
+    may_split = _may_split(tree, layer.tree, cells, on_leaves.cells, above)
     base = _split(raised.texture, may_split)
     met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
@@ -124,7 +124,8 @@ def blend_paint(
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
         old = {name: decode(own.values[cells[here]], own.format.space) for name, own in met.items()}
-        made = mixed(blend, target, old, values[here], coverage[here], fresh[here])
+        of_paint = on_leaves.values[here], on_leaves.coverage[here]
+        made = mixed(blend, target, old, *of_paint, fresh[here])
         for name, (new, part) in made.items():
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
@@ -136,15 +137,15 @@ def blend_paint(
             for name, own in raised.texture.channels.items()
             if name in parts
         }
-        fresh = is_fresh[tree.kept.cells[kept.rows]]
-        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, fresh).items():
+        no_fresh = np.zeros(kept.rows.size, np.bool_)  # also where a node is the average of new skirts alone
+        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, no_fresh).items():
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
             channels[name] = channels[name]._replace(kept_values=stored)
 
     rows = rows_of(base.tree.split, cells)
     owners = np.searchsorted(cells, rows.cells)
-    values, coverage = _shown(layer, sources[owners], rows.bits, opacity)
+    values, coverage = _shown(layer, some(on_leaves, owners), rows.bits, opacity)
     old = {name: decode(base.channels[name].split_values[rows.rows], met[name].format.space) for name in met}
     fresh = is_fresh[rows.cells]
     bare_rows = fresh & (coverage == 0)
@@ -249,11 +250,18 @@ def _averaged(
     return Merged(made, own, is_fresh, raised.old < 0, painted, is_told)
 
 
-def _shown(layer: OctreeTexture, sources: Int64s, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
-    """Return what paint, of cells ``sources`` (n,) of its octree, shows facings (n,), and its coverage."""
-    values = rows_facing(layer, layer.channels[painted_channel(layer)], sources, bits)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], sources, bits)[:, 0] * np.float32(opacity)
-    coverage[layer.tree.arrays.flags[sources] & bits == 0] = 0
+def _shown(layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
+    """Return the paint on facings (n,) of cells (n,), and its coverage.
+
+    A facing that the paint octree's cell lacks, as those of skirts may be, has the paint of the cell as a
+    whole; it is bare if the paint has other facings alone.
+    """
+    values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
+    is_absent = layer.tree.arrays.flags[paint.cells] & bits == 0
+    values[is_absent] = paint.values[is_absent]
+    is_bare = leave_bare(bits, paint.flags)
+    coverage[is_absent] = np.where(is_bare, np.float32(0), paint.coverage)[is_absent]
     return values, coverage
 
 
@@ -295,20 +303,20 @@ def _settled(
     return found, is_told
 
 
-def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Float32s, Float32s, Int64s]:
-    """Return the leaves that are painted, ascending, and their paint, coverage and sources."""
+def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
+    """Return the leaves that are painted, ascending, and the paint on them."""
     found = []
     for level, each in enumerate(paint):
         if each.codes.size:
             where = locate(tree, each.codes, level)
             if not (where.is_leaf & (where.levels == level)).all():
                 raise DefectError(f"paint of level {level} does not lie on leaves")
-            found.append((where.cells, each.values, each.coverage, each.cells))
+            found.append((where.cells, *each))
     columns = zip(*found, strict=True)
-    cells, values, coverage, sources = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
+    cells, *paint_on = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
     if (np.diff(cells) <= 0).any():
         raise DefectError("paint lies twice on a cell, or out of order")
-    return cells, values, coverage, sources
+    return cells, Paint(*paint_on)
 
 
 def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, above: Above) -> Int64s:

@@ -16,14 +16,12 @@ from octex.jit import kernel
 from octex.parallel import ordered_map, sharing
 from octex.texture import OctreeTexture
 from octex.tree import morton
-from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, first_not_below, locate, places
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
-#: The area that skirts have, the least there is: in averages they weigh next to nothing.
-SKIRT = np.uint8(1)
 #: Cells of a skirt that are painted at once.
 _BLOCK = 1 << 13
 
@@ -126,28 +124,6 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
                 finer = Paint(leaves, values, coverage, cells[owners], flags[owners])
                 found[deeper] = _joined(found[deeper], finer)
     return found
-
-
-def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
-    found = np.zeros(codes.size, np.bool_)
-    for above, own in enumerate(cells[: level + 1]):
-        if own.size:
-            found |= among(codes >> 3 * (level - above), own)
-    return found
-
-
-def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
-    around = with_boundary(codes, level)
-    below = np.empty(0, np.int64)
-    for deeper in range(len(leaves) - 1, level - 1, -1):
-        if leaves[deeper].size:
-            own = leaves[deeper] >> 3 * (deeper - level)
-            below = np.concatenate([below, own[among(own, around)]])
-    return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
 def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
@@ -323,7 +299,7 @@ def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
         skirt.coverage[n] = coverage / max(count, 1)
 
 
-def some(paint: Paint, chosen: Bools | slice) -> Paint:
+def some(paint: Paint, chosen: Bools | Int64s | slice) -> Paint:
     """Return the paint on some of the cells."""
     codes, values, coverage, cells, flags = paint
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], flags[chosen])

@@ -10,16 +10,14 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s
 from octex.painting.cells import (
-    SKIRT,
     Paint,
     among_at,
-    are_beside,
-    is_within,
     leave_bare,
     paint_at,
     with_skirt,
 )
-from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.areas import SKIRT
+from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
 
@@ -97,13 +95,13 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
-    """Say which cells (n,) of a level are beside some of leaves, given by level.
+    """Say which cells (n,) of a level are in or beside some of leaves, given by level.
 
     With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
-    around = boundary(codes, level)
+    around = with_boundary(codes, level)
     found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
         own = leaves[at][among_at(leaves[at], at, around, level)]

@@ -43,7 +43,8 @@ def merge(
     than three of the coarser cells from unpainted surface some of what was there is seen through finer paint:
     of white below black, where cells are halved, up to 0.18 in the second fine cell from the rim, 0.02 in the
     fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005. So near the rim what
-    is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on.
+    is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on. Near
+    the rim, beside empty cells, other channels move too, by up to 0.024 of the range.
 
     Looked up with normals, the field beside finer paint does move where facings are told apart: nodes show
     them the means of what is below, paint too, and what is raised has rows for six facings, not for every

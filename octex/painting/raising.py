@@ -22,13 +22,10 @@ from octex.editing.refined import Below, refined_below, with_rows
 from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.cells import (
-    SKIRT,
     Paint,
     among_at,
-    are_beside,
     beside_larger,
     facings_within,
-    is_within,
     leave_bare,
     skirt_of,
     skirt_on_nothing,
@@ -40,7 +37,8 @@ from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
-from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.areas import SKIRT
+from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import (
     Edited,
     Located,

@@ -29,12 +29,13 @@ from octex.editing.draft import (
 from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
 from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
-from octex.painting.cells import SKIRT, Paint, paint_of, refine_paint, some
+from octex.painting.cells import Paint, paint_of, refine_paint, some
 from octex.painting.ground import Ground
 from octex.painting.pictures import Blend
 from octex.painting.raising import raise_texture
 from octex.parallel import Progress, ordered_map, sharing, silent, workers
 from octex.texture import Channel, OctreeTexture
+from octex.tree.areas import SKIRT
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.octree import Octree, distinct

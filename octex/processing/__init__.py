@@ -13,4 +13,5 @@ cast        other types, fewer channels
 edit        other values: what they are above leaves, and what provenance says
 mixing      two textures mixed, cell by cell of their union
 sides       what each of the two has there
+hidden      what one has that the other, laid over it wholly, hides
 """

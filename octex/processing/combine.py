@@ -12,6 +12,7 @@ from octex.errors import ArgumentError
 from octex.parallel import workers
 from octex.processing.cast import in_format
 from octex.processing.edit import noted
+from octex.processing.hidden import without_hidden
 from octex.processing.mixing import Amount, Mixing
 from octex.source.separation import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
@@ -28,9 +29,9 @@ def combine(
 ) -> OctreeTexture:
     """Return two textures of the same root cell in one: ``second`` on ``first``.
 
-    The tree is that of all cells of both. Where only one has cells, its own stand, with all that they have;
-    where both have them, those of ``second``; with ``over`` they are laid over those of ``first`` by their
-    alpha, in linear light (Porter & Duff 1984). See ``mix`` for cells of different depth, and for what
+    Where only one has cells, its own stand, with all that they have. Where both have them, those of
+    ``second`` do, as in ``mix`` with an amount of 1; with ``over`` they are laid over those of ``first`` by
+    their alpha, in linear light (Porter & Duff 1984). See ``mix`` for cells of different depth, and for what
     becomes of averages, facings and channels.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
@@ -67,6 +68,10 @@ def mix(
     node keeps the leaf's coefficient if that texture prevails, with an amount of a half or more: then a
     field that is not mixed stays as it was. A leaf of the other texture lends its values to the cells that
     are there below it, and nothing where there are none.
+
+    With the number 0 or 1 a texture prevails everywhere: what both have is as it is there, and finer cells of
+    the other below its leaves are left out. So are the other's cells off the surface beside nothing but
+    what both have.
 
     Averages are the means of what is below them, and the residuals of both by their parts. Cells face as
     those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails; of nodes
@@ -110,6 +115,11 @@ def _united(
     bounds = np.array(
         [np.minimum(first.bounds[0], second.bounds[0]), np.maximum(first.bounds[1], second.bounds[1])]
     )
+    if first.tree.n_leaves and second.tree.n_leaves:
+        if amount == 0.0:
+            second = without_hidden(second, first)
+        elif amount == 1.0:
+            first = without_hidden(first, second)
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
         return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)

@@ -35,7 +35,8 @@ _BLOCK, _MANY = 1 << 14, 1 << 20
 class Mixing:
     """Two textures of the same channels, stored alike, on the tree of both.
 
-    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that.
+    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that. With
+    the number 0 or 1 the texture that is not taken has no cells that the other hides; see `without_hidden`.
     """
 
     def __init__(
@@ -131,8 +132,7 @@ class Mixing:
         is_mixed[self._nodes] = False
         if whole is not None:
             self._share[self._both] = whole
-            taken = self._second if whole else self._first
-            is_mixed &= taken.origins.cells < NOTHING
+            is_mixed[:] = False
         found: dict[str, Array] = {}
         for name, channel in self._texture.channels.items():
             stored = [side.texture.channels[name].values for side in (self._first, self._second)]

@@ -17,6 +17,8 @@ from octex.tree.layout import AREA_ONE, AREA_STEPS
 #: it decides only where it is alone.
 AREAS: Float64s = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 AREAS[0] = 2.0**-44
+#: The area of skirts, cells that the surface is not in, there for the paint beside them: the least there is.
+SKIRT = np.uint8(1)
 #: Less is a contact: a quarter of the least that is none is more than this, of eight contacts less.
 _LEAST = 2.0**-40
 #: What the seven leading mantissa bits add to an area's code.

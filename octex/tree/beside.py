@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from octex.arrays import Bools, Int64s, Uint64s, bit_counts
 from octex.jit import inlined, kernel, trailing_zeros
-from octex.tree.edit import first_not_below
+from octex.tree.edit import among, first_not_below
 from octex.tree.morton import decode, spread
 from octex.tree.octree import distinct
 
@@ -36,6 +38,28 @@ def near(codes: Int64s, others: Int64s, level: int) -> Bools:
         blocks = distinct(codes >> 6)
         _read(codes, blocks, _masks_around(others, level, blocks), found)
     return found
+
+
+def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
+    """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
+    found = np.zeros(codes.size, np.bool_)
+    for above, own in enumerate(cells[: level + 1]):
+        if own.size:
+            found |= among(codes >> 3 * (level - above), own)
+    return found
+
+
+def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
+    """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    around = with_boundary(codes, level)
+    below = np.empty(0, np.int64)
+    for deeper in range(len(leaves) - 1, level - 1, -1):
+        if leaves[deeper].size:
+            own = leaves[deeper] >> 3 * (deeper - level)
+            below = np.concatenate([below, own[among(own, around)]])
+    return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
 def _around(codes: Int64s, level: int, without: Int64s) -> Int64s:
