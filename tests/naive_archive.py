@@ -161,8 +161,8 @@ class Archive:
     def read(self) -> None:
         self.masks: list[tuple[int, int]] = []  # of nodes: occupied octants, those of leaves
         # Of nodes of a level: place, cell; of all: the first child cell.
-        nodes = {(0, 0, 0): (0, 0)} if self.level_nodes[1] else {}
-        cells = {(0, 0, 0): 0}
+        nodes: dict[tuple[int, ...], tuple[int, int]] = {(0, 0, 0): (0, 0)} if self.level_nodes[1] else {}
+        cells: dict[tuple[int, ...], int] = {(0, 0, 0): 0}
         self.firsts: list[int] = []
         for level in range(len(self.level_cells) - 2):
             below: dict[tuple[int, ...], int] = {}

@@ -295,7 +295,7 @@ def _choose_tables(
             count = np.float64(counts[i])
             for table in range(np.uint64(bits.shape[1])):  # in vectors
                 costs[table] += bits[np.uint64(symbols[i]), table] * count
-        table = np.argmin(costs)
+        table = wide(np.argmin(costs))
         chosen[context] = table
         total += costs[table]
         for i in range(begin, ends[context]):

@@ -29,7 +29,6 @@ from octex.archive.layout import (
     content_of,
     known_names,
     of_root,
-    runs,
 )
 from octex.archive.models import Models
 from octex.archive.models import read as read_models
@@ -133,7 +132,7 @@ def _opened(header: bytes, root: bytes, models: bytes, records: bytes) -> Any:
         return found
 
     levels = [take(math.prod(entries[name].shape), "<i8") for name in TREE_NAMES[1:3]]
-    _check_records(entries, channels, *levels, numbers.size)
+    _check_records(entries, channels, (levels[0], levels[1]), numbers.size)
     content = zeros(size)
     tensors = {name: container.view(content, entry) for name, entry in entries.items()}
     for name, level in zip(TREE_NAMES[1:3], levels, strict=True):
@@ -158,15 +157,16 @@ def _opened(header: bytes, root: bytes, models: bytes, records: bytes) -> Any:
 
 
 def _check_records(
-    entries: Mapping[str, container.Entry], channels: list[str], cells: Array, nodes: Array, count: int
+    entries: Mapping[str, container.Entry], channels: list[str], levels: tuple[Array, Array], count: int
 ) -> None:
     """Refuse records that are not as many as the rest wants: what is decoded is bounded so."""
-    levels = nodes.tolist()
-    sizes = {name: math.prod(entry.shape) * entry.dtype.itemsize for name, entry in entries.items()}
-    blocks = sum(1 for level in range(len(levels) - 2) for _ in runs(levels[level], levels[level + 1]))
+    (cells, nodes), known = levels, known_names(entries, channels)
+    pairs = pairwise(nodes[:-1].tolist())
+    blocks = sum((end - 1) // BLOCK - first // BLOCK + 1 for first, end in pairs if end > first)
     expected = blocks * (len(Place._fields) + 4 + 2 * len(channels))
-    expected += 2 * sum(1 for _ in pieces_of(sizes, channels))
-    rows = [entries[name].shape[0] for name in known_names(entries, channels) - {*TREE_NAMES[1:3]}]
+    for name in entries.keys() - known:
+        expected += 2 * -(-math.prod(entries[name].shape) * entries[name].dtype.itemsize // PIECE)
+    rows = [entries[name].shape[0] for name in known - {*TREE_NAMES[1:3]}]
     if count != expected or max(rows) > 6 * int(cells[-1]) or cells[-1] > 8 * BLOCK * blocks + 1:
         raise ValueError
 

@@ -87,9 +87,10 @@ def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content
     kept = KeptTable(tensors[KEPT_NAME]) if has_kept else no_kept()
     named = {}
     for name in channels:
-        values, *rows = (_as_bytes(tensors[key]) for key in channel_names(name) if key in tensors)
-        of_split = rows.pop(0) if has_split else values[:0]
-        named[name] = Named(values, of_split, rows.pop(0) if has_kept else values[:0])
+        keys = channel_names(name)
+        values = _as_bytes(tensors[keys[0]])
+        of_split = _as_bytes(tensors[keys[1]]) if has_split else values[:0]
+        named[name] = Named(values, of_split, _as_bytes(tensors[keys[2]]) if has_kept else values[:0])
     return Content(TreeArrays(*(tensors[name] for name in TREE_NAMES)), split, kept, named, named)
 
 
