@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN
+from octex.archive.around import ABOUT, OWN, ones
 from octex.archive.entropy import DECODES, PASS, Coder, Pool, code_symbol, wide
 from octex.arrays import Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
@@ -98,15 +98,13 @@ def code_areas(
             beside[k] = wide(areas[np.uint64(other)]) & -wide(other >= begin)
         axis = wide(tables[3][flags[begin + t] & FACING_FLAGS])
         own = np.uint64(axis & -wide(axis < 3))
-        along, across = beside[own], max(beside[(own + np.uint64(1)) % 3], beside[(own + np.uint64(2)) % 3])
+        along, beside[own] = beside[own], 0
+        across = max(beside[0], max(beside[1], beside[2]))
         shape, guess = wide(_NO_AXIS), whole
         if axis < 3:
             pairs = about >> 8 & 63
             pair = pairs >> 2 * axis & 3
-            count = wide(0)
-            for bit in range(6):
-                count += pairs >> bit & 1
-            shape = 5 * pair + count - (pair & 1) - (pair >> 1)
+            shape = 5 * pair + ones(pairs) - ones(pair)
             if pair == 0:
                 guess = across if across > 0 else whole
             elif pair < 3 and along > 0:

@@ -115,7 +115,15 @@ def read_directory(content: mmap.mmap, fetch: Fetch) -> Directory:
     ends = np.cumsum([0, *lengths]).tolist()
     try:
         return Directory(begin, *_opened(*(text[a:b] for a, b in pairwise(ends))))
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError, ArgumentError, TextureFileError):
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        OverflowError,
+        RecursionError,
+        ArgumentError,
+        TextureFileError,
+    ):
         raise DamagedError("its directory is damaged; copy it again") from None
 
 

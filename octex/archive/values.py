@@ -279,18 +279,23 @@ def _guess_children(task: _Task, room: _Room, n: int, form: Form) -> None:
         beside = wide(rows[row, 0]) * each, wide(rows[row, 1]) * each, wide(rows[row, 2]) * each
         sides = _SIDES + (about >> 5 & 1), _SIDES + 2 + (about >> 6 & 1), _SIDES + 4 + (about >> 7 & 1)
         child = (begin + t) * each, place + t - first, form.components * _AROUND * n, beside, sides
-        for j in range(form.components):
-            mean = own[_SUMS, j] * part >> 16
-            _guess_child(task, room, child, j, mean, form)
-            own[_SUMS, j] += own[_MORE, j]
+        # Each component has code of its own, in which its number is known.
+        _guess_child(task, room, child, 0, part, form)
+        if form.components > 1:
+            _guess_child(task, room, child, 1, part, form)
+        if form.components > 2:
+            _guess_child(task, room, child, 2, part, form)
+        if form.components > 3:
+            _guess_child(task, room, child, 3, part, form)
 
 
 @inlined
-def _guess_child(task: _Task, room: _Room, child: Any, j: int, mean: int, form: Form) -> None:
+def _guess_child(task: _Task, room: _Room, child: Any, j: int, part: int, form: Form) -> None:
     """Guess component ``j`` of a child; note the error, and what it has more than its parent."""
     given, raw, weights, work = task.given, task.raw, task.weights, task.coder.state[PASS]
     around, errors, terms, own = room.around, room.errors, room.terms, room.own
     row, place, at, (beside_x, beside_y, beside_z), (x, y, z) = child
+    mean = own[_SUMS, j] * part >> 16
     component = component_of(j, form) * form.size
     at += _AROUND * j
     beside = number_at(raw, beside_x + component, form)
@@ -317,6 +322,7 @@ def _guess_child(task: _Task, room: _Room, child: Any, j: int, mean: int, form: 
         off = number - guess
         measure(terms, off, 2.0**-form.unit, task.squares, place_of_weights // TERMS)
         own[_OFF, j], own[_MORE, j] = off, number - value
+        own[_SUMS, j] += number - value
         return
     i = np.uint64(place)
     off = unfolded(errors[j, i])
@@ -327,6 +333,7 @@ def _guess_child(task: _Task, room: _Room, child: Any, j: int, mean: int, form: 
     if work == DECODES or form.error > 0:
         write_number(number, raw, row + component, form)
     own[_OFF, j], own[_MORE, j] = off * (2 * form.error + 1), number - value
+    own[_SUMS, j] += number - value
 
 
 @kernel
