@@ -45,7 +45,7 @@ class Pool(NamedTuple):
     # occur, one after the other: where it begins, << 12 its frequency less one, << 24 the symbol.
     buckets: Uint8s  # (tables · 256,)   for each 16 of 4096
     occurring: Uint32s  # (tables · 256,)
-    counts: Int64s  # (contexts, symbols)   how often which occurred
+    counts: Uint32s  # (contexts, symbols)   how often which occurred
     first: int  # of its contexts, when all pools' are numbered through
 
 
@@ -268,13 +268,13 @@ def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
     own = sizes[tables, symbols] - 1 << PRECISION | starts[tables, symbols]
     occurring[tables, ranks[tables, symbols]] = symbols << 2 * PRECISION | own
     buckets = np.repeat(ranks.astype(np.uint8).reshape(-1), sizes.reshape(-1))[:: ONE >> 8].copy()
-    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.int64), 0)
+    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.uint32), 0)
 
 
 def counting_pool(contexts: int, symbols: int, first: int) -> Pool:
     """Return what kernels take to count symbols, in contexts that are numbered from ``first`` on."""
     none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
-    return none._replace(counts=np.zeros((contexts, symbols), np.int64), first=first)
+    return none._replace(counts=np.zeros((contexts, symbols), np.uint32), first=first)
 
 
 @kernel
@@ -304,7 +304,7 @@ def _choose_tables(
     return total
 
 
-def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
+def shared_tables(counts: Uint32s) -> tuple[Uint8s, Int64s]:
     """Return which table each context uses (contexts,), and frequencies (tables, 256).
 
     Contexts whose symbols are spread alike share a table (k-means); there are as many tables as make them
@@ -312,7 +312,7 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
     """
     used = np.flatnonzero(counts.any(axis=1))
     chosen = np.zeros(len(counts), np.uint8)
-    own = counts[used]
+    own = counts[used].astype(np.int64)
     contexts, symbols = np.nonzero(own)
     occurring = symbols.astype(np.uint8), own[contexts, symbols]
     ends = np.cumsum(np.bincount(contexts, minlength=used.size))

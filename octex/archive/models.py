@@ -14,7 +14,7 @@ import numpy as np
 from octex.archive import areas, structure
 from octex.archive.coding import Coding, contexts_of
 from octex.archive.entropy import ONE, TABLES, Pool, counting_pool, pool_of, shared_tables
-from octex.arrays import Int64s
+from octex.arrays import Int64s, Uint32s
 
 #: The most bytes of a number: 28 bits.
 _BYTES = 4
@@ -46,7 +46,7 @@ def counting(codings: dict[str, Coding]) -> Models:
     return Models(pools, codings)
 
 
-def made(counts: list[Int64s], codings: dict[str, Coding]) -> tuple[Models, bytes]:
+def made(counts: list[Uint32s], codings: dict[str, Coding]) -> tuple[Models, bytes]:
     """Return the models for what was counted, and the bytes that say them."""
     pools, numbers = [], []
     for each in counts:

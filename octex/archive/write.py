@@ -240,7 +240,7 @@ class _Noting:
         self._content, self._codings = content, codings
         self._kinds = (STRUCTURE, AREAS, *codings)
         self._here = threading.local()
-        self._counted: list[list[Int64s]] = []
+        self._counted: list[list[Uint32s]] = []
 
     def block(self, block: Block) -> list[Uint32s]:
         """Note a block's streams."""
@@ -261,13 +261,13 @@ class _Noting:
                 found.append(_Noted(block, streams if size <= _MOST_NOTES else None))
         return found
 
-    def counts(self) -> list[Int64s]:
+    def counts(self) -> list[Uint32s]:
         """Return how often which symbols occurred, of each pool."""
         counted = self._counted or [_counts(counting(self._codings))]
         return [reduce(np.add, each) for each in zip(*counted, strict=True)]
 
 
-def _counts(models: Models) -> list[Int64s]:
+def _counts(models: Models) -> list[Uint32s]:
     return [pool.counts for pool in models.pools]
 
 
