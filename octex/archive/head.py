@@ -75,7 +75,7 @@ def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tup
 
 def packed(content: bytes) -> bytes:
     """Return bytes packed by xz, at most some megabytes, which ``unpacked`` checks."""
-    filters = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": PIECE}]
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 4, "dict_size": PIECE}]
     return lzma.compress(content, check=lzma.CHECK_NONE, filters=filters)
 
 

@@ -144,7 +144,7 @@ def _planned(content: Content) -> Iterator[Block]:
 
 
 def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
-    """Return the first child node and the first child of a node, the first of a group."""
+    """Return the first child node and the first child of a node."""
     first = int(arrays.groups[node >> 3, 2])
     below = (1 << 8 * (node & 7)) - 1
     nodes, leaves = (int(word) & below for word in arrays.groups[node >> 3, :2])
