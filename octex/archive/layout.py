@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Uint8s, Uint32s
+from octex.arrays import Array, Uint8s, Uint32s, bit_counts
 from octex.files import open_file
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import no_kept, no_split
@@ -137,4 +137,4 @@ def of_root(content: Content, channels: Mapping[str, Named], place: Place) -> li
 def owners_of(split: SplitTable, block: Block) -> Uint32s:
     """Return the cell of each row of a block's split cells."""
     own = slice(block.begin.split, block.end.split)
-    return np.repeat(split.cells[own], np.bitwise_count(split.facings[own] & np.uint8(FACING_FLAGS)))
+    return np.repeat(split.cells[own], bit_counts(split.facings[own] & np.uint8(FACING_FLAGS)))
