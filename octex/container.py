@@ -99,33 +99,44 @@ def read(path: str | os.PathLike[str]) -> Contents:
     try:
         with open_file(path) as file:
             length = os.fstat(file.fileno()).st_size
-            entries = _parsed(_read_header(file.read, length), length)
+            entries, metadata = _fitting(_read_header(file.read, length), length)
             mapping = _mapped(file)
-        return _contents(mapping, *entries)
+        return _contents(mapping, entries, metadata)
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except _HeaderError as error:
         raise TextureFileError(f"{path}: {error}") from error
 
 
+def described(text: bytes) -> tuple[dict[str, Entry], dict[str, str], int]:
+    """Return the tensors that a header describes, whose offsets begin at 0, the metadata, and all bytes.
+
+    ``text`` is the header without its first 8 bytes. Raises TextureFileError if it is damaged.
+    """
+    try:
+        return _parsed(text, 0)
+    except _HeaderError as error:
+        raise TextureFileError(str(error)) from error
+
+
 def read_mapped(mapping: mmap.mmap, name: str) -> Contents:
     """Read the header of a file that is mapped already; ``name`` is for errors, which are as in ``read``."""
     try:
         mapping.seek(0)
-        return _contents(mapping, *_parsed(_read_header(mapping.read, len(mapping)), len(mapping)))
+        return _contents(mapping, *_fitting(_read_header(mapping.read, len(mapping)), len(mapping)))
     except _HeaderError as error:
         raise TextureFileError(f"{name}: {error}") from error
 
 
-def _contents(mapping: mmap.mmap, entries: dict[str, _Entry], metadata: dict[str, str]) -> Contents:
-    return Contents({name: _view(mapping, *entry) for name, entry in entries.items()}, metadata, mapping)
+def _contents(mapping: mmap.mmap, entries: dict[str, Entry], metadata: dict[str, str]) -> Contents:
+    return Contents({name: view(mapping, entry) for name, entry in entries.items()}, metadata, mapping)
 
 
 class _HeaderError(Exception):
     """Say what is wrong, without the file's name."""
 
 
-class _Entry(NamedTuple):
+class Entry(NamedTuple):
     """Where an array stands in a file."""
 
     dtype: np.dtype[Any]
@@ -142,7 +153,19 @@ def _read_header(read: Callable[[int], bytes], file_length: int) -> bytes:
     return read(length)
 
 
-def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str, str]]:
+def _fitting(text: bytes, file_length: int) -> tuple[dict[str, Entry], dict[str, str]]:
+    """Return the tensors and metadata of a header, which must describe as many bytes as a file has."""
+    tensors, metadata, end = _parsed(text, 8 + len(text))
+    if end != file_length:
+        raise _HeaderError(
+            f"has {file_length} bytes, but its header describes {end}: cut off or damaged; "
+            "copy or make it again"
+        )
+    return tensors, metadata
+
+
+def _parsed(text: bytes, begin: int) -> tuple[dict[str, Entry], dict[str, str], int]:
+    """Return the tensors, which begin at a byte, the metadata, and where the tensors end."""
     try:
         entries = json.loads(text, object_pairs_hook=without_duplicates)
     except (ValueError, RecursionError) as error:
@@ -150,21 +173,15 @@ def _parsed(text: bytes, file_length: int) -> tuple[dict[str, _Entry], dict[str,
     metadata = entries.pop(_METADATA, {}) if isinstance(entries, dict) else None
     if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
         raise _HeaderError("its header is damaged: the metadata are not strings")
-    begin = 8 + len(text)
-    tensors: dict[str, _Entry] = {}
+    tensors: dict[str, Entry] = {}
     end = 0
     for name, entry in sorted(entries.items(), key=_first_offset):
         dtype, shape, first, last = _checked_entry(name, entry)
         if first != end or last - first != math.prod(shape) * dtype.itemsize:
             raise _HeaderError(f"its header is damaged: the bytes of {name!r} do not fit its shape")
-        tensors[name] = _Entry(dtype, shape, begin + first)
+        tensors[name] = Entry(dtype, shape, begin + first)
         end = last
-    if begin + end != file_length:
-        raise _HeaderError(
-            f"has {file_length} bytes, but its header describes {begin + end}: cut off or damaged; "
-            "copy or make it again"
-        )
-    return tensors, metadata
+    return tensors, metadata, begin + end
 
 
 def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -227,10 +244,11 @@ def read_ahead(mapping: mmap.mmap) -> None:
         mapping.madvise(mmap.MADV_NORMAL)
 
 
-def _view(mapping: mmap.mmap, dtype: np.dtype[Any], shape: tuple[int, ...], offset: int) -> Array:
-    count = math.prod(shape)
+def view(content: mmap.mmap | Array, entry: Entry) -> Array:
+    """Return an array of a file's content; a copy where it is not aligned."""
+    count = math.prod(entry.shape)
     if count == 0:
-        return np.empty(shape, dtype)
-    array = np.frombuffer(mapping, dtype, count, offset).reshape(shape)
+        return np.empty(entry.shape, entry.dtype)
+    array = np.frombuffer(content, entry.dtype, count, entry.offset).reshape(entry.shape)
     # Files by others need not align their arrays.
     return array if array.flags.aligned else array.copy()

@@ -6,14 +6,15 @@ import json
 import lzma
 import zlib
 from collections.abc import Iterator
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 STEPS = 1, 2, 3, 6, 10, 16, 24, 36, 52, 80
 AREAS = [0] + [round(2 ** ((c - 207) / 8 + 30)) for c in range(1, 256)]
-SHAPES = [triple for triple in product(range(4), repeat=3) if sum(triple) == 3]
+KNOWN = {f"tree/{name}" for name in ("groups", "level_cells", "level_nodes", "flags", "areas")}
+KNOWN |= {"split/cells", "split/facings", "split/areas", "kept/cells"}
 Pool = tuple[list[int], list[list[int]]]
 
 
@@ -44,13 +45,6 @@ class Stream:
             start += size
         raise AssertionError
 
-    def bit(self, chances: dict[Any, int], key: Any) -> int:
-        chance = chances.get(key, 2048)
-        bit = int(self.low() < chance)
-        self.take(*((0, chance) if bit else (chance, 4096 - chance)))
-        chances[key] = chance + ((4095 - chance) >> 4) if bit else max(chance - (chance >> 4), 1)
-        return bit
-
     def plain(self, count: int) -> int:
         found = 0
         for done in range(0, count, 12):
@@ -59,23 +53,6 @@ class Stream:
             self.take(part << 12 - bits, 1 << 12 - bits)
             found |= part << done
         return found
-
-    def number(self, chances: dict[Any, int], kind: int) -> int:
-        n = 0
-        while self.bit(chances, (kind, n, 0)):
-            n += 1
-        high = self.bit(chances, (kind, n, 1)) if n else 0
-        return ((2 | high) << n - 1 | self.plain(n - 1)) - 1 if n else 0
-
-    def numbers(self, count: int) -> Iterator[int]:
-        chances: dict[Any, int] = {}
-        kind = 0
-        while count > 0:
-            yield (number := self.number(chances, kind))
-            kind = min((number + 1).bit_length() - 1, 3)
-            more = self.number(chances, 4) if number == 0 else 0
-            yield from [0] * more
-            count -= 1 + more
 
     def end(self) -> None:
         assert self.states == [1 << 16] * 4
@@ -87,33 +64,87 @@ def near(code: int) -> int:
     return -(code + 1 >> 1) if code & 1 else code >> 1
 
 
+def highest(area: int) -> int:
+    """Return the highest code of an area that is not above."""
+    return max(c for c in range(256) if AREAS[c] <= area)
+
+
+def numbers_in(content: bytes) -> list[int]:
+    """Return the numbers of models."""
+    said, value, bits = [], 0, 0
+    for byte in content:
+        value |= (byte & 127) << bits
+        bits += 7
+        if byte < 128:
+            said.append(value)
+            value = bits = 0
+    written, more, found = said[1 : 1 + said[0]], said[1 + said[0] :], list[int]()
+    for number in written:
+        found += [number] if number else [0] * (1 + more.pop(0))
+    assert not more
+    return found
+
+
 class Archive:
     """What an archive holds: level by level its cells, each with its flags, area, values …."""
 
     def __init__(self, content: bytes) -> None:
-        self.version = content[8]
+        assert content[8:12] == bytes([1, 0, 0, 0])
         begin = int.from_bytes(content[16:24], "little")
-        lengths = np.frombuffer(content, "<u4", 3, begin).tolist()
-        at = begin + 12
-        self.head = json.loads(zlib.decompress(content[at : at + lengths[0]]))
-        at += lengths[0]
-        count = int.from_bytes(content[at : at + 4], "little")
-        stream = Stream(content[at + 4 : at + lengths[1]])
-        numbers = stream.numbers(count)
-        channels = self.head["channels"]
-        contexts = [1 << 15, 12 + (self.version > 1), 2160, 2436] + [
-            44 * each["components"] + 2 for each in channels
-        ]
+        lengths = np.frombuffer(content, "<u4", 4, begin).tolist()
+        parts = lzma.decompress(content[begin + 16 :])
+        ends = [sum(lengths[:n]) for n in range(5)]
+        assert len(parts) == ends[4]
+        header, root, models, records = (parts[a:b] for a, b in pairwise(ends))
+        self.tensors = json.loads(header)
+        self.metadata = self.tensors.pop("__metadata__")
+        self.channels = []
+        for name in json.loads(self.metadata["channels"]):
+            entry = self.tensors[f"channels/{name}"]
+            dtype = {"U8": "u1", "U16": "u2", "F16": "f2", "F32": "f4"}[entry["dtype"]]
+            self.channels.append({"dtype": dtype, "components": entry["shape"][1]})
+        numbers = iter(numbers_in(models))
+        contexts = [1 << 15, 13, 2160, 6066] + [44 * each["components"] + 2 for each in self.channels]
         self.pools = [self.pool(numbers, each) for each in contexts]
         self.weights = [
-            [near(next(numbers)) for _ in range(2 * 5 * 10 * each["components"])] for each in channels
+            [near(next(numbers)) for _ in range(2 * 5 * 10 * each["components"])] for each in self.channels
         ]
         assert next(numbers, None) is None
-        stream.end()
-        self.records = iter(np.frombuffer(content, "<u4", lengths[2] // 4, at + lengths[1]).tolist())
+        self.records = iter(np.frombuffer(records, "<u4").tolist())
         self.content, self.at = content, 32
+        self.begin(root)
         self.read()
         assert self.at == begin
+        assert next(self.records, None) is None
+
+    def begin(self, root: bytes) -> None:
+        """Take what the directory says of the levels and of the root."""
+        at = 0
+
+        def take(count: int) -> bytes:
+            nonlocal at
+            at += count
+            return root[at - count : at]
+
+        size = self.tensors["tree/level_cells"]["shape"][0]
+        self.level_cells, self.level_nodes = (np.frombuffer(take(8 * size), "<i8").tolist() for _ in range(2))
+        for each in self.channels:
+            each["max_error"], each["unit"] = np.frombuffer(take(8), "<u4").tolist()
+        flags, area = take(2)
+        rows = (flags & 63).bit_count() if flags & 128 else 0
+        self.flags, self.areas, self.split_areas = [flags], [area], list(take(rows))
+        self.values: list[list[list[int]]] = []
+        self.split_values: list[list[list[int]]] = []
+        self.kept_values: list[list[list[int]]] = []
+        for each in self.channels:
+            size = np.dtype(each["dtype"]).itemsize * each["components"]
+            for found, count in (
+                (self.values, 1),
+                (self.split_values, rows),
+                (self.kept_values, flags >> 6 & 1),
+            ):
+                found.append([self.keys(each, take(size)) for _ in range(count)])
+        assert at == len(root)
 
     def pool(self, numbers: Iterator[int], contexts: int) -> Pool:
         count = next(numbers)
@@ -128,73 +159,39 @@ class Archive:
         return found
 
     def read(self) -> None:
-        head = self.head
-        self.flags, self.areas = [head["root"][0]], [head["root"][1]]
-        self.values = [[self.keys(each, bytes.fromhex(each["root"]))] for each in head["channels"]]
         self.masks: list[tuple[int, int]] = []  # of nodes: occupied octants, those of leaves
         # Of nodes of a level: place, cell; of all: the first child cell.
-        nodes = {(0, 0, 0): (0, 0)} if head["level_nodes"][1] else {}
-        cells = {(0, 0, 0): 0}
+        nodes: dict[tuple[int, ...], tuple[int, int]] = {(0, 0, 0): (0, 0)} if self.level_nodes[1] else {}
+        cells: dict[tuple[int, ...], int] = {(0, 0, 0): 0}
         self.firsts: list[int] = []
-        most = 4096 if self.version == 1 else 16384
-        for level in range(len(head["level_cells"]) - 2):
+        for level in range(len(self.level_cells) - 2):
             below: dict[tuple[int, ...], int] = {}
             nodes_below: dict[tuple[int, ...], tuple[int, int]] = {}
             order = list(nodes.items())
-            first = head["level_nodes"][level]
+            first = self.level_nodes[level]
             while order:
-                size = most - first % most
+                size = 16384 - first % 16384
                 self.block(level, order[:size], nodes, cells, below, nodes_below)
                 order, first = order[size:], first + size
             nodes, cells = nodes_below, below
-        split = [cell for cell, flags in enumerate(self.flags) if flags & 128]
-        kept = [cell for cell, flags in enumerate(self.flags) if flags & 64]
-        self.split_areas: list[int] = []
-        self.split_values: list[list[list[int]]] = [[] for _ in head["channels"]]
-        self.kept_values: list[list[list[int]]] = [[] for _ in head["channels"]]
-        for some in self.runs(split, most):
-            stream = Stream(self.next_bytes())
-            for cell in some:
-                rows = (self.flags[cell] & 63).bit_count()
-                rest = AREAS[self.areas[cell]]
-                for left in range(rows, 0, -1):
-                    context = 2400 + min(left, 3) - 1
-                    rest, area = self.area(stream, self.areas[cell], rest, left, context, 3)
-                    self.split_areas.append(area)
-            stream.end()
-            owners = [cell for cell in some for _ in range((self.flags[cell] & 63).bit_count())]
-            for number in range(len(head["channels"])):
-                self.split_values[number] += self.rows(number, owners, 2)
-        for some in self.runs(kept, most):
-            for number in range(len(head["channels"])):
-                self.kept_values[number] += self.rows(number, some, 3)
-        counts = [head["split_cells"], head["kept_nodes"]]
-        for cells, count in zip((split, kept), counts, strict=True):
-            ends = head["level_cells"]
-            by_level = [sum(a <= cell < b for cell in cells) for a, b in pairwise(ends)]
-            assert count == (len(cells) if self.version < 3 else by_level)
-        self.others = []
-        for each in head["others"]:
-            dtype = np.dtype(each["dtype"])
-            left, parts = int(np.prod(each["shape"])) * dtype.itemsize, b""
-            while len(parts) < left:
-                parts += lzma.decompress(self.next_bytes())
-            self.others.append(np.frombuffer(parts, dtype).reshape(each["shape"]))
-
-    def runs(self, cells: list[int], most: int) -> Iterator[list[int]]:
-        """Yield so many cells at most at a time, from version 3 on of one level."""
-        ends = self.head["level_cells"]
-        levels = list(pairwise(ends)) if self.version > 2 else [(0, ends[-1])]
-        for first, end in levels:
-            own = [cell for cell in cells if first <= cell < end]
-            for begin in range(0, len(own), most):
-                yield own[begin : begin + most]
+        self.others = {}
+        known = KNOWN | {
+            f"{table}channels/{name}"
+            for table in ("", "split/", "kept/")
+            for name in json.loads(self.metadata["channels"])
+        }
+        for name, each in self.tensors.items():
+            if name not in known:
+                left, parts = each["data_offsets"][1] - each["data_offsets"][0], b""
+                while len(parts) < left:
+                    parts += lzma.decompress(self.next_bytes())
+                self.others[name] = parts
 
     def keys(self, channel: dict[str, Any], content: bytes) -> list[int]:
         """Return numbers in the order of values, component by component."""
         bits = 8 * np.dtype(channel["dtype"]).itemsize
         found = np.frombuffer(content, f"<u{bits // 8}").tolist()
-        if channel["dtype"].startswith("float"):
+        if channel["dtype"].startswith("f"):
             sign = 1 << bits - 1
             found = [v ^ (2 * sign - 1) if v & sign else v ^ sign for v in found]
         return found
@@ -202,14 +199,14 @@ class Archive:
     def block(
         self, level: int, order: list[Any], nodes: Any, cells: Any, below: Any, nodes_below: Any
     ) -> None:
-        child_nodes, child_cells = next(self.records), next(self.records)
+        counts = [next(self.records) for _ in range(5)]
+        begin = len(self.flags)
         own = {place: n for n, (place, _) in enumerate(order)}  # nodes of the block
         masks: list[int] = []
         firsts: list[int] = []
         children: list[tuple[int, int]] = []  # node of the block, octant
         has_nodes: list[int] = []
-        head = self.head
-        may_be_nodes = level + 3 < len(head["level_cells"])
+        may_be_nodes = level + 3 < len(self.level_cells)
         stream, kinds, number = Stream(self.next_bytes()), 0, len(nodes_below)
         pools = self.pools
         for n, (place, (_, cell)) in enumerate(order):
@@ -236,7 +233,7 @@ class Archive:
                 return sum((mask >> k & 1) << i for i, k in enumerate(shown))
 
             union = t = 0
-            alike = self.version > 1 and len(shown) == 1 and stream.symbol(pools[1], 12)
+            alike = len(shown) == 1 and stream.symbol(pools[1], 12)
             for octant in range(8):
                 if not there >> octant & 1:
                     continue
@@ -259,33 +256,57 @@ class Archive:
                 children.append((n, octant))
                 self.flags.append(flags)
         stream.end()
-        assert (child_nodes, child_cells) == (
-            sum((there & ~leaves).bit_count() for there, leaves in self.masks[-len(order) :]),
-            len(children),
-        )
+        split = [cell for cell in range(begin, len(self.flags)) if self.flags[cell] & 128]
+        kept = [cell for cell in range(begin, len(self.flags)) if self.flags[cell] & 64]
+        rows = [cell for cell in split for _ in range((self.flags[cell] & 63).bit_count())]
+        child_nodes = sum((there & ~leaves).bit_count() for there, leaves in self.masks[-len(order) :])
+        assert counts == [child_nodes, len(children), len(split), len(rows), len(kept)]
         stream = Stream(self.next_bytes())
         before = -1
-        for n, octant in children:
-            place, (_, cell) = order[n]
+        for cell, (n, octant) in enumerate(children, begin):
+            place, (_, parent) = order[n]
             if n != before:
-                whole, left = min(self.areas[cell] + 16, 255), masks[n].bit_count() + 1
+                whole, left = min(self.areas[parent] + 16, 255), masks[n].bit_count() + 1
                 rest = AREAS[whole]
             before, left = n, left - 1
-            counts = [0, 0, 0]
+            shown = [k for k in range(6) if self.flags[cell] >> k & 1]
+            own_axis = shown[0] >> 1 if len(shown) == 1 else 0
+            pairs, sizes = [0, 0, 0], [0, 0, 0]
             for axis in range(3):
                 across, outside = octant ^ 1 << axis, moved(place, 2 * axis + (octant >> axis & 1))
                 beyond = masks[own[outside]] >> across & 1 if outside in own else int(outside in cells)
-                counts[(masks[n] >> across & 1) + beyond] += 1
-            around = [moved(place, k) for k in range(6)]
-            beside = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
-            largest = max((self.areas[each] for each in beside if each is not None), default=0)
-            size = 1 + sum(step <= whole - largest for step in (6, 12, 20)) if largest else 0
-            context = SHAPES.index(tuple(counts)) + 10 * (min(left, 4) - 1) + 40 * size  # type: ignore[arg-type]
-            rest, area = self.area(stream, whole, rest, left, context, 200)
+                pairs[axis] = 2 * (masks[n] >> across & 1) + beyond
+                around = [moved(place, k) for k in range(6)]
+                beside = self.beside(n, octant, axis, around, own, masks, firsts)
+                sizes[axis] = 0 if beside is None else self.areas[beside]
+            pair, along = pairs.pop(own_axis), sizes.pop(own_axis)
+            guess, m = whole, 20
+            if len(shown) == 1:
+                m = 5 * pair + sum(each.bit_count() for each in pairs)
+                if pair == 0 and max(sizes) > 0:
+                    guess = max(sizes)
+                elif pair in (1, 2) and along > 0:
+                    column = AREAS[self.areas[parent]]
+                    for side in (moved(place, 2 * own_axis), moved(place, 2 * own_axis + 1)):
+                        column += AREAS[self.areas[cells[side]]] if side in cells else 0
+                    guess = highest(max(column - AREAS[along], column >> 6))
+            q = [1 + (whole - c >= 8) + (whole - c >= 16) if c else 0 for c in (max(sizes), along)]
+            context = (m * 3 + min(left, 3) - 1) * 16 + q[0] * 4 + q[1]
+            rest, area = self.area(stream, whole, rest, left, context, guess)
             self.areas.append(area)
+        for n, cell in enumerate(rows):
+            if n == 0 or rows[n - 1] != cell:
+                left, rest = rows.count(cell), AREAS[self.areas[cell]]
+            whole, context = self.areas[cell], 1008 + min(left, 3) - 1
+            rest, area = self.area(stream, whole, rest, left, context, whole)
+            self.split_areas.append(area)
+            left -= 1
         stream.end()
-        for number in range(len(head["channels"])):
-            self.channel(number, order, children, has_nodes, cells, own, masks, firsts)
+        for number in range(len(self.channels)):
+            stream = self.channel(number, order, children, has_nodes, cells, own, masks, firsts)
+            self.split_values[number] += self.rows(stream, number, rows, 2)
+            self.kept_values[number] += self.rows(stream, number, kept, 3)
+            stream.end()
 
     def beside(
         self, n: int, octant: int, axis: int, around: Any, own: Any, masks: list[int], firsts: list[int]
@@ -299,20 +320,21 @@ class Archive:
         return firsts[at] + (masks[at] & (1 << across) - 1).bit_count()
 
     def area(
-        self, stream: Stream, whole: int, rest: int, left: int, context: int, span: int
+        self, stream: Stream, whole: int, rest: int, left: int, context: int, guess: int
     ) -> tuple[int, int]:
         rest = max(rest, AREAS[whole] >> 8)
-        code = max(c for c in range(256) if AREAS[c] <= rest)
+        code = highest(rest)
         d = max(whole - code, 0)
-        p = 11 - sum(d >= step for step in (4, 6, 9, 12, 17, 20, 25, 33, 36, 41, 49))
-        area = (code if left == 1 else whole) + stream.symbol(self.pools[3], context + span * p) & 255
+        p = 5 - sum(d >= step for step in (4, 9, 17, 25, 36))
+        guess = code if left == 1 else guess
+        area = guess + stream.symbol(self.pools[3], context * 6 + p) & 255
         return rest - AREAS[area], area
 
     def channel(
         self, number: int, order: Any, children: Any, has_nodes: Any, cells: Any, own: Any, masks: Any,
         firsts: Any,
-    ) -> None:  # fmt: skip
-        channel, pool, values = self.head["channels"][number], self.pools[4 + number], self.values[number]
+    ) -> Stream:  # fmt: skip
+        channel, pool, values = self.channels[number], self.pools[4 + number], self.values[number]
         components, unit = channel["components"], channel["unit"]
         order_of = [1, 0, 2, 3][:components] if components > 2 else range(components)
 
@@ -320,10 +342,9 @@ class Archive:
             return (kind * components + j) * 11 + sum(step <= min(noise, 255) for step in STEPS)
 
         stream = Stream(self.next_bytes())
-        run = 32 if self.version > 1 else 1
-        for begin in range(0, len(order), run):
+        for begin in range(0, len(order), 32):
             nodes = []
-            for n, (place, (_, cell)) in enumerate(order[begin : begin + run], begin):
+            for n, (place, (_, cell)) in enumerate(order[begin : begin + 32], begin):
                 around = [moved(place, k) for k in range(6)]
                 value = [values[cell][c] for c in order_of]
                 differ = [
@@ -343,7 +364,7 @@ class Archive:
                 for octant in octants
             ]
             for j in range(components):
-                for n, octant, kind, most in listed if self.version > 1 else []:
+                for n, octant, kind, most in listed:
                     noise = most[j] + sum(2 * abs(errors[n, octant, i]) >> unit for i in range(j))
                     errors[n, octant, j] = self.error(stream, channel, pool, context_of(kind, j, noise))
             for n, around, cell, value, differ, octants, kind, flat, most in nodes:
@@ -364,15 +385,11 @@ class Archive:
                         for k in range(min(j, 3)):
                             total += w[4 + k] * off[k] + w[7 + k] * (found[order_of[k]] - value[k])
                         guess = value[j] + (total + 2048 >> 12)
-                        if self.version == 1:
-                            noise = most[j] + sum(2 * abs(each) >> unit for each in off[:j])
-                            context = context_of(kind, j, noise)
-                            errors[n, octant, j] = self.error(stream, channel, pool, context)
                         off[j] = errors[n, octant, j]
                         found[c] = self.corrected(channel, guess, off[j])
                         sums[j] += found[c] - value[j]
                     values.append(found)
-        stream.end()
+        return stream
 
     def error(self, stream: Stream, channel: Any, pool: Pool, context: int) -> int:
         symbol = stream.symbol(pool, context)
@@ -390,11 +407,10 @@ class Archive:
         number += steps * step * ((number < -error) - (number > most + error))
         return min(max(number, 0), most)
 
-    def rows(self, number: int, owners: list[int], kind: int) -> list[list[int]]:
-        channel, pool, values = self.head["channels"][number], self.pools[4 + number], self.values[number]
+    def rows(self, stream: Stream, number: int, owners: list[int], kind: int) -> list[list[int]]:
+        channel, pool, values = self.channels[number], self.pools[4 + number], self.values[number]
         components, unit = channel["components"], channel["unit"]
         most = (1 << 8 * np.dtype(channel["dtype"]).itemsize) - 1
-        stream = Stream(self.next_bytes())
         found: list[list[int]] = []
         before, last = [0] * components, -1
         for cell in owners:
@@ -411,7 +427,6 @@ class Archive:
                 before[j] = shift = row[c] - own
                 noise += 2 * abs(off) >> unit
             found.append(row)
-        stream.end()
         return found
 
 

@@ -14,15 +14,17 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import numpy as np
 
-from octex.archive import entropy, models
-from octex.archive.coding import Coding, order_of, weights_of
-from octex.archive.layout import BLOCKS, FORMAT_VERSION, MAGIC, PIECE, START
+from octex.archive import models
+from octex.archive.coding import Form, coding_of
+from octex.archive.head import channels_in, packed, pieces_of
+from octex.archive.layout import MAGIC, START, Place, runs
 from octex.arrays import bit_counts
 from octex.channels import ChannelFormat
 from octex.texture import Channel, OctreeTexture
@@ -285,19 +287,15 @@ class Archive:
 
     def __init__(self, content: bytes) -> None:
         self.content = content
-        self.version, begin = (
-            int.from_bytes(content[8:12], "little"),
-            int.from_bytes(content[16:24], "little"),
-        )
-        directory = content[begin:]
-        text, model, _ = struct.unpack_from("<3I", directory)
-        self.head = json.loads(zlib.decompress(directory[12 : 12 + text]))
-        self.model = directory[12 + text : 12 + text + model]
-        self.records: list[int] = np.frombuffer(directory[12 + text + model :], "<u4").tolist()
+        begin = int.from_bytes(content[16:24], "little")
+        lengths = struct.unpack_from("<4I", content, begin)
+        text = lzma.decompress(content[begin + 16 :])
+        ends = np.cumsum([0, *lengths]).tolist()
+        header, self.root, self.model, records = (text[a:b] for a, b in pairwise(ends))
+        self.head = json.loads(header)
+        self.records: list[int] = np.frombuffer(records, "<u4").tolist()
         self.places = list(places(self.head))
-        self.fields = [
-            *self._fields(self.head, self.version)
-        ]  # what each record is: its name, or of a stream its kind
+        self.fields = [*self._fields()]  # what each record is: its name, or of a stream its kind
         at = START
         self.streams: list[tuple[str, int, bytes]] = []  # kind, which record has its length, bytes
         for n, name in enumerate(self.fields):
@@ -305,42 +303,34 @@ class Archive:
                 self.streams.append((name.removesuffix(" length"), n, content[at : at + self.records[n]]))
                 at += self.records[n]
 
-    @staticmethod
-    def _fields(head: Any, version: int) -> Iterator[str]:
-        channels = [f"channel {each['name']}" for each in head["channels"]]
-        size = BLOCKS[version]
-
-        def streams(names: list[str]) -> Iterator[str]:
-            for name in names:
-                yield f"{name} length"
-                yield f"{name} checksum"
-
-        for first, end in zip(head["level_nodes"][:-2], head["level_nodes"][1:], strict=False):
-            for _ in range((end - 1) // size - first // size + 1):
-                yield from ("nodes", "cells")
-                yield from streams(["structure", "areas", *channels])
-        split, kept = (head[name] if version > 2 else [head[name]] for name in ("split_cells", "kept_nodes"))
-        for _ in range(sum(-(-count // size) for count in split)):
-            yield from streams(["row areas", *(f"split {name}" for name in channels)])
-        for _ in range(sum(-(-count // size) for count in kept)):
-            yield from streams([f"kept {name}" for name in channels])
-        for each in head["others"]:
-            for _ in range(-(-int(np.prod(each["shape"])) * np.dtype(each["dtype"]).itemsize // PIECE)):
-                yield from streams(["other"])
+    def _fields(self) -> Iterator[str]:
+        channels = channels_in(self.head["__metadata__"])
+        size = self.head["tree/level_nodes"]["shape"][0]
+        nodes = np.frombuffer(self.root, "<i8", size, 8 * size).tolist()
+        for first, end in pairwise(nodes[:-1]):
+            for _ in runs(first, end):
+                yield from Place._fields
+                for name in ["structure", "areas", *(f"channel {name}" for name in channels)]:
+                    yield from (f"{name} length", f"{name} checksum")
+        sizes = {
+            name: each["data_offsets"][1] - each["data_offsets"][0]
+            for name, each in self.head.items()
+            if name != "__metadata__"
+        }
+        for _ in pieces_of(sizes, channels):
+            yield from ("other length", "other checksum")
 
     @cached_property
     def numbers(self) -> tuple[np.ndarray, list[tuple[str, int, int]]]:
         """The models' numbers, and of their parts the names, where they begin and end."""
-        count = int.from_bytes(self.model[:4], "little")
-        numbers = entropy.decoded_numbers(np.frombuffer(self.model[4:], "<u2"), count)
-        assert numbers is not None
+        numbers = models.numbers_in(self.model, 1 << 31)
         codings = {}
-        for each in self.head["channels"]:
-            weights = np.zeros(weights_of(each["components"]), np.int64)
-            codings[each["name"]] = Coding(order_of(each["components"]), 1, 0, 0, 0, 0, weights)
+        for name in channels_in(self.head["__metadata__"]):
+            components = self.head[f"channels/{name}"]["shape"][1]
+            codings[name] = coding_of(Form(components, 1, 0, 0, 0))
         parts, at = [], 0
         pools = ("occupied", "leaves", "flags", "areas", *codings)
-        for name, (contexts, _) in zip(pools, models._sizes(codings, self.version), strict=True):
+        for name, (contexts, _) in zip(pools, models.sizes_of(codings), strict=True):
             tables = int(numbers[at])
             for part, size in (("count", 1), ("tables", contexts), ("frequencies", 256 * tables)):
                 parts.append((f"{name} {part}", at, at + size))
@@ -354,29 +344,32 @@ class Archive:
         self,
         *,
         head: Any = None,
+        root: bytes | None = None,
         model: bytes | None = None,
         records: list[int] | None = None,
         streams: list[bytes] | None = None,
-        version: int = 0,
     ) -> bytes:
         """Return a file of other parts, whose checksums are right."""
-        text = zlib.compress(json.dumps(self.head if head is None else head).encode(), 1)
-        model = self.model if model is None else model
+        text = json.dumps(self.head if head is None else head).encode()
         found = list(self.records if records is None else records)
-        parts = [content for _, _, content in self.streams]
+        contents = [content for _, _, content in self.streams]
         if streams is not None:
             for (_, record, _), content in zip(self.streams, streams, strict=True):
                 found[record : record + 2] = len(content), zlib.crc32(content)
-            parts = streams
-        record_bytes = struct.pack(f"<{len(found)}I", *found)
-        directory = struct.pack("<3I", len(text), len(model), len(record_bytes)) + text + model + record_bytes
-        return self.begun(directory, b"".join(parts), version or self.version)
+            contents = streams
+        parts = [
+            text,
+            self.root if root is None else root,
+            self.model if model is None else model,
+            struct.pack(f"<{len(found)}I", *found),
+        ]
+        directory = struct.pack("<4I", *map(len, parts)) + packed(b"".join(parts))
+        return self.begun(directory, b"".join(contents))
 
-    def begun(self, directory: bytes, streams: bytes, version: int) -> bytes:
+    def begun(self, directory: bytes, streams: bytes) -> bytes:
         """Return a file with its first bytes."""
-        first = MAGIC + struct.pack(
-            "<IIQI", version, len(directory), START + len(streams), zlib.crc32(directory)
-        )
+        first = MAGIC + self.content[8:12]
+        first += struct.pack("<IQI", len(directory), START + len(streams), zlib.crc32(directory))
         return first + struct.pack("<I", zlib.crc32(first)) + streams + directory
 
     def blind(self, chance: Random) -> Damaged:
@@ -393,35 +386,31 @@ class Archive:
             first = first[:28] + struct.pack("<I", zlib.crc32(first[:28]))
         return first + self.content[START:], f"start {name}"
 
-    def older(self, chance: Random) -> Damaged:  # noqa: ARG002
-        """Say that it is of the other version."""
-        return self.built(version=FORMAT_VERSION + 1 - self.version), "start other version"
-
     def described(self, chance: Random) -> Damaged:
         """Change a field of the head."""
         path = chance.choice(self.places)
         return self.built(head=changed(self.head, path, chance)), f"head {named(path)}"
 
     def directory(self, chance: Random) -> Damaged:
-        """Change bytes of the directory: its lengths, the compressed head, the models, the records."""
+        """Change bytes of the directory: its lengths, what xz has packed."""
         begin = int.from_bytes(self.content[16:24], "little")
-        found = self.content[begin:]
-        text, model, _ = struct.unpack_from("<3I", found)
-        ends = [0, 12, 12 + text, 12 + text + model, len(found)]
-        part = chance.randrange(4)
-        own = blind(found[ends[part] : ends[part + 1]], chance)
-        name = ("lengths", "head", "models", "records")[part]
-        whole = found[: ends[part]] + own + found[ends[part + 1] :]
-        if part and chance.random() < 0.8:  # with its length
-            whole = whole[: 4 * part - 4] + struct.pack("<I", len(own)) + whole[4 * part :]
-        return self.begun(whole, self.content[START:begin], self.version), f"directory {name}"
+        lengths, after = self.content[begin : begin + 16], self.content[begin + 16 :]
+        if chance.random() < 0.5:
+            lengths = blind(lengths, chance)
+        else:
+            after = blind(after, chance)
+        return self.begun(lengths + after, self.content[START:begin]), "directory"
+
+    def beginning(self, chance: Random) -> Damaged:
+        """Change the levels, the channels' forms, or what the root has."""
+        return self.built(root=blind(self.root, chance)), "root"
 
     def modelled(self, chance: Random) -> Damaged:
         """Change numbers of the models: any, or so that they are possible ones."""
         numbers, parts = self.numbers
         numbers = numbers.copy()
         name, first, end = chance.choice(parts)
-        most = {"tables": 4, "weights": 1 << 17}.get(name.split()[-1], 1 << 32)
+        most = {"tables": 4, "weights": 1 << 17}.get(name.split()[-1], 1 << 28)
         for _ in range(chance.choice((1, 3, 50))):
             at = chance.randrange(first, end)
             if name.endswith("frequencies") and chance.random() < 0.9:  # their sum stays
@@ -433,9 +422,8 @@ class Archive:
             elif chance.random() < 0.5:
                 numbers[at] = chance.randrange(most)
             else:
-                numbers[at] = chance.choice((0, 1, 2, 255, 256, 4095, 4096, 65536, 1 << 17, 2**31, 2**32 - 2))
-        model = numbers.size.to_bytes(4, "little") + entropy.encoded_numbers(numbers).tobytes()
-        return self.built(model=model), f"models {name}"
+                numbers[at] = chance.choice((0, 1, 2, 255, 256, 4095, 4096, 65536, 1 << 17, 2**28 - 1))
+        return self.built(model=models.as_bytes(numbers)), f"models {name}"
 
     def recorded(self, chance: Random) -> Damaged:
         """Change a number of the records."""
@@ -461,7 +449,7 @@ class Archive:
     ways: tuple[tuple[int, Callable[[Archive, Random], Damaged]], ...] = (
         (3, blind),
         (1, start),
-        (1, older),
+        (2, beginning),
         (6, described),
         (3, directory),
         (2, modelled),

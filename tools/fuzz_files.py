@@ -57,13 +57,10 @@ MEMORY = 2 << 30
 SECONDS = 60
 #: So many seeds damage files that are made of one texture.
 SHARE = 200
-#: The archive of version 1, which is read and not written any more.
-GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "wavy_1.octz"
-_OLD = ".octz of version 1"
 #: Archives are read in part where fsspec is.
 HAS_FSSPEC = find_spec("fsspec") is not None
 #: Of twenty files so many are of a kind.
-KINDS = (".octex",) * 8 + (".octz",) * 7 + (_OLD, "points", "voxels", "voxels", "cameras")
+KINDS = (".octex",) * 8 + (".octz",) * 8 + ("points", "voxels", "voxels", "cameras")
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files of a millisecond's life
 
 
@@ -193,7 +190,6 @@ def files(number: int, folder: Path) -> dict[str, Render | Archive | Arrays]:
     for ending in (".octex", ".octz"):
         texture.save(folder / f"good{ending}")
         found[ending] = damage.parted(folder / f"good{ending}")
-    found[_OLD] = damage.parted(GOLDEN)
     chance = np.random.default_rng(number)
     return found | {each.__name__: each(chance) for each in (damage.points, damage.voxels, damage.cameras)}
 

@@ -1,16 +1,16 @@
 """The archive of a texture, ``.octz``: a third of a render file's bytes or less (paper 4.3.2).
 
-layout      what is on disk, drawn: streams in blocks, coarse levels first, and a directory
+layout      blocks, the streams in them, and names; coarse levels first
 entropy     symbols of known frequencies to words and back; tables that contexts share
 around      what lies around a cell: what is known of it before it is decoded
 structure   which children a node has, and flags, after Tamminen and Samet
-areas       of cells, from what their siblings left of their parent's
+areas       of cells, from what the others of their column leave, and their siblings
 coding      of values: as whole numbers, and what guesses are off by as symbols
 weights     of guesses, fitted by least squares
-values      of channels, from their parents' and from what came before
-rows        of split cells, and of kept nodes, from their cells' own
+values      of channels, from their parents' and from what came before; rows, from their cells'
 models      what the coders are told, chosen by what occurs
 blocks      the streams of a block, in order: the same for noting and decoding
+head        the directory, read and checked
 write       a file; blocks of a level in parallel
-read        a file's directory; decode: the rest, whole or in part
+read        a file, whole or in part
 """

@@ -1,35 +1,43 @@
 """Areas of cells, from their parents' and their siblings'.
 
-The areas of a node's children make up its own. What is left of it, how many children are left, and which
-cells lie across the child's faces, and the largest of their areas, say what its area may be; that of the last
-child is nearly known.
+The areas of a node's children make up its own. A surface that faces one axis has the same area over each
+face of the lattice that it lies above or below: that is the sum of the cells in a column along the axis. So
+the area of a cell that is alone in its column is that of one beside it, and of a cell above another it is
+what that one leaves of the column. What is left of the node, and which cells lie around, say the rest.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import DECODES, PASS, Pool, code_symbol, wide
+from octex.archive.around import ABOUT, OWN, ones
+from octex.archive.entropy import DECODES, PASS, Coder, Pool, code_symbol, wide
 from octex.arrays import Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
-from octex.tree.layout import AREA_ONE, AREA_STEPS
+from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
 
-#: Contexts: 10 shapes, 4 numbers of children left, 5 of the largest area beside, 12 parts of the area that is
-#: left; then 36 of split rows.
-CONTEXTS = 2400 + 36
+_PARTS = 6
+#: Contexts: 21 of which cells are around, 3 of how many children are left, 4 each of the largest area beside
+#: and of that along the axis, parts of the area that is left; then those of split rows.
+_OF_ROWS = 21 * 3 * 4 * 4 * _PARTS
+CONTEXTS = _OF_ROWS + 3 * _PARTS
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
-_PARTS = np.array([4, 6, 9, 12, 17, 20, 25, 33, 36, 41, 49])
+_STEPS = np.array([4, 9, 17, 25, 36])
+_NO_AXIS = 20
+
+Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s]
 
 
-def area_tables() -> tuple[Int64s, Uint8s, Uint8s]:
-    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts of steps."""
+def area_tables() -> Tables:
+    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes."""
     areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
     steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
-    parts = 11 - np.searchsorted(_PARTS, np.arange(256), side="right")
-    return areas, steps, parts.astype(np.uint8)
+    parts = _PARTS - 1 - np.searchsorted(_STEPS, np.arange(256), side="right")
+    axes = np.full(FACING_FLAGS + 1, 3, np.uint8)
+    axes[1 << np.arange(6)] = np.arange(6) >> 1
+    return areas, steps, parts.astype(np.uint8), axes
 
 
 @inlined
@@ -44,44 +52,38 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
 
 @inlined
 def _code_area(
-    work: int,
-    area: int,
-    whole: int,
-    rest: int,
-    is_last: bool,
-    context: int,
-    span: int,
-    tables: tuple[Int64s, Uint8s, Uint8s],
-    pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
-) -> tuple[int, int]:
-    """Code an area as part of a whole; return it and what is left of the ``rest``."""
-    areas, steps, parts = tables
-    rest = max(rest, areas[np.uint64(whole)] >> 8)
-    code = _code(rest, areas, steps)
+    area: int, guess: int, whole: int, rest: int, context: int, tables: Tables, pool: Pool, coder: Coder
+) -> int:
+    """Code an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
+    areas, steps, parts, _ = tables
+    code = _code(max(rest, areas[np.uint64(whole)] >> 8), areas, steps)
     part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
-    guess = code if is_last else whole
-    symbol = code_symbol(work, (area - guess) & 255, context + span * part, pool, coder, stream)
-    area = (guess + symbol) & 255
-    return area, rest - areas[np.uint64(area)]
+    guess = code if guess < 0 else guess
+    context = context * _PARTS + part
+    return (guess + code_symbol(coder.state[PASS], (area - guess) & 255, context, pool, coder)) & 255
+
+
+@inlined
+def _size(area: int, whole: int) -> int:
+    """Return one of four sizes of an area."""
+    return wide(area > 0) * (1 + wide(whole - area >= 8) + wide(whole - area >= 16))
 
 
 @kernel
 def code_areas(
     rows: Uint32s,
     cells: Int64s,
+    flags: Uint8s,
     areas: Uint8s,
     begin: int,
-    tables: tuple[Int64s, Uint8s, Uint8s],
+    tables: Tables,
     pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
+    coder: Coder,
 ) -> None:
     """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
-    work = coder[PASS]
     rest = whole = wide(0)
     left, node = 1, -1
+    beside = np.zeros(3, np.int64)
     for t in range(rows.shape[0]):
         if left == 1:
             node += 1
@@ -89,48 +91,57 @@ def code_areas(
             whole = min(wide(areas[cells[node, OWN]]) + 2 * AREA_STEPS, 255)
             rest = tables[0][whole]
         about = wide(rows[np.uint64(t), ABOUT])
-        left = about >> 4 & 15
-        beside = wide(0)
-        for axis in range(3):
-            other = wide(rows[np.uint64(t), axis])
+        left = about & 15
+        for k in range(3):
+            other = wide(rows[np.uint64(t), k])
             # Whether one lies there is as good as random: no branch.
-            beside = max(beside, wide(areas[np.uint64(other)]) & -wide(other >= begin))
-        below = whole - beside
-        size = 0 if beside == 0 else 1 + wide(below >= 6) + wide(below >= 12) + wide(below >= 20)
-        context = (about & 15) + 10 * (min(left, 4) - 1) + 40 * size
-        area = wide(areas[np.uint64(begin + t)])
-        area, rest = _code_area(work, area, whole, rest, left == 1, context, 200, tables, pool, coder, stream)
-        if work == DECODES:
+            beside[k] = wide(areas[np.uint64(other)]) & -wide(other >= begin)
+        axis = wide(tables[3][flags[begin + t] & FACING_FLAGS])
+        own = np.uint64(axis & -wide(axis < 3))
+        along, beside[own] = beside[own], 0
+        across = max(beside[0], max(beside[1], beside[2]))
+        shape, guess = wide(_NO_AXIS), whole
+        if axis < 3:
+            pairs = about >> 8 & 63
+            pair = pairs >> 2 * axis & 3
+            shape = 5 * pair + ones(pairs) - ones(pair)
+            if pair == 0:
+                guess = across if across > 0 else whole
+            elif pair < 3 and along > 0:
+                column = tables[0][areas[cells[node, OWN]]]
+                for k in range(2 * axis, 2 * axis + 2):
+                    if cells[node, k] != cells[node, OWN]:
+                        column += tables[0][areas[cells[node, k]]]
+                guess = _code(max(column - tables[0][along], column >> 6), tables[0], tables[1])
+        context = ((shape * 3 + min(left, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
+        guess = -1 if left == 1 else guess
+        area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, pool, coder)
+        rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
+        if coder.state[PASS] == DECODES:
             areas[begin + t] = area
 
 
 @kernel
 def code_row_areas(
-    cells: Uint32s,
-    facings: Uint8s,
+    owners: Uint32s,
     areas: Uint8s,
     begin: int,
     cell_areas: Uint8s,
-    tables: tuple[Int64s, Uint8s, Uint8s],
+    tables: Tables,
     pool: Pool,
-    coder: Int64s,
-    stream: Uint32s,
+    coder: Coder,
 ) -> None:
-    """Likewise the areas of split cells' rows, from row ``begin`` on."""
-    work, row = coder[PASS], begin
-    for n in range(cells.size):
-        whole = wide(cell_areas[cells[n]])
-        rest = tables[0][whole]
-        left = 0
-        for place in range(6):
-            left += wide(facings[n]) >> place & 1
-        while left:
-            context = 2400 + min(left, 3) - 1
-            area = wide(areas[row])
-            area, rest = _code_area(
-                work, area, whole, rest, left == 1, context, 3, tables, pool, coder, stream
-            )
-            if work == DECODES:
-                areas[row] = area
-            left -= 1
-            row += 1
+    """Likewise the areas of rows from ``begin`` on, a row of each cell of ``owners``."""
+    rest = whole = left = wide(0)
+    for n in range(owners.size):
+        if left == 0:
+            while n + left < owners.size and owners[n + left] == owners[n]:
+                left += 1
+            whole = wide(cell_areas[owners[n]])
+            rest = tables[0][whole]
+        context, guess = _OF_ROWS // _PARTS + min(left, 3) - 1, -1 if left == 1 else whole
+        area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, pool, coder)
+        rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
+        if coder.state[PASS] == DECODES:
+            areas[begin + n] = area
+        left -= 1

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
+from octex.archive.layout import Block
+from octex.arrays import Int64s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import TreeArrays
 
 #: Where a node's own cell stands, after those around it; where there is none, its own stands there too.
 OWN = 6
 # A row of what is known of a child: which cell lies across its faces −x, −y and −z, its parent where none of
-# the block does; then ABOUT: bits 0 … 3 its shape, 4 … 7 how many children of its node are left, with itself,
-# 8 whether any of these is a node, 9 … 11 its octant.
+# the block does; then ABOUT: bits 0 … 3 how many children of its node are left, with itself, 4 whether any of
+# these is a node, 5 … 7 its octant; 8 … 13 of each axis whether a cell lies beyond its node, and a sibling.
 ABOUT = 3
 
 
@@ -101,12 +102,12 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
     return low
 
 
-def around_nodes(arrays: TreeArrays, level: int, first: int, last: int) -> tuple[Int64s, Int64s]:
-    """Return the cells (nodes, 7) and nodes (nodes, 6) around nodes of a level; −1 where there is no node.
+def around_nodes(arrays: TreeArrays, block: Block) -> tuple[Int64s, Int64s]:
+    """Return the cells (nodes, 7) and nodes (nodes, 6) around a block's nodes; −1 where there is no node.
 
     Reads the levels above.
     """
-    return _around_nodes(arrays.groups, arrays.level_nodes, level, first, last)
+    return _around_nodes(arrays.groups, arrays.level_nodes, block.level, block.first, block.last)
 
 
 @kernel
@@ -129,7 +130,7 @@ def _around_nodes(
 
 @kernel
 def around_children(
-    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, shapes: Uint8s, rows: Uint32s
+    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, rows: Uint32s
 ) -> None:
     """Write a row for each child of the nodes of a block, in order."""
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
@@ -152,25 +153,16 @@ def around_children(
         while bits:
             octant = lowest(bits)
             bits &= bits - 1
-            shape, row = 0, np.uint64(t)
+            pairs, row = np.int64(0), np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
                 beyond = np.uint64(2 * axis + upper)
-                shape += 1 << 2 * ((occupied >> across & 1) + (masks[beyond] >> across & 1))
+                pairs |= ((occupied >> across & 1) << 1 | masks[beyond] >> across & 1) << 2 * axis
                 at = np.uint64(OWN if upper else 2 * axis)
                 beside = begins[at] + ones(masks[at] & ((1 << across) - 1))
                 is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
                 rows[row, axis] = beside if is_beside else parent
-            rows[row, ABOUT] = np.int64(shapes[np.uint64(shape)]) | left << 4 | has_nodes << 8 | octant << 9
+            rows[row, ABOUT] = left | has_nodes << 4 | octant << 5 | pairs << 8
             left -= 1
             t += 1
-
-
-def shapes() -> Uint8s:
-    """Return numbers 0 … 9 for sums of 1, 4, 16 for each axis with no, one, two of the cells across faces."""
-    numbers = np.zeros(64, np.uint8)
-    combinations = [(a, b, c) for a in range(4) for b in range(4) for c in range(4) if a + b + c == 3]
-    for number, (none, one, two) in enumerate(combinations):
-        numbers[none + 4 * one + 16 * two & 63] = number
-    return numbers

@@ -1,170 +1,105 @@
-"""The streams of a block, in order: the same for noting and decoding."""
+"""The streams of a block, in order: the same for noting and for decoding."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from octex.archive.areas import area_tables, code_areas, code_row_areas
-from octex.archive.around import around_children, around_nodes, shapes
+from octex.archive.around import around_children, around_nodes
 from octex.archive.coding import KEPT_NODES, SPLIT_ROWS, STEPS
-from octex.archive.layout import Block, Named
+from octex.archive.entropy import Coder
+from octex.archive.layout import AREAS, STRUCTURE, Block, Content, owners_of
 from octex.archive.models import Models
-from octex.archive.rows import code_rows
 from octex.archive.structure import code_structure, facing_tables
-from octex.archive.values import code_values
-from octex.arrays import Int64s, Uint8s, Uint32s
-from octex.tree.layout import KeptTable, SplitTable, TreeArrays
+from octex.archive.values import code_rows, code_values
+from octex.arrays import Int64s, Uint32s
 
-
-class Content(NamedTuple):
-    """What is archived, or as far as it is decoded."""
-
-    arrays: TreeArrays
-    split: SplitTable
-    kept: KeptTable
-    given: dict[str, Named]
-    decoded: dict[str, Named]  # as they will be read: the same arrays where nothing may move
-
-
-#: Cells (nodes, 7) and nodes (nodes, 6) around the nodes of a block; see `around_nodes`.
-Around = tuple[Int64s, Int64s]
+_NO_SQUARES = np.empty((0, 0, 0))
 
 
 class Streams(Protocol):
     """Where streams come from, or go to."""
 
-    def begin(self, most: int) -> tuple[Int64s, Uint32s]:
-        """Return the next stream and its coder; ``most`` is how many notes it may have."""
+    def begin(self, most: int) -> Coder:
+        """Return the coder of the next stream; ``most`` is how many notes it may have."""
 
     def end(self) -> None:
         """Take a stream that is done; raises for one that makes no sense."""
 
+    def list_flagged(self, content: Content, block: Block) -> None:
+        """List a block's split cells and kept nodes, whose flags are coded."""
+
 
 @cache
-def _fixed() -> tuple[Uint8s, tuple[Uint8s, Uint8s], tuple[Int64s, Uint8s, Uint8s]]:
-    return shapes(), facing_tables(), area_tables()
+def _fixed() -> tuple[Any, Any]:
+    return facing_tables(), area_tables()
 
 
-class Span(NamedTuple):
-    """The children of a block."""
-
-    node: int
-    cell: int
-    end_node: int
-    end_cell: int
-
-
-def code_children(content: Content, models: Models, block: Block, span: Span, streams: Streams) -> None:
-    """Code the children of nodes: structure and flags, areas, each channel."""
-    around = around_nodes(content.arrays, *block)
-    code_nodes(content, models, block, span, around, streams)
-    rows = rows_of(content, block, span, around)
-    code_areas_of(content, models, span, rows, around, streams)
-    for name in models.codings:
-        code_channel(name, content, models, span, rows, around, streams)
-
-
-def code_nodes(
-    content: Content, models: Models, block: Block, span: Span, around: Around, streams: Streams
+def code_block(
+    content: Content, models: Models, block: Block, kinds: Sequence[str], streams: Streams
 ) -> None:
-    """Code the structure and the flags of the children of nodes."""
-    arrays, pools = content.arrays, models.pools
-    _, facings, _ = _fixed()
-    cells, nodes = around
+    """Code streams of a block: STRUCTURE, AREAS, channels, those of ``kinds`` in this order."""
+    around = around_nodes(content.arrays, block)
+    if kinds[0] == STRUCTURE:
+        _code_structure(content, models, block, around, streams)
+        kinds = kinds[1:]
+    if kinds:
+        rows = np.empty((block.end.cell - block.begin.cell, 4), np.uint32)
+        around_children(content.arrays.groups, block.first, block.last, *around, rows)
+        for kind in kinds:
+            if kind == AREAS:
+                _code_areas(content, models, block, around[0], rows, streams)
+            else:
+                _code_channel(kind, content, models, block, around[0], rows, streams)
+
+
+def _code_structure(
+    content: Content, models: Models, block: Block, around: tuple[Int64s, Int64s], streams: Streams
+) -> None:
+    arrays, (begin, end) = content.arrays, (block.begin, block.end)
     may_be_nodes = block.level + 3 < arrays.level_cells.size
     coded = streams.begin(12 * (block.last - block.first))
-    own = arrays.groups, arrays.flags, block.first, block.last, *span, may_be_nodes, cells, nodes
-    code_structure(*own, models.version > 1, facings, (pools[0], pools[1], pools[2]), *coded)
+    places = block.first, block.last, begin.node, begin.cell, end.node, end.cell, may_be_nodes
+    pools = models.pools[0], models.pools[1], models.pools[2]
+    code_structure(arrays.groups, arrays.flags, *places, *around, _fixed()[0], pools, coded)
     streams.end()
+    streams.list_flagged(content, block)
 
 
-def rows_of(content: Content, block: Block, span: Span, around: Around) -> Uint32s:
-    """Return what is known of the children of nodes whose structure is decoded."""
-    rows = np.empty((span.end_cell - span.cell, 4), np.uint32)
-    around_children(content.arrays.groups, block.first, block.last, *around, _fixed()[0], rows)
-    return rows
-
-
-def code_areas_of(
-    content: Content, models: Models, span: Span, rows: Uint32s, around: Around, streams: Streams
+def _code_areas(
+    content: Content, models: Models, block: Block, cells: Int64s, rows: Uint32s, streams: Streams
 ) -> None:
-    """Code the areas of the children of nodes."""
-    coded = streams.begin(len(rows))
-    code_areas(rows, around[0], content.arrays.areas, span.cell, _fixed()[2], models.pools[3], *coded)
+    begin, end = block.begin, block.end
+    own, split = content.arrays.areas, content.split
+    coded = _fixed()[1], models.pools[3], streams.begin(len(rows) + end.row - begin.row)
+    code_areas(rows, cells, content.arrays.flags, own, begin.cell, *coded)
+    code_row_areas(owners_of(split, block), split.areas, begin.row, own, *coded)
     streams.end()
 
 
-def code_channel(
+def _code_channel(
     name: str,
     content: Content,
     models: Models,
-    span: Span,
+    block: Block,
+    cells: Int64s,
     rows: Uint32s,
-    around: Around,
     streams: Streams,
 ) -> None:
-    """Code a channel's values of the children of nodes."""
-    coding, pool = models.codings[name], models.pool(name)
-    coded = streams.begin(len(rows) * (4 * coding.order.size + 1))
-    task = content.given[name].values, content.decoded[name].values, span.cell
-    code_values(rows, around[0], *task, coding, STEPS, np.empty((0, 0, 0)), pool, *coded)
-    streams.end()
-
-
-def code_split(content: Content, models: Models, chosen: slice, firsts: Int64s, streams: Streams) -> None:
-    """Code the rows of split cells: areas, each channel. ``firsts`` are their first rows."""
-    code_split_areas(content, models, chosen, firsts, streams)
-    for name in models.codings:
-        code_split_channel(name, content, models, chosen, firsts, streams)
-
-
-def code_split_areas(
-    content: Content, models: Models, chosen: slice, firsts: Int64s, streams: Streams
-) -> None:
-    """Code the areas of the rows of split cells."""
-    split = content.split
-    coded = streams.begin(int(firsts[chosen.stop] - firsts[chosen.start]))
-    own = split.facings[chosen], split.areas, int(firsts[chosen.start]), content.arrays.areas
-    code_row_areas(split.cells[chosen], *own, _fixed()[2], models.pools[3], *coded)
-    streams.end()
-
-
-def code_split_channel(
-    name: str, content: Content, models: Models, chosen: slice, firsts: Int64s, streams: Streams
-) -> None:
-    """Code a channel's values of the rows of split cells."""
-    owners = np.repeat(content.split.cells[chosen], np.diff(firsts[chosen.start : chosen.stop + 1]))
-    rows = content.given[name].split_values, content.decoded[name].split_values
-    _code_rows(name, content, models, owners, int(firsts[chosen.start]), SPLIT_ROWS, rows, streams)
-
-
-def code_kept(content: Content, models: Models, chosen: slice, streams: Streams) -> None:
-    """Code the values of kept nodes, each channel."""
-    for name in models.codings:
-        code_kept_channel(name, content, models, chosen, streams)
-
-
-def code_kept_channel(name: str, content: Content, models: Models, chosen: slice, streams: Streams) -> None:
-    """Code a channel's values of kept nodes."""
-    rows = content.given[name].kept_values, content.decoded[name].kept_values
-    _code_rows(name, content, models, content.kept.cells[chosen], chosen.start, KEPT_NODES, rows, streams)
-
-
-def _code_rows(
-    name: str,
-    content: Content,
-    models: Models,
-    owners: Uint32s,
-    first: int,
-    kind: int,
-    rows: tuple[Uint8s, Uint8s],
-    streams: Streams,
-) -> None:
-    coding = models.codings[name]
-    coded = streams.begin(4 * owners.size * coding.order.size)
-    task = *rows, first, kind, coding, STEPS, models.pool(name)
-    code_rows(owners, content.decoded[name].values, *task, *coded)
+    given, decoded, coding = content.given[name], content.decoded[name], models.codings[name]
+    (begin, end), split = (block.begin, block.end), content.split
+    count = len(rows) + end.row - begin.row + end.kept - begin.kept
+    coded = models.pool(name), streams.begin(count * (4 * coding.form.components + 1))
+    own = rows, cells, given.values, decoded.values, begin.cell, coding, STEPS, _NO_SQUARES
+    code_values(*own, *coded)
+    owners = owners_of(split, block)
+    of_split = owners, decoded.values, given.split_values, decoded.split_values, begin.row, SPLIT_ROWS
+    owners = content.kept.cells[begin.kept : end.kept]
+    of_kept = owners, decoded.values, given.kept_values, decoded.kept_values, begin.kept, KEPT_NODES
+    for task in (of_split, of_kept):
+        code_rows(*task, coding, STEPS, *coded)
     streams.end()

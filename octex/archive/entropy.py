@@ -4,10 +4,6 @@ rANS (Duda 2013, "Asymmetric numeral systems") with four states of 32 bits, whic
 symbols are decoded at once (Giesen 2014, "Interleaved entropy coders"). Frequencies are of 4096. It writes
 backward: symbols are counted and noted first; when frequencies are known, the notes are turned into words,
 the last first. The decoder reads forward.
-
-A coder is an array of whole numbers: the states, then PLACE … TURN. When symbols are noted, a stream is the
-notes, each ``context << 8 | symbol``, contexts of all pools numbered through, or for what has an interval of
-its own ``1 << 31 | start << 13 | size``; decoding, it is the words.
 """
 
 from __future__ import annotations
@@ -24,13 +20,20 @@ PRECISION = 12
 ONE = 1 << PRECISION
 STATES = 4
 _LEAST = 1 << 16  # a state is this or more between two symbols
-_WORD = _LEAST - 1
 
 # What a pass does. Of values it also measures how they differ.
 NOTES, DECODES, MEASURES = 0, 1, 2
-
-# What a coder is, after the states.
+# What a coder's state holds, after the states of rANS.
 PLACE, FAULT, PASS, TURN = 4, 5, 6, 7
+
+
+class Coder(NamedTuple):
+    """A stream that is noted or decoded: what kernels take."""
+
+    state: Int64s  # the states, then PLACE … TURN
+    # The words that are decoded, or notes: ``context << 8 | symbol``, contexts of all pools numbered through,
+    # or for plain bits, which have an interval of their own, ``1 << 31 | start << 13 | size``.
+    stream: Uint32s
 
 
 class Pool(NamedTuple):
@@ -42,32 +45,33 @@ class Pool(NamedTuple):
     # occur, one after the other: where it begins, << 12 its frequency less one, << 24 the symbol.
     buckets: Uint8s  # (tables · 256,)   for each 16 of 4096
     occurring: Uint32s  # (tables · 256,)
-    counts: Int64s  # (contexts, symbols)   how often which occurred
+    counts: Uint32s  # (contexts, symbols)   how often which occurred
     first: int  # of its contexts, when all pools' are numbered through
 
 
-def new_coder(work: int) -> Int64s:
-    """Return a coder that begins."""
-    return np.array([_LEAST] * STATES + [0, 0, work, 0], np.int64)
+def new_coder(work: int, size: int) -> Coder:
+    """Return a coder that begins, for a stream of so many notes or words."""
+    return Coder(np.array([_LEAST] * STATES + [0, 0, work, 0], np.int64), np.empty(size, np.uint32))
 
 
-def decoder(words: Uint16s) -> tuple[Int64s, Uint32s]:
-    """Return a coder that reads words, and these as its stream, which ends with a zero.
+def decoder(content: bytes) -> Coder:
+    """Return a coder that reads a stream's bytes; a zero ends its words.
 
     The words begin with the states, low words first; there are none where all was certain.
     """
-    coder, stream = new_coder(DECODES), np.empty(words.size + 1, np.uint32)
-    stream[:-1], stream[-1] = words, 0
+    words = np.frombuffer(content, "<u2", len(content) // 2)
+    coder = new_coder(DECODES, words.size + 1)
+    coder.stream[:-1], coder.stream[-1] = words, 0
     if words.size >= 2 * STATES:
-        coder[:STATES] = words[: 2 * STATES].view(np.uint32)
-        coder[PLACE] = 2 * STATES
-    return coder, stream
+        coder.state[:STATES] = words[: 2 * STATES].view("<u4")
+        coder.state[PLACE] = 2 * STATES
+    return coder
 
 
-def is_whole(coder: Int64s, stream: Uint32s) -> bool:
+def is_whole(coder: Coder) -> bool:
     """Say whether a stream was read to its end, where the encoder began."""
-    wanted = [_LEAST] * STATES + [stream.size - 1, 0]
-    return bool(coder[: FAULT + 1].tolist() == wanted)
+    wanted = [_LEAST] * STATES + [coder.stream.size - 1, 0]
+    return bool(coder.state[: FAULT + 1].tolist() == wanted)
 
 
 @inlined
@@ -77,43 +81,41 @@ def wide(number: Any) -> int:
 
 
 @inlined
-def _put(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
-    """Note an interval."""
-    stream[np.uint64(coder[PLACE])] = 1 << 31 | start << 13 | size
-    coder[PLACE] += 1
+def _note(note: int, coder: Coder) -> None:
+    coder.stream[np.uint64(coder.state[PLACE])] = note
+    coder.state[PLACE] += 1
 
 
 @inlined
-def _low(coder: Int64s) -> int:
+def _low(coder: Coder) -> int:
     """Return what says which symbol is next."""
-    return wide(coder[coder[TURN] & (STATES - 1)] & (ONE - 1))
+    return wide(coder.state[coder.state[TURN] & (STATES - 1)] & (ONE - 1))
 
 
 @inlined
-def _take(start: int, size: int, coder: Int64s, stream: Uint32s) -> None:
+def _take(start: int, size: int, coder: Coder) -> None:
     """Take a symbol's interval off a state."""
-    turn = coder[TURN] & (STATES - 1)
-    state = coder[turn]
+    turn = coder.state[TURN] & (STATES - 1)
+    state = coder.state[turn]
     state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
     # Whether a word is wanted is as good as random: a branch would be missed. Beyond the end PLACE tells.
     wants = wide(state < _LEAST)
-    place = coder[PLACE]
-    word = wide(stream[np.uint64(min(place, stream.size - 1))])
-    coder[turn] = state << 16 * wants | word & -wants
-    coder[PLACE] = place + wants
-    coder[TURN] = (turn + 1) & (STATES - 1)
+    place = coder.state[PLACE]
+    word = wide(coder.stream[np.uint64(min(place, coder.stream.size - 1))])
+    coder.state[turn] = state << 16 * wants | word & -wants
+    coder.state[PLACE] = place + wants
+    coder.state[TURN] = (turn + 1) & (STATES - 1)
 
 
 @inlined
-def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Int64s, stream: Uint32s) -> int:
+def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Coder) -> int:
     """Note and count, or decode a symbol in a context; return it. ``work`` is the coder's PASS."""
     if work != DECODES:
         pool.counts[np.uint64(context), np.uint64(symbol)] += 1
-        stream[np.uint64(coder[PLACE])] = (pool.first + context) << 8 | symbol
-        coder[PLACE] += 1
+        _note((pool.first + context) << 8 | symbol, coder)
         return symbol
     found = _found(_low(coder), context, pool)
-    _take(found & (ONE - 1), (found >> PRECISION & (ONE - 1)) + 1, coder, stream)
+    _take(found & (ONE - 1), (found >> PRECISION & (ONE - 1)) + 1, coder)
     return found >> 2 * PRECISION
 
 
@@ -130,26 +132,24 @@ def _found(low: int, context: int, pool: Pool) -> int:
 
 
 @inlined
-def code_symbols(
-    work: int, symbols: Int64s, contexts: Int64s, count: int, pool: Pool, coder: Int64s, stream: Uint32s
-) -> None:
+def code_symbols(work: int, symbols: Int64s, contexts: Int64s, count: int, pool: Pool, coder: Coder) -> None:
     """Note and count, or decode so many symbols whose contexts are known before."""
-    n = wide(0)
+    n, states = wide(0), coder.state
     if work == DECODES:
-        turn, place = coder[TURN], coder[PLACE]
-        a, b, c, d = coder[turn], coder[turn + 1 & 3], coder[turn + 2 & 3], coder[turn + 3 & 3]
+        turn, place = states[TURN], states[PLACE]
+        a, b, c, d = states[turn], states[turn + 1 & 3], states[turn + 2 & 3], states[turn + 3 & 3]
         # Four states at once: none waits for another.
-        while n + 4 <= count and place + 4 < stream.size:
-            a, place = _taken(a, place, n, symbols, contexts, pool, stream)
-            b, place = _taken(b, place, n + 1, symbols, contexts, pool, stream)
-            c, place = _taken(c, place, n + 2, symbols, contexts, pool, stream)
-            d, place = _taken(d, place, n + 3, symbols, contexts, pool, stream)
+        while n + 4 <= count and place + 4 < coder.stream.size:
+            a, place = _taken(a, place, n, symbols, contexts, pool, coder.stream)
+            b, place = _taken(b, place, n + 1, symbols, contexts, pool, coder.stream)
+            c, place = _taken(c, place, n + 2, symbols, contexts, pool, coder.stream)
+            d, place = _taken(d, place, n + 3, symbols, contexts, pool, coder.stream)
             n += 4
-        coder[turn], coder[turn + 1 & 3], coder[turn + 2 & 3], coder[turn + 3 & 3] = a, b, c, d
-        coder[PLACE] = place
+        states[turn], states[turn + 1 & 3], states[turn + 2 & 3], states[turn + 3 & 3] = a, b, c, d
+        states[PLACE] = place
     while n < count:
         at = np.uint64(n)
-        symbols[at] = code_symbol(work, symbols[at], contexts[at], pool, coder, stream)
+        symbols[at] = code_symbol(work, symbols[at], contexts[at], pool, coder)
         n += 1
 
 
@@ -167,18 +167,17 @@ def _taken(
 
 
 @inlined
-def code_bits(value: int, count: int, coder: Int64s, stream: Uint32s) -> int:
+def code_bits(value: int, count: int, coder: Coder) -> int:
     """Note or decode ``count`` bits, 0 to 36, any as likely as any; return them."""
-    done = 0
-    found = 0
+    found = done = 0
     while done < count:
         some = min(count - done, PRECISION)
-        if coder[PASS] == DECODES:
+        if coder.state[PASS] == DECODES:
             part = _low(coder) >> (PRECISION - some)
-            _take(part << (PRECISION - some), ONE >> some, coder, stream)
+            _take(part << (PRECISION - some), ONE >> some, coder)
         else:
             part = value >> done & ((1 << some) - 1)
-            _put(part << (PRECISION - some), ONE >> some, coder, stream)
+            _note(1 << 31 | part << (PRECISION - some) << 13 | ONE >> some, coder)
         found |= part << done
         done += some
     return found
@@ -207,7 +206,7 @@ def _write_words(notes: Uint32s, chosen: Uint32s, intervals: Uint32s, words: Uin
         state = states[turn]
         if state >= size << 20:
             at -= 1
-            words[at] = state & _WORD
+            words[at] = state & 0xFFFF
             state >>= 16
         whole = np.uint32(state) // np.uint32(size)
         states[turn] = (wide(whole) << PRECISION) + state - wide(whole) * size + start
@@ -215,15 +214,15 @@ def _write_words(notes: Uint32s, chosen: Uint32s, intervals: Uint32s, words: Uin
         return at
     for last in range(STATES - 1, -1, -1):
         at -= 2
-        words[at] = states[last] & _WORD
+        words[at] = states[last] & 0xFFFF
         words[at + 1] = states[last] >> 16
     return at
 
 
-def words_of(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> Uint16s:
-    """Return the words of notes; ``chosen`` and ``intervals`` are those of all pools."""
+def encoded(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> bytes:
+    """Return the stream of notes; ``chosen`` and ``intervals`` are those of all pools."""
     words = np.empty(notes.size + 2 * STATES, np.uint16)  # an interval is 12 bits or less
-    return words[_write_words(notes, chosen, intervals, words) :]
+    return words[_write_words(notes, chosen, intervals, words) :].astype("<u2").tobytes()
 
 
 def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
@@ -231,96 +230,6 @@ def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
     tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools[:-1])]).tolist()
     chosen = [pool.chosen.astype(np.uint32) + before for pool, before in zip(pools, tables, strict=True)]
     return np.concatenate(chosen), np.concatenate([pool.intervals for pool in pools])
-
-
-# Whole numbers without a table, for the tables themselves: how many bits one has, then these, each bit coded
-# by what was seen of its like.
-_KINDS = 4
-_LENGTHS = 34
-
-
-@kernel
-def _code_numbers(numbers: Int64s, chances: Int64s, coder: Int64s, stream: Uint32s) -> None:
-    """Note or decode whole numbers below 2³² in place: each 0 is followed by how many more there are.
-
-    ``chances`` (5, 34, 2) are those of the length's bits and of the highest bits below the first, by the
-    length of the number before; the last kind is that of runs.
-    """
-    kind = i = 0
-    while i < numbers.size:
-        numbers[i] = number = _code_number(numbers[i], kind, chances, coder, stream)
-        i += 1
-        kind = 0
-        while kind < _KINDS - 1 and number + 1 >> (kind + 1):
-            kind += 1
-        if number == 0:
-            more = 0
-            while coder[PASS] != DECODES and i + more < numbers.size and numbers[i + more] == 0:
-                more += 1
-            more = _code_number(more, _KINDS, chances, coder, stream)
-            if more > numbers.size - i:
-                coder[FAULT] = 1
-            i += more
-        if coder[FAULT]:
-            return
-
-
-@inlined
-def _code_number(number: int, kind: int, chances: Int64s, coder: Int64s, stream: Uint32s) -> int:
-    value = number + 1
-    length = bits = 0
-    if coder[PASS] != DECODES:
-        while value >> (length + 1):
-            length += 1
-    while bits < _LENGTHS - 1:
-        if not _adapted(int(bits < length), chances, kind, bits, 0, coder, stream):
-            break
-        bits += 1
-    if bits == 0:
-        return 0
-    if bits > 32:
-        coder[FAULT] = 1
-        return 0
-    high = _adapted(value >> (bits - 1) & 1, chances, kind, bits, 1, coder, stream)
-    low = code_bits(value & ((1 << (bits - 1)) - 1), bits - 1, coder, stream)
-    return ((2 | high) << (bits - 1) | low) - 1
-
-
-@inlined
-def _adapted(
-    bit: int, chances: Int64s, kind: int, length: int, part: int, coder: Int64s, stream: Uint32s
-) -> int:
-    """Note or decode a bit, 1 in so many of 4096 cases, 1 to 4095, which move to what is seen."""
-    chance = chances[kind, length, part]
-    if coder[PASS] == DECODES:
-        bit = int(_low(coder) < chance)
-    start, size = (0, chance) if bit else (chance, ONE - chance)
-    if coder[PASS] == DECODES:
-        _take(start, size, coder, stream)
-    else:
-        _put(start, size, coder, stream)
-    chances[kind, length, part] = (
-        chance + ((ONE - 1 - chance) >> 4) if bit else max(chance - (chance >> 4), 1)
-    )
-    return bit
-
-
-def _new_chances() -> Int64s:
-    return np.full((_KINDS + 1, _LENGTHS, 2), ONE // 2, np.int64)
-
-
-def encoded_numbers(numbers: Int64s) -> Uint16s:
-    """Return the stream of whole numbers (n,), 0 to 2³² − 2."""
-    coder, stream = new_coder(NOTES), np.empty(120 * numbers.size, np.uint32)
-    _code_numbers(numbers.copy(), _new_chances(), coder, stream)
-    return words_of(stream[: coder[PLACE]], *[np.empty(0, np.uint32)] * 2)
-
-
-def decoded_numbers(words: Uint16s, count: int) -> Int64s | None:
-    """Return so many numbers of a stream's words; None if it does not hold them."""
-    numbers, (coder, stream) = np.zeros(count, np.int64), decoder(words)
-    _code_numbers(numbers, _new_chances(), coder, stream)
-    return numbers if is_whole(coder, stream) else None
 
 
 # Tables of symbols' frequencies, which contexts share.
@@ -359,7 +268,13 @@ def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
     own = sizes[tables, symbols] - 1 << PRECISION | starts[tables, symbols]
     occurring[tables, ranks[tables, symbols]] = symbols << 2 * PRECISION | own
     buckets = np.repeat(ranks.astype(np.uint8).reshape(-1), sizes.reshape(-1))[:: ONE >> 8].copy()
-    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.int64), 0)
+    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.uint32), 0)
+
+
+def counting_pool(contexts: int, symbols: int, first: int) -> Pool:
+    """Return what kernels take to count symbols, in contexts that are numbered from ``first`` on."""
+    none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
+    return none._replace(counts=np.zeros((contexts, symbols), np.uint32), first=first)
 
 
 @kernel
@@ -380,10 +295,7 @@ def _choose_tables(
             count = np.float64(counts[i])
             for table in range(np.uint64(bits.shape[1])):  # in vectors
                 costs[table] += bits[np.uint64(symbols[i]), table] * count
-        table = 0
-        for other in range(1, costs.size):
-            if costs[other] < costs[table]:
-                table = other
+        table = wide(np.argmin(costs))
         chosen[context] = table
         total += costs[table]
         for i in range(begin, ends[context]):
@@ -392,7 +304,7 @@ def _choose_tables(
     return total
 
 
-def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
+def shared_tables(counts: Uint32s) -> tuple[Uint8s, Int64s]:
     """Return which table each context uses (contexts,), and frequencies (tables, 256).
 
     Contexts whose symbols are spread alike share a table (k-means); there are as many tables as make them
@@ -400,7 +312,7 @@ def shared_tables(counts: Int64s) -> tuple[Uint8s, Int64s]:
     """
     used = np.flatnonzero(counts.any(axis=1))
     chosen = np.zeros(len(counts), np.uint8)
-    own = counts[used]
+    own = counts[used].astype(np.int64)
     contexts, symbols = np.nonzero(own)
     occurring = symbols.astype(np.uint8), own[contexts, symbols]
     ends = np.cumsum(np.bincount(contexts, minlength=used.size))

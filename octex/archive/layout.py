@@ -1,23 +1,8 @@
-r"""The archive of a texture: what is on disk.
+"""The parts of an archive: blocks, the streams in them, and names; octex/formats/FORMAT.md draws the bytes.
 
-    8 bytes     89 4F 43 54 5A 0D 0A 1A: "\x89OCTZ\r\n\x1a"
-    u32         the format's version, 3
-    u32         bytes of the directory
-    u64         where it begins: after the streams, at the end of the file
-    u32         CRC-32 of the directory
-    u32         CRC-32 of the 28 bytes before
-    …           streams, coarse levels first, without gaps
-    …           the directory
-
-The directory is three lengths (u32), and as many bytes: the head, JSON compressed with zlib; the models, one
-stream of numbers (see entropy); and a record for each block.
-
-A block is the children of nodes 16384·n … 16384·n + 16383 of one level; in version 1 of 4096. It has a
-stream for their structure and flags, one for their areas, and one for each channel; it is decoded with
-nothing but the levels above it. Its record is u32s: how many of the children are nodes, how many children
-there are, and of each stream its bytes and their CRC-32. After the levels come blocks of as many split cells
-(areas of rows, then each channel), of as many kept nodes (each channel), both of one level from version 3 on,
-and other tensors in pieces of a megabyte, compressed with xz.
+A block is the children of up to ``BLOCK`` nodes of one level, with the rows of those that are split and the
+coefficients of those that are kept. A block has a stream for its structure and flags, one for its areas, and
+one for each channel. A stream is decoded with nothing but the levels above its block.
 """
 
 from __future__ import annotations
@@ -25,28 +10,29 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Uint8s, Uint32s, bit_counts
 from octex.files import open_file
-from octex.tree.layout import SplitTable, TreeArrays
-from octex.tree.split import counts_of
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import no_kept, no_split
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
-FORMAT = "octex archive"
-FORMAT_VERSION = 3
-#: Nodes of a block, by version, a multiple of eight: blocks of one level share no group. Also split cells,
-#: kept nodes.
-BLOCKS = {1: 1 << 12, 2: 1 << 14, 3: 1 << 14}
+FORMAT_VERSION = 1
+#: Nodes of a block, a multiple of eight: blocks share no group.
+BLOCK = 1 << 14
+#: Bytes of a piece of another tensor.
 PIECE = 1 << 20
 START = 32
 
-TREE = tuple(f"tree/{name}" for name in TreeArrays._fields)
-SPLIT = tuple(f"split/{name}" for name in SplitTable._fields)
-KEPT = "kept/cells"
+#: The kinds of streams beside the channels, whose names do not begin so.
+STRUCTURE, AREAS = "\0structure", "\0areas"
+
+TREE_NAMES = tuple(f"tree/{name}" for name in TreeArrays._fields)
+SPLIT_NAMES = tuple(f"split/{name}" for name in SplitTable._fields)
+KEPT_NAME = "kept/cells"
 
 
 def is_archive(path: str | os.PathLike[str]) -> bool:
@@ -56,12 +42,24 @@ def is_archive(path: str | os.PathLike[str]) -> bool:
     return False
 
 
+class Place(NamedTuple):
+    """How many of each come before a place in the file's order."""
+
+    node: int
+    cell: int
+    split: int  # split cells
+    row: int  # their rows
+    kept: int  # kept nodes
+
+
 class Block(NamedTuple):
     """The children of some nodes of a level."""
 
     level: int  # of the nodes
     first: int
     last: int
+    begin: Place
+    end: Place
 
 
 class Named(NamedTuple):
@@ -72,55 +70,71 @@ class Named(NamedTuple):
     kept_values: Uint8s
 
 
-def blocks_of(level_nodes: Int64s, level: int, version: int = FORMAT_VERSION) -> Iterator[Block]:
-    """Yield the blocks of a level's nodes."""
-    size = BLOCKS[version]
-    begin, end = int(level_nodes[level]), int(level_nodes[level + 1])
-    while begin < end:
-        last = min((begin // size + 1) * size, end)
-        yield Block(level, begin, last)
-        begin = last
+class Content(NamedTuple):
+    """What is archived, or as far as it is decoded."""
+
+    arrays: TreeArrays
+    split: SplitTable
+    kept: KeptTable
+    given: dict[str, Named]
+    decoded: dict[str, Named]  # as they will be read: the same arrays where nothing may move
 
 
-def parts(ends: Int64s, version: int = FORMAT_VERSION) -> Iterator[slice]:
-    """Yield runs of split cells or kept nodes, of which ``ends`` (levels + 1,) come before each level."""
-    for first, end in pairwise(ends.tolist()):
-        for begin in range(first, end, BLOCKS[version]):
-            yield slice(begin, min(begin + BLOCKS[version], end))
+def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content:
+    """Return a render file's tensors by what they are; raises KeyError for one that lacks some."""
+    has_split, has_kept = SPLIT_NAMES[0] in tensors, KEPT_NAME in tensors
+    split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else no_split()
+    kept = KeptTable(tensors[KEPT_NAME]) if has_kept else no_kept()
+    named = {}
+    for name in channels:
+        keys = channel_names(name)
+        values = _as_bytes(tensors[keys[0]])
+        of_split = _as_bytes(tensors[keys[1]]) if has_split else values[:0]
+        named[name] = Named(values, of_split, _as_bytes(tensors[keys[2]]) if has_kept else values[:0])
+    return Content(TreeArrays(*(tensors[name] for name in TREE_NAMES)), split, kept, named, named)
 
 
-def ends_of(cells: Uint32s, level_cells: Int64s) -> Int64s:
-    """Return how many of some cells, ascending, come before each level, and how many there are."""
-    found: Int64s = np.searchsorted(cells, level_cells).astype(np.int64)
-    return found
-
-
-def as_bytes(array: Array) -> Uint8s:
-    """Return values (rows, components) as bytes (rows, components, size)."""
+def _as_bytes(array: Array) -> Uint8s:
     rows, components = array.shape
     return array.view(np.uint8).reshape(rows, components, array.dtype.itemsize)
 
 
-def named(tensors: Mapping[str, Array], name: str) -> Named:
-    """Return a channel's arrays; those that are not there have no rows."""
-    values = as_bytes(tensors[f"channels/{name}"])
-    return Named(
-        values,
-        *(
-            as_bytes(tensors[key]) if key in tensors else values[:0]
-            for key in (f"split/channels/{name}", f"kept/channels/{name}")
-        ),
-    )
+def channel_names(name: str) -> tuple[str, str, str]:
+    """Return the names of a channel's tensors."""
+    return f"channels/{name}", f"split/channels/{name}", f"kept/channels/{name}"
 
 
-def known_names(tensors: Mapping[str, Array], channels: Sequence[str]) -> set[str]:
-    """Return the names of the tensors that are not coded as they are."""
-    found = {*TREE, *SPLIT, KEPT}
-    for name in channels:
-        found |= {f"channels/{name}", f"split/channels/{name}", f"kept/channels/{name}"}
+def known_names(tensors: Mapping[str, object], channels: Sequence[str]) -> set[str]:
+    """Return the names of the tensors that streams of blocks hold."""
+    found = {*TREE_NAMES, *SPLIT_NAMES, KEPT_NAME}.union(*map(channel_names, channels))
     return found & tensors.keys()
 
 
-def first_rows(facings: Uint8s) -> Int64s:
-    """Return the first row of each split cell, then the number of rows."""
-    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts_of(facings))])
+def runs(first: int, end: int) -> Iterator[tuple[int, int]]:
+    """Yield the first node of each block of a level, and that after its last."""
+    while first < end:
+        last = min((first // BLOCK + 1) * BLOCK, end)
+        yield first, last
+        first = last
+
+
+def after_root(flags: int, n_nodes: int) -> Place:
+    """Return the place after the root, by its flags."""
+    is_split = flags // SPLIT
+    rows = (flags & FACING_FLAGS).bit_count() * is_split
+    return Place(min(n_nodes, 1), 1, is_split, rows, int(flags & KEPT > 0))
+
+
+def of_root(content: Content, channels: Mapping[str, Named], place: Place) -> list[Array]:
+    """Return what the root has: flags, area, areas of its rows, and of each channel its rows of values."""
+    arrays = content.arrays
+    found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
+    for values, split_values, kept_values in channels.values():
+        found += [values[:1], split_values[: place.row], kept_values[: place.kept]]
+    return found
+
+
+def owners_of(split: SplitTable, block: Block) -> Uint32s:
+    """Return the cell of each row of a block's split cells."""
+    own = slice(block.begin.split, block.end.split)
+    return np.repeat(split.cells[own], bit_counts(split.facings[own] & np.uint8(FACING_FLAGS)))

@@ -1,6 +1,8 @@
-"""What the coders of a texture are told: frequencies that contexts share, and weights; one list of numbers.
+"""What the coders of a texture are told: frequencies that contexts share, and weights.
 
-Pools stand in the order occupied octants, leaves, flags, areas, then each channel's values.
+Pools stand in the order occupied octants, leaves, flags, areas, then each channel's values. All is one list
+of numbers. Of zeros in a row only one is written, and after all numbers, whose count comes first, how many
+more there are of each. A number is bytes of seven bits, the lowest first; all but the last have the eighth.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ import numpy as np
 
 from octex.archive import areas, structure
 from octex.archive.coding import Coding, contexts_of
-from octex.archive.entropy import ONE, TABLES, Pool, pool_of, shared_tables
-from octex.archive.layout import FORMAT_VERSION
-from octex.arrays import Int64s
+from octex.archive.entropy import ONE, TABLES, Pool, counting_pool, pool_of, shared_tables
+from octex.arrays import Int64s, Uint32s
+
+#: The most bytes of a number: 28 bits.
+_BYTES = 4
 
 
 class Models(NamedTuple):
@@ -21,35 +25,29 @@ class Models(NamedTuple):
 
     pools: list[Pool]
     codings: dict[str, Coding]
-    version: int  # of the format
 
     def pool(self, name: str) -> Pool:
         """Return how a channel is coded."""
         return self.pools[4 + list(self.codings).index(name)]
 
 
-def _sizes(codings: dict[str, Coding], version: int) -> list[tuple[int, int]]:
+def sizes_of(codings: dict[str, Coding]) -> list[tuple[int, int]]:
     """Return how many contexts and symbols each pool has."""
-    leaves, symbols = structure.LEAVES
-    fixed = [structure.OCCUPIED, (leaves - (version == 1), symbols), structure.FLAGS, (areas.CONTEXTS, 256)]
-    return fixed + [(contexts_of(coding.order.size), 256) for coding in codings.values()]
+    fixed = [structure.OCCUPIED, structure.LEAVES, structure.FLAGS, (areas.CONTEXTS, 256)]
+    return fixed + [(contexts_of(coding.form.components), 256) for coding in codings.values()]
 
 
-def no_counts(codings: dict[str, Coding]) -> list[Int64s]:
-    """Return counts of nothing."""
-    return [np.zeros(size, np.int64) for size in _sizes(codings, FORMAT_VERSION)]
-
-
-def counting(counts: list[Int64s], codings: dict[str, Coding]) -> Models:
+def counting(codings: dict[str, Coding]) -> Models:
     """Return what symbols are noted and counted with."""
-    none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
-    firsts = np.cumsum([0, *map(len, counts)]).tolist()
-    pools = [none._replace(counts=each, first=first) for each, first in zip(counts, firsts, strict=False)]
-    return Models(pools, codings, FORMAT_VERSION)
+    pools, first = [], 0
+    for contexts, symbols in sizes_of(codings):
+        pools.append(counting_pool(contexts, symbols, first))
+        first += contexts
+    return Models(pools, codings)
 
 
-def made(counts: list[Int64s], codings: dict[str, Coding]) -> tuple[Models, Int64s]:
-    """Return the models for what was counted, and the numbers that say them."""
+def made(counts: list[Uint32s], codings: dict[str, Coding]) -> tuple[Models, bytes]:
+    """Return the models for what was counted, and the bytes that say them."""
     pools, numbers = [], []
     for each in counts:
         chosen, sizes = shared_tables(each)
@@ -58,18 +56,47 @@ def made(counts: list[Int64s], codings: dict[str, Coding]) -> tuple[Models, Int6
     for coding in codings.values():
         signed = coding.weights
         numbers.append(np.where(signed < 0, -2 * signed - 1, 2 * signed))
-    return Models(pools, codings, FORMAT_VERSION), np.concatenate(numbers).astype(np.int64)
+    return Models(pools, codings), as_bytes(np.concatenate(numbers).astype(np.int64))
 
 
-def most_numbers(codings: dict[str, Coding], version: int) -> int:
-    """Return the most numbers that models of such channels have."""
-    weights = sum(coding.weights.size for coding in codings.values())
-    return weights + sum(1 + contexts + TABLES * 256 for contexts, _ in _sizes(codings, version))
+def as_bytes(numbers: Int64s) -> bytes:
+    """Return the bytes of numbers."""
+    is_zero = numbers == 0
+    written = np.flatnonzero(~is_zero | np.diff(is_zero, prepend=False))
+    more = np.diff(written, append=numbers.size)[is_zero[written]] - 1
+    said = np.concatenate([[written.size], numbers[written], more])
+    parts = said[:, None] >> 7 * np.arange(_BYTES + 1)
+    is_more, is_there = parts[:, 1:] > 0, parts[:, :-1] > 0
+    is_there[:, 0] = True
+    return (parts[:, :-1] & 127 | is_more << 7)[is_there].astype(np.uint8).tobytes()
 
 
-def read(numbers: Int64s, codings: dict[str, Coding], version: int) -> Models:
-    """Return what numbers say; raises ValueError for what no archive holds."""
-    at = 0
+def numbers_in(content: bytes, most: int) -> Int64s:
+    """Return the numbers of bytes; raises ValueError for what are none, or more than ``most``."""
+    found = np.frombuffer(content, np.uint8)
+    lengths = np.diff(np.flatnonzero(found < 128), prepend=-1)
+    if lengths.sum() != found.size or not 0 < lengths.max(initial=0) <= _BYTES:
+        raise ValueError
+    firsts = np.cumsum(lengths) - lengths
+    said = np.zeros(lengths.size, np.int64)
+    for n in range(_BYTES):
+        is_long = lengths > n
+        said[is_long] |= (found[firsts[is_long] + n] & np.int64(127)) << 7 * n
+    numbers, more = np.split(said[1:], said[:1])
+    times = np.ones(numbers.size, np.int64)
+    if more.size != np.count_nonzero(numbers == 0):
+        raise ValueError
+    times[numbers == 0] += more
+    if times.sum() > most:
+        raise ValueError
+    return np.repeat(numbers, times)
+
+
+def read(content: bytes, codings: dict[str, Coding]) -> Models:
+    """Return the models that bytes say; raises ValueError for what no archive holds."""
+    most = sum(1 + contexts + TABLES * 256 for contexts, _ in sizes_of(codings))
+    most += sum(coding.weights.size for coding in codings.values())
+    numbers, at = numbers_in(content, most), 0
 
     def take(count: int) -> Int64s:
         nonlocal at
@@ -79,7 +106,7 @@ def read(numbers: Int64s, codings: dict[str, Coding], version: int) -> Models:
         return numbers[at - count : at]
 
     pools = []
-    for contexts, _ in _sizes(codings, version):
+    for contexts, _ in sizes_of(codings):
         count = int(take(1)[0])
         chosen = take(contexts)
         if not 1 <= count <= TABLES or (chosen >= count).any():
@@ -96,4 +123,4 @@ def read(numbers: Int64s, codings: dict[str, Coding], version: int) -> Models:
         found[name] = coding._replace(weights=np.where(folded & 1, -(folded + 1 >> 1), folded >> 1))
     if at != numbers.size:
         raise ValueError
-    return Models(pools, found, version)
+    return Models(pools, found)

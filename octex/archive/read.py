@@ -1,61 +1,109 @@
-"""Read an archive: its directory, checked; then all is decoded, or what is asked for."""
+"""Decode an archive, whole or what is asked for of it."""
 
 from __future__ import annotations
 
-import json
-import math
 import mmap
 import os
 import zlib
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive.coding import Coding, order_of, weights_of
-from octex.archive.decode import Contents, DamagedError, Decoding, Fetch, Head, words_in
-from octex.archive.entropy import decoded_numbers
-from octex.archive.layout import (
-    BLOCKS,
-    FORMAT,
-    FORMAT_VERSION,
-    KEPT,
-    MAGIC,
-    PIECE,
-    SPLIT,
-    START,
-    TREE,
-)
-from octex.archive.models import most_numbers
-from octex.archive.models import read as read_models
-from octex.arrays import Array, Int64s, Uint8s, zeros
-from octex.container import without_duplicates
+from octex.archive.around import around_nodes
+from octex.archive.blocks import code_block
+from octex.archive.entropy import Coder, decoder, is_whole
+from octex.archive.head import DamagedError, Fetch, pieces_of, read_directory, unpacked
+from octex.archive.layout import AREAS, START, STRUCTURE, Block, Content, Place, after_root, owners_of, runs
+from octex.arrays import Array, Bools, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
-from octex.tree.layout import MAX_CELLS, MAX_DEPTH
-
-_DTYPES = {"uint8": 1, "uint16": 2, "float16": 2, "float32": 4}
-_OTHERS = ("uint", "int", "float")
-#: The longest head, in bytes of JSON.
-_LONGEST_HEAD = 100_000_000
-#: Numbers of models that a byte of their stream may say; those of an empty texture have about 1,000.
-_MOST_OF_A_BYTE = 1 << 12
+from octex.parallel import ordered_map, workers
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
-def _nothing(_ranges: Sequence[tuple[int, int]]) -> None:
-    pass
+class Contents(NamedTuple):
+    """What an archive holds."""
+
+    tensors: dict[str, Array]  # named, and ordered, as in a render file
+    metadata: dict[str, str]
+    sizes: dict[str, int]  # bytes of its streams: structure, areas, each channel …
+
+
+class _Stream(NamedTuple):
+    """Where a stream lies."""
+
+    begin: int
+    length: int
+    checksum: int
+
+    def read(self, content: mmap.mmap) -> bytes:
+        """Return its bytes."""
+        found = content[self.begin : self.begin + self.length]
+        if zlib.crc32(found) != self.checksum:
+            raise self.damaged()
+        return found
+
+    def damaged(self) -> DamagedError:
+        """Return the error for a stream that is not what was written."""
+        return DamagedError(f"its bytes from {self.begin} on are damaged; copy it again")
+
+
+class _Streams:
+    """Streams of a block, read one after the other."""
+
+    def __init__(self, content: mmap.mmap, streams: list[_Stream]) -> None:
+        self._content = content
+        self._left = iter(streams)
+        self._stream: _Stream
+        self._coder: Coder
+
+    def begin(self, most: int) -> Coder:  # noqa: ARG002 (for those that write)
+        """Return the coder of the next stream."""
+        self._stream = next(self._left)
+        self._coder = decoder(self._stream.read(self._content))
+        return self._coder
+
+    def end(self) -> None:
+        """Raise for a stream that was not read to its end."""
+        if self._stream.length % 2 or not is_whole(self._coder):
+            begin = self._stream.begin
+            raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
+
+    def list_flagged(self, content: Content, block: Block) -> None:
+        """List in the tables which cells of a block are split, or kept nodes, by their flags."""
+        begin, end, flags = block.begin, block.end, content.arrays.flags
+        for flag, cells in (
+            (SPLIT, content.split.cells[begin.split : end.split]),
+            (KEPT, content.kept.cells[begin.kept : end.kept]),
+        ):
+            found = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
+            if found.size != cells.size:
+                raise DamagedError("its flags mark other cells than its blocks say; copy it again")
+            cells[:] = found
+        own = content.split.cells[begin.split : end.split]
+        content.split.facings[begin.split : end.split] = flags[own] & np.uint8(FACING_FLAGS)
+        if owners_of(content.split, block).size != end.row - begin.row:
+            raise DamagedError("its split cells have other rows than its blocks say; copy it again")
+
+
+class _Part(NamedTuple):
+    """A block, and where its streams lie."""
+
+    block: Block
+    streams: dict[str, _Stream]
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
     """Decode an archive into memory, or where it is large into a temporary file that is mapped.
 
     Every stream is checked by its checksum, and every count. Raises TextureFileError for a file that is
-    missing, damaged, no archive, or of a newer version.
+    missing, damaged, no archive, or of another version.
     """
     try:
         with open_file(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            if size < START:
+            if os.fstat(file.fileno()).st_size < START:
                 raise DamagedError("is cut off; copy it again")
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                 return _decoded(content)
@@ -68,226 +116,147 @@ def read(path: str | os.PathLike[str]) -> Contents:
 
 
 def _decoded(content: mmap.mmap) -> Contents:
-    decoding = opened(content)
+    decoding = Decoding(content)
     decoding.decode_all()
     return decoding.contents
 
 
-def opened(content: mmap.mmap, fetch: Fetch = _nothing) -> Decoding:
-    """Read the directory of an archive; ``fetch`` is told which bytes are about to be read.
+def _nothing(_ranges: Sequence[tuple[int, int]]) -> None:
+    pass
 
-    Raises DamagedError for a directory that no archive has.
+
+class Decoding:
+    """The decoding of one archive, whole or in part: a block's stream after what it is decoded with.
+
+    ``fetch`` is told which bytes of ``content`` are about to be read. Raises DamagedError, as its methods do.
     """
-    if len(content) < START:
-        raise DamagedError("is cut off; copy it again")
-    fetch([(0, START)])
-    version, begin, text, model, records = _directory(content, fetch)
-    try:
-        head = _head(json.loads(text, object_pairs_hook=without_duplicates), version)
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
-        raise DamagedError("its head is damaged; copy it again") from None
-    _check_records(head, version, records.size)
-    by_cell = int(version == 1)
-    codings = {name: coding._replace(by_cell=by_cell) for name, _, coding, _ in head.channels}
-    try:
-        models = read_models(_numbers(model, codings, version), codings, version)
-    except ValueError:
-        raise DamagedError("its models are damaged; copy it again") from None
-    return Decoding(content, fetch, begin, head, models, records, _room(head))
 
+    def __init__(self, content: mmap.mmap, fetch: Fetch = _nothing) -> None:
+        self._content, self._fetch = content, fetch
+        self._directory = read_directory(content, fetch)
+        self._coded, self._models = self._directory.content, self._directory.models
+        self._records, self._at_byte = iter(self._directory.records.tolist()), START
+        self._kinds = STRUCTURE, AREAS, *self.channels
+        self._parts = list(self._planned())
+        sizes = {name: array.nbytes for name, array in self._directory.tensors.items()}
+        self._others = [(*piece, self._stream()) for piece in pieces_of(sizes, self.channels)]
+        if self._at_byte != self._directory.begin:
+            raise DamagedError("has bytes that belong to no block; copy it again")
+        #: What of each comes before each block, and which blocks are decoded of each kind.
+        self._firsts = {
+            name: np.array([getattr(part.block.begin, name) for part in self._parts], np.int64)
+            for name in Place._fields
+        }
+        self._done = {kind: np.zeros(len(self._parts), np.bool_) for kind in self._kinds}
+        self.is_whole = False
 
-def _directory(content: mmap.mmap, fetch: Fetch) -> tuple[int, int, bytes, bytes, Int64s]:
-    """Return the version, where the directory begins, the head's text, the models and the records."""
-    first = content[:START]
-    if first[:8] != MAGIC:
-        raise DamagedError("is no archive of octex")
-    version, length = np.frombuffer(first, "<u4", 2, 8).tolist()
-    if zlib.crc32(first[:28]) != int.from_bytes(first[28:], "little"):
-        raise DamagedError("its first bytes are damaged; copy it again")
-    if not 1 <= version <= FORMAT_VERSION:
-        raise DamagedError(f"has format version {version}, newer than this octex reads; update octex")
-    begin = int.from_bytes(first[16:24], "little")
-    if not START <= begin <= len(content) or begin + length != len(content) or length < 12:
-        raise DamagedError(f"has {len(content)} bytes, which is not what it says: cut off; copy it again")
-    fetch([(begin, len(content))])
-    directory = content[begin:]
-    if zlib.crc32(directory) != int.from_bytes(first[24:28], "little"):
-        raise DamagedError("its directory is damaged; copy it again")
-    lengths = np.frombuffer(directory, "<u4", 3).tolist()
-    if 12 + sum(lengths) != length or lengths[1] < 4 or lengths[1] % 2 or lengths[2] % 4:
-        raise DamagedError("its directory is damaged; copy it again")
-    inflate = zlib.decompressobj()
-    try:
-        text = inflate.decompress(directory[12 : 12 + lengths[0]], _LONGEST_HEAD)
-    except zlib.error:
-        raise DamagedError("its head is damaged; copy it again") from None
-    if not inflate.eof or inflate.unused_data:
-        raise DamagedError("its head is damaged; copy it again")
-    at = 12 + lengths[0]
-    model = directory[at : at + lengths[1]]
-    return version, begin, text, model, np.frombuffer(directory[at + lengths[1] :], "<u4").astype(np.int64)
+    @property
+    def channels(self) -> list[str]:
+        """The names of the channels."""
+        return list(self._models.codings)
 
+    @property
+    def contents(self) -> Contents:
+        """What is decoded, zeros for what is not."""
+        names = {STRUCTURE: "structure and flags", AREAS: "areas"}
+        sizes = {
+            names.get(kind, f"channel {kind}"): sum(part.streams[kind].length for part in self._parts)
+            for kind in self._kinds
+        }
+        sizes["other"] = sum(stream.length for *_, stream in self._others)
+        sizes["models and directory"] = len(self._content) - self._directory.begin + START
+        return Contents(self._directory.tensors, self._directory.metadata, sizes)
 
-def _numbers(model: bytes, codings: dict[str, Coding], version: int) -> Int64s:
-    """Return the numbers of the models: how many there are, then their stream."""
-    count = int.from_bytes(model[:4], "little")
-    if count > min(most_numbers(codings, version), _MOST_OF_A_BYTE * len(model)):
-        raise ValueError
-    numbers = decoded_numbers(words_in(model[4:]), count)
-    if numbers is None:
-        raise ValueError
-    return numbers
+    def decode_all(self) -> None:
+        """Decode what is not decoded yet."""
+        if not self.is_whole:
+            self._fetch([(START, self._directory.begin)])
+            self._decode({kind: np.ones(len(self._parts), np.bool_) for kind in self._kinds})
+            for piece in self._others:
+                self._decode_piece(*piece)
+            self.is_whole = True
 
+    def decode_structure(self, level: int) -> bool:
+        """Decode structure, flags and tables down to a level; say whether there was anything to do."""
+        return self._decode({STRUCTURE: np.array([part.block.level < level for part in self._parts], bool)})
 
-def _head(given: Any, version: int) -> Head:
-    """Return the head; raises KeyError, TypeError or ValueError for one that no archive has."""
-    if given["format"] != FORMAT:
-        raise ValueError
-    metadata = given["metadata"]
-    if not isinstance(metadata, dict) or not all(isinstance(text, str) for text in metadata.values()):
-        raise TypeError
-    level_cells, level_nodes = _wholes(given["level_cells"]), _wholes(given["level_nodes"])
-    _check_levels(level_cells, level_nodes)
-    split_ends, kept_ends = (
-        _ends(given[name], level_cells, version) for name in ("split_cells", "kept_nodes")
-    )
-    split_rows = _whole(given["split_rows"], int(level_cells[-1]) * 6)
-    flags, area = (_whole(number, 255) for number in given["root"])
-    channels = [_channel(each) for each in given["channels"]]
-    others = [_other(each) for each in given["others"]]
-    if len({name for name, *_ in channels}) < len(channels) or len({each[0] for each in others}) < len(
-        others
-    ):
-        raise ValueError
-    if any(name in (*TREE, *SPLIT, KEPT) for name, *_ in others):
-        raise ValueError
-    return Head(
-        metadata,
-        level_cells,
-        level_nodes,
-        split_ends,
-        split_rows,
-        kept_ends,
-        (flags, area),
-        channels,
-        others,
-    )
+    def decode(self, wanted: Mapping[str, Sequence[tuple[str, Int64s]]]) -> bool:
+        """Decode AREAS and channels: of each kind rows of tables, which are named as in `Place`.
 
+        Says as ``decode_structure`` whether there was anything to do.
+        """
+        marked = {kind: self._marked(rows) for kind, rows in wanted.items()}
+        level = max((self.level_of(*rows) for each in wanted.values() for rows in each), default=0)
+        was_more = self.decode_structure(level)
+        for kind, blocks in marked.items():
+            blocks &= ~self._done[kind]
+            for number in range(blocks.size - 1, -1, -1):  # with what they are guessed from, levels above
+                if blocks[number]:
+                    cells, _ = around_nodes(self._coded.arrays, self._parts[number].block)
+                    blocks |= self._marked([("cell", cells.reshape(-1))]) & ~self._done[kind]
+        return self._decode(marked) or was_more
 
-def _ends(given: Any, level_cells: Int64s, version: int) -> Int64s:
-    """Return how many cells come before each level, of numbers by level; before version 3 of one for all."""
-    counts = np.zeros(level_cells.size - 1, np.int64)
-    if version < 3:
-        counts[-1] = _whole(given, int(level_cells[-1]))
-    else:
-        counts[:] = _wholes(given)
-        if (counts > np.diff(level_cells)).any():
-            raise ValueError
-    found: Int64s = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
-    return found
+    def level_of(self, table: str, rows: Int64s) -> int:
+        """Return the level of the last of the cells that some rows of a table are of."""
+        number = int(np.searchsorted(self._firsts[table], rows.max(initial=0), "right")) - 1
+        return self._parts[number].block.level + 1 if number >= 0 else 0
 
+    def _marked(self, wanted: Sequence[tuple[str, Int64s]]) -> Bools:
+        """Mark the blocks that have rows of tables; the root's are in none."""
+        marked = np.zeros(len(self._parts), np.bool_)
+        for table, rows in wanted:
+            found = np.searchsorted(self._firsts[table], rows, "right") - 1
+            marked[found[found >= 0]] = True
+        return marked
 
-def _check_levels(cells: Int64s, nodes: Int64s) -> None:
-    """Raise ValueError for levels that no tree has, whose blocks could not be told."""
-    if not 2 <= cells.size <= MAX_DEPTH + 2 or nodes.size != cells.size or cells[0] or nodes[0]:
-        raise ValueError
-    own_cells, own_nodes = np.diff(cells), np.diff(nodes)
-    is_empty = cells.size == 2 and own_nodes[0] == 1
-    if (own_cells < 1).any() or own_cells[0] != 1 or (own_nodes > own_cells).any():
-        raise ValueError
-    if (own_cells[1:] > 8 * own_nodes[:-1]).any() or (own_nodes[:-1] < 1).any():
-        raise ValueError
-    if own_nodes[-1] != 0 and not is_empty:
-        raise ValueError
+    def _decode(self, wanted: Mapping[str, Bools]) -> bool:
+        """Decode kinds of streams of blocks, level by level; what they are decoded with is, or is wanted."""
+        todo: list[tuple[_Part, list[str]]] = []
+        left = {kind: marked & ~self._done[kind] for kind, marked in wanted.items()}
+        for number in np.flatnonzero(np.any(list(left.values()), axis=0)) if left else ():
+            kinds = [kind for kind in self._kinds if kind in left and left[kind][number]]
+            todo.append((self._parts[number], kinds))
+        streams = [part.streams[kind] for part, kinds in todo for kind in kinds]
+        self._fetch([(stream.begin, stream.begin + stream.length) for stream in streams])
+        with workers() as executor:
+            for _, level in groupby(todo, key=lambda each: each[0].block.level):
+                for _ in ordered_map(executor, self._decode_block, list(level)):
+                    pass
+        for kind, marked in left.items():
+            self._done[kind] |= marked
+        return bool(todo)
 
+    def _decode_block(self, task: tuple[_Part, list[str]]) -> None:
+        part, kinds = task
+        streams = _Streams(self._content, [part.streams[kind] for kind in kinds])
+        code_block(self._coded, self._models, part.block, kinds, streams)
 
-def _channel(given: Any) -> tuple[str, np.dtype[Any], Coding, Uint8s]:
-    name, dtype = _name(given["name"]), given["dtype"]
-    size, components = _DTYPES[dtype], _whole(given["components"], 4)
-    error, unit = _whole(given["max_error"], 65535), _whole(given["unit"], 32)
-    root = np.frombuffer(bytes.fromhex(given["root"]), np.uint8)
-    is_float = dtype.startswith("float")
-    if components < 1 or root.size != components * size or (error and is_float) or error >= 1 << 8 * size:
-        raise ValueError
-    none = np.zeros(weights_of(components), np.int64)
-    coding = Coding(order_of(components), size, int(is_float), error, unit, 0, none)
-    return name, np.dtype(dtype), coding, root.reshape(components, size)
+    def _decode_piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
+        found = unpacked(stream.read(self._content), end - begin)
+        if found is None:
+            raise stream.damaged()
+        self._directory.tensors[name].reshape(-1).view(np.uint8)[begin:end] = np.frombuffer(found, np.uint8)
 
+    def _stream(self) -> _Stream:
+        """Return where the next stream of the file lies."""
+        begin, length = self._at_byte, next(self._records)
+        self._at_byte += length
+        if self._at_byte > self._directory.begin:
+            raise DamagedError("its blocks are longer than the file; copy it again")
+        return _Stream(begin, length, next(self._records))
 
-def _other(given: Any) -> tuple[str, np.dtype[Any], tuple[int, ...]]:
-    shape = tuple(_whole(size, 1 << 40) for size in given["shape"])
-    dtype = given["dtype"]
-    if not isinstance(dtype, str) or not dtype.startswith(_OTHERS) or len(shape) > 8:
-        raise ValueError
-    found = np.dtype(dtype)
-    if math.prod(size or 1 for size in shape) >= 1 << 40 or found.itemsize > 8 or found.kind not in "uif":
-        raise ValueError
-    return _name(given["name"]), found, shape
-
-
-def _name(name: Any) -> str:
-    if not isinstance(name, str) or not name or name != name.encode(errors="replace").decode():
-        raise ValueError
-    return name
-
-
-def _whole(number: Any, most: int) -> int:
-    if type(number) is not int or not 0 <= number <= most:
-        raise ValueError
-    return number
-
-
-def _wholes(numbers: Any) -> Int64s:
-    return np.array([_whole(number, MAX_CELLS) for number in numbers], np.int64)
-
-
-def _check_records(head: Head, version: int, count: int) -> None:
-    """Refuse a directory whose records are not as many as the head wants: what is decoded is bounded so."""
-    channels = len(head.channels)
-    nodes, size = head.level_nodes, BLOCKS[version]
-    expected = sum(
-        (int(nodes[level + 1]) - 1) // size - int(nodes[level]) // size + 1 for level in range(nodes.size - 2)
-    ) * (2 + 2 * (2 + channels))
-    expected += int((-(-np.diff(head.split_ends) // size)).sum()) * 2 * (1 + channels)
-    expected += int((-(-np.diff(head.kept_ends) // size)).sum()) * 2 * channels
-    expected += 2 * sum(-(-math.prod(shape) * dtype.itemsize // PIECE) for _, dtype, shape in head.others)
-    if count != expected:
-        raise DamagedError("its directory has not as many blocks as its head says; copy it again")
-
-
-def _room(head: Head) -> dict[str, Array]:
-    """Return tensors of zeros for all that will be decoded, in a render file's order."""
-    n_cells, n_nodes = int(head.level_cells[-1]), int(head.level_nodes[-1])
-    split_cells, kept_nodes = int(head.split_ends[-1]), int(head.kept_ends[-1])
-    shapes: dict[str, tuple[Any, tuple[int, ...]]] = {
-        TREE[0]: (np.uint64, (-(-n_nodes // 8), 3)),
-        TREE[1]: (np.int64, head.level_cells.shape),
-        TREE[2]: (np.int64, head.level_nodes.shape),
-        TREE[3]: (np.uint8, (n_cells,)),
-        TREE[4]: (np.uint8, (n_cells,)),
-    }
-    if split_cells:
-        shapes[SPLIT[0]] = np.uint32, (split_cells,)
-        shapes[SPLIT[1]] = np.uint8, (split_cells,)
-        shapes[SPLIT[2]] = np.uint8, (head.split_rows,)
-    if kept_nodes:
-        shapes[KEPT] = np.uint32, (kept_nodes,)
-    for name, dtype, coding, _ in head.channels:
-        components = coding.order.size
-        shapes[f"channels/{name}"] = dtype, (n_cells, components)
-        if split_cells:
-            shapes[f"split/channels/{name}"] = dtype, (head.split_rows, components)
-        if kept_nodes:
-            shapes[f"kept/channels/{name}"] = dtype, (kept_nodes, components)
-    for name, dtype, shape in head.others:
-        if name in shapes:  # of a channel
-            raise DamagedError("its head is damaged; copy it again")
-        shapes[name] = dtype, shape
-    sizes = {key: np.dtype(dtype).itemsize * math.prod(shape) for key, (dtype, shape) in shapes.items()}
-    content = zeros(sum(size + 63 & -64 for size in sizes.values()))
-    tensors: dict[str, Array] = {}
-    at = 0
-    for key, (dtype, shape) in shapes.items():
-        tensors[key] = content[at : at + sizes[key]].view(dtype).reshape(shape)
-        at += sizes[key] + 63 & -64
-    return tensors
+    def _planned(self) -> Iterator[_Part]:
+        """Yield the blocks, level by level."""
+        arrays, split, kept = self._coded[:3]
+        cells, nodes = arrays.level_cells.tolist(), arrays.level_nodes.tolist()
+        place = after_root(int(arrays.flags[0]), nodes[1])
+        for level in range(len(cells) - 2):
+            for first, last in runs(nodes[level], nodes[level + 1]):
+                before = place
+                place = Place(*(count + next(self._records) for count in before))
+                streams = {kind: self._stream() for kind in self._kinds}
+                yield _Part(Block(level, first, last, before, place), streams)
+            if place[:2] != (nodes[level + 2], cells[level + 2]):
+                raise DamagedError(f"level {level + 1} has not as many cells as its blocks; copy it again")
+        if place[2:] != (split.cells.size, split.areas.size, kept.cells.size):
+            raise DamagedError("it has other split cells or kept nodes than its blocks; copy it again")

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import OWN, children_of, lowest, ones
-from octex.archive.entropy import DECODES, FAULT, PASS, Pool, code_symbol, wide
-from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
+from octex.archive.entropy import DECODES, FAULT, PASS, Coder, Pool, code_symbol, wide
+from octex.arrays import Int64s, Uint8s, Uint64s
 from octex.jit import inlined, kernel
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
@@ -56,19 +56,17 @@ def code_structure(
     may_be_nodes: bool,
     cells: Int64s,
     nodes: Int64s,
-    tells_alike: bool,
     facings: tuple[Uint8s, Uint8s],
     pools: tuple[Pool, Pool, Pool],
-    coder: Int64s,
-    stream: Uint32s,
+    coder: Coder,
 ) -> None:
     """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
 
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
     ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT. Where a parent has one
-    facing, one symbol ``tells_alike``: whether all children have just it.
+    facing, one symbol says whether all children have just it.
     """
-    work = coder[PASS]
+    work = coder.state[PASS]
     decodes = work == DECODES
     together, apart = facings
     occupied_pool, leaves_pool, flags_pool = pools
@@ -94,31 +92,31 @@ def code_structure(
         z = _mask(masks, nodes[own, 4] - first)
         there = is_node | is_leaf
         context = ((faces << 2 | x >> 1 & 1 | x >> 2 & 2) << 2 | y >> 2 & 3) << 4 | z >> 4
-        low = code_symbol(work, there & 15, context, occupied_pool, coder, stream) & 15
+        low = code_symbol(work, there & 15, context, occupied_pool, coder) & 15
         context = ((faces << 2 | x >> 5 & 1 | x >> 6 & 2) << 2 | y >> 6 & 3) << 4 | low
-        high = code_symbol(work, there >> 4, 1 << 14 | context, occupied_pool, coder, stream) & 15
+        high = code_symbol(work, there >> 4, 1 << 14 | context, occupied_pool, coder) & 15
         there = low | high << 4
         leaves = there
         if may_be_nodes:
             symbol = 255 if is_leaf == there else is_leaf
-            symbol = code_symbol(work, symbol, 4 * kinds + min(leaves_beside, 3), leaves_pool, coder, stream)
+            symbol = code_symbol(work, symbol, 4 * kinds + min(leaves_beside, 3), leaves_pool, coder)
             leaves = symbol & there
             kinds = 0 if leaves == 0 else 2 if leaves == there else 1
         inner = there & ~leaves
         masks[own], begins[own] = there, next_cell
         if there == 0 or next_cell + ones(there) > end_cell or next_node + ones(inner) > end_node:
-            coder[FAULT] = 1
+            coder.state[FAULT] = 1
             return
         parent = wide(flags[cells[own, OWN]])
         shown = parent & FACING_FLAGS
         many = min(ones(shown), 4)
         count = ones(there)
         bits = there
-        if tells_alike and many == 1:
+        if many == 1:
             alike = wide(1)
             for n in range(0 if decodes else count):
                 alike &= wide(flags[next_cell + n] == shown)
-            alike = code_symbol(work, alike, 12, leaves_pool, coder, stream)
+            alike = code_symbol(work, alike, 12, leaves_pool, coder)
             if alike:
                 for n in range(count if decodes else 0):
                     flags[next_cell + n] = shown
@@ -139,7 +137,7 @@ def code_structure(
             before = 0 if next_cell == begins[own] else 1 + (wide(together[shown, union]) & 7)
             context = (many * 9 + before) * 8 + (wide(together[shown, some & FACING_FLAGS]) & 7)
             context = context * 6 + 2 * split_before + (parent >> 7)
-            symbol = code_symbol(work, symbol, context, flags_pool, coder, stream)
+            symbol = code_symbol(work, symbol, context, flags_pool, coder)
             if decodes:
                 flag = wide(apart[shown, symbol & FACING_FLAGS]) | symbol & (SPLIT | KEPT)
                 if leaves >> octant & 1:
@@ -154,4 +152,4 @@ def code_structure(
             groups[node >> 3, 0] |= np.uint64(inner) << shift
             groups[node >> 3, 1] |= np.uint64(leaves) << shift
     if next_node != end_node or next_cell != end_cell:
-        coder[FAULT] = 1
+        coder.state[FAULT] = 1

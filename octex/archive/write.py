@@ -2,59 +2,56 @@
 
 from __future__ import annotations
 
-import json
-import lzma
 import os
 import threading
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial, reduce
-from itertools import chain
-from typing import Any, BinaryIO, NamedTuple
+from itertools import chain, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.archive import blocks
-from octex.archive.around import ABOUT, OWN, around_children, around_nodes, shapes
-from octex.archive.blocks import Content, Span
-from octex.archive.coding import STEPS, Coding, numbers_of, order_of, weights_of
+from octex import container
+from octex.archive.around import ABOUT, OWN, around_children, around_nodes
+from octex.archive.blocks import code_block
+from octex.archive.coding import STEPS, Coding, Form, coding_of, numbers_of
 from octex.archive.entropy import (
     MEASURES,
     NOTES,
     PLACE,
-    encoded_numbers,
+    Coder,
+    counting_pool,
+    encoded,
     intervals_of,
     new_coder,
-    pool_of,
-    words_of,
 )
+from octex.archive.head import channels_in, packed, pieces_of
 from octex.archive.layout import (
-    FORMAT,
+    AREAS,
     FORMAT_VERSION,
-    KEPT,
     MAGIC,
-    PIECE,
-    SPLIT,
     START,
-    TREE,
+    STRUCTURE,
     Block,
+    Content,
     Named,
-    blocks_of,
-    ends_of,
-    first_rows,
-    known_names,
-    named,
-    parts,
+    Place,
+    after_root,
+    content_of,
+    of_root,
+    runs,
 )
-from octex.archive.models import Models, counting, made, no_counts
+from octex.archive.models import Models, counting, made
 from octex.archive.values import code_values
 from octex.archive.weights import new_squares, solve
-from octex.arrays import Array, Int64s, Uint8s, Uint32s, unlocked, zeros
+from octex.arrays import Array, Int64s, Uint32s, unlocked, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
-from octex.tree.layout import KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree, no_kept, no_split
+from octex.tree.layout import TreeArrays
+from octex.tree.octree import Octree
+from octex.tree.split import counts_of
 
 #: About so many cells of nodes, and of leaves, are looked at to choose weights, so often.
 _SAMPLE = 1 << 13
@@ -68,270 +65,218 @@ def write(
     path: str | os.PathLike[str],
     tensors: Mapping[str, Array],
     metadata: Mapping[str, str],
-    channels: Sequence[str],
     max_error: int = 0,
 ) -> None:
-    """Write a texture's tensors, named as in its render file, and metadata; ``channels`` are their names.
+    """Write a texture's tensors and metadata, as they are in its render file.
 
     Values of integer channels may move by ``max_error`` codes; all else comes back bit for bit. The same
     input gives the same bytes. Raises TextureFileError for a tree that is not sound, and OutputError if the
     file cannot be written: then what stood at ``path`` still stands.
     """
+    first, channels = container.header(tensors, metadata), channels_in(metadata)
     tensors = {name: unlocked(array) for name, array in tensors.items()}
-    arrays = TreeArrays(*(tensors[name] for name in TREE))
-    split = SplitTable(*(tensors[name] for name in SPLIT)) if SPLIT[0] in tensors else no_split()
-    kept = KeptTable(tensors[KEPT]) if KEPT in tensors else no_kept()
-    Octree(arrays, split, kept).validate()
-    given = {name: named(tensors, name) for name in channels}
-    errors = {name: max_error if tensors[f"channels/{name}"].dtype.kind == "u" else 0 for name in channels}
-    others = {name: tensors[name] for name in tensors if name not in known_names(tensors, channels)}
-    sampled = _sampled(arrays)
+    content = content_of(tensors, channels)
+    Octree(*content[:3]).validate()
+    blocks = list(_planned(content))
+    sampled = _sampled(content.arrays, blocks)
     codings = {
-        name: _coding(channel, tensors[f"channels/{name}"].dtype.kind == "f", errors[name], sampled)
-        for name, channel in given.items()
+        name: _coding(channel, tensors[f"channels/{name}"].dtype, max_error, sampled)
+        for name, channel in content.given.items()
     }
-    decoded = {name: _copied(channel) if errors[name] else channel for name, channel in given.items()}
-    content = Content(arrays, split, kept, given, decoded)
+    place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
+    root = of_root(content, content.given, place)
+    decoded = dict(content.given)
+    for name, channel in content.given.items():
+        if codings[name].form.error:  # what is read will differ, but for the root's
+            decoded[name] = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
+            own = [of_root(content, {name: each}, place)[3:] for each in (decoded[name], channel)]
+            for array, given in zip(*own, strict=True):
+                array[:] = given
+    content = content._replace(decoded=decoded)
     with replacing(path) as file, workers() as executor:
-        counts, noted = _noted(content, codings, executor)
-        models, numbers = made(counts, codings)
-        head = {
-            "format": FORMAT,
-            "metadata": dict(metadata),
-            "level_cells": arrays.level_cells.tolist(),
-            "level_nodes": arrays.level_nodes.tolist(),
-            "split_cells": np.diff(ends_of(split.cells, arrays.level_cells)).tolist(),
-            "split_rows": split.areas.size,
-            "kept_nodes": np.diff(ends_of(kept.cells, arrays.level_cells)).tolist(),
-            "root": [int(arrays.flags[0]), int(arrays.areas[0])],
-            "channels": [
-                {
-                    "name": name,
-                    "dtype": tensors[f"channels/{name}"].dtype.name,
-                    "components": given[name].values.shape[1],
-                    "max_error": coding.error,
-                    "unit": coding.unit,
-                    "root": given[name].values[0].tobytes().hex(),
-                }
-                for name, coding in codings.items()
-            ],
-            "others": [
-                {"name": name, "dtype": array.dtype.name, "shape": list(array.shape)}
-                for name, array in others.items()
-            ],
-        }
-        encoded = ordered_map(executor, partial(_encoded, intervals_of(models.pools)), noted)
-        _write_file(file, encoded, head, numbers, others)
+        noting = _Noting(content, codings)
+        noted = noting.all(blocks, executor)
+        models, numbers = made(noting.counts(), codings)
+        file.write(bytes(START))
+        records: list[int] = []
+        encode = partial(_encoded, noting, intervals_of(models.pools))
+        for counts, streams in chain(ordered_map(executor, encode, noted), _pieces(tensors, channels)):
+            records += counts
+            for stream in streams:
+                file.write(stream)
+                records += [len(stream), zlib.crc32(stream)]
+        forms = [(coding.form.error, coding.form.unit) for coding in codings.values()]
+        begins = [*content.arrays[1:3], np.array(forms, "<u4"), *root]
+        parts = [first[8:].rstrip(b" "), b"".join(array.tobytes() for array in begins), numbers]
+        parts.append(np.array(records, "<u4").tobytes())
+        begin, sizes = file.tell(), np.array([len(part) for part in parts], "<u4").tobytes()
+        directory = sizes + packed(b"".join(parts))
+        file.write(directory)
+        lengths = np.array([FORMAT_VERSION, len(directory)], "<u4").tobytes()
+        start = MAGIC + lengths + begin.to_bytes(8, "little") + zlib.crc32(directory).to_bytes(4, "little")
+        file.seek(0)
+        file.write(start + zlib.crc32(start).to_bytes(4, "little"))
+        file.seek(0, os.SEEK_END)
 
 
-def _write_file(
-    file: BinaryIO,
-    encoded: Iterable[Encoded],
-    head: dict[str, Any],
-    numbers: Int64s,
-    others: Mapping[str, Array],
-) -> None:
-    file.write(bytes(START))
-    records: list[int] = []
-    for numbers_of_children, streams in chain(encoded, _pieces(others)):
-        records += numbers_of_children
-        for stream in streams:
-            file.write(stream)
-            records += [len(stream), zlib.crc32(stream)]
-    text = zlib.compress(
-        json.dumps(head, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace"), 9
-    )
-    model = numbers.size.to_bytes(4, "little") + encoded_numbers(numbers).astype("<u2").tobytes()
-    record = np.array(records, "<u4").tobytes()
-    lengths = np.array([len(text), len(model), len(record)], "<u4").tobytes()
-    begin = file.tell()
-    directory = lengths + text + model + record
-    file.write(directory)
-    first = MAGIC + np.array([FORMAT_VERSION, len(directory)], "<u4").tobytes() + begin.to_bytes(8, "little")
-    first += zlib.crc32(directory).to_bytes(4, "little")
-    file.seek(0)
-    file.write(first + zlib.crc32(first).to_bytes(4, "little"))
-    file.seek(0, os.SEEK_END)
-
-
-Noted = tuple[list[int], list[Uint32s]]
-Encoded = tuple[list[int], list[bytes]]
-_Note = tuple["partial[Noted]", "Noted | None"]
-
-
-def _pieces(others: Mapping[str, Array]) -> Iterator[Encoded]:
+def _pieces(tensors: Mapping[str, Array], channels: Sequence[str]) -> Iterator[tuple[list[int], list[bytes]]]:
     """Yield other tensors, compressed."""
-    for array in others.values():
+    for name, begin, end in pieces_of({name: array.nbytes for name, array in tensors.items()}, channels):
+        array = tensors[name]
         flat = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
-        for begin in range(0, flat.size, PIECE):
-            yield [], [lzma.compress(flat[begin : begin + PIECE].tobytes(), check=lzma.CHECK_NONE)]
+        yield [], [packed(flat[begin:end].tobytes())]
+
+
+def _planned(content: Content) -> Iterator[Block]:
+    """Yield all blocks, level by level."""
+    arrays, split, kept = content.arrays, content.split, content.kept
+    rows = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts_of(split.facings))])
+
+    def place(node: int, cell: int) -> Place:
+        n_split = int(np.searchsorted(split.cells, cell))
+        return Place(node, cell, n_split, int(rows[n_split]), int(np.searchsorted(kept.cells, cell)))
+
+    for level, (first_node, end_node) in enumerate(pairwise(arrays.level_nodes[:-1].tolist())):
+        own = list(runs(first_node, end_node))
+        places = [place(*_first_below(arrays, first)) for first, _ in own]
+        places.append(place(int(arrays.level_nodes[level + 2]), int(arrays.level_cells[level + 2])))
+        for (first, last), (begin, end) in zip(own, pairwise(places), strict=True):
+            yield Block(level, first, last, begin, end)
+
+
+def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
+    """Return the first child node and the first child of a node."""
+    first = int(arrays.groups[node >> 3, 2])
+    below = (1 << 8 * (node & 7)) - 1
+    nodes, leaves = (int(word) & below for word in arrays.groups[node >> 3, :2])
+    return (first & 0xFFFFFFFF) + nodes.bit_count(), (first >> 32) + (nodes | leaves).bit_count()
 
 
 # The weights.
 
+_Sampled = list[tuple[int, Uint32s, Int64s]]
 
-def _sampled(arrays: TreeArrays) -> list[tuple[Span, Uint32s, Int64s]]:
-    """Return the children of some nodes, all over the fine levels, and what lies around them."""
+
+def _sampled(arrays: TreeArrays, blocks: list[Block]) -> _Sampled:
+    """Return of some nodes, all over the fine levels, the first child and what lies around the children."""
     found = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
         count = min(_SAMPLE // (4 * _SAMPLED), -(-(end - begin) // _SAMPLED))
         for n in range(count):
             first = begin + (end - begin) * n // count
-            block = Block(level, first, min(first + _SAMPLED, end))
-            cells, nodes = around_nodes(arrays, *block)
-            span = _span(arrays, block)
-            rows = np.empty((span.end_cell - span.cell, 4), np.uint32)
-            around_children(arrays.groups, block.first, block.last, cells, nodes, shapes(), rows)
-            found.append((span, rows, cells))
+            last = min(first + _SAMPLED, end)
+            cell = _first_below(arrays, first)[1]
+            after = _first_below(arrays, last)[1] if last < end else int(arrays.level_cells[level + 2])
+            block = blocks[0]._replace(level=level, first=first, last=last)
+            cells, nodes = around_nodes(arrays, block)
+            rows = np.empty((after - cell, 4), np.uint32)
+            around_children(arrays.groups, first, last, cells, nodes, rows)
+            found.append((cell, rows, cells))
     return found
 
 
-def _coding(
-    channel: Named, is_float: bool, error: int, sampled: list[tuple[Span, Uint32s, Int64s]]
-) -> Coding:
+def _coding(channel: Named, dtype: np.dtype[Any], error: int, sampled: _Sampled) -> Coding:
     raw = channel.values
     _, components, size = raw.shape
-    weights = np.zeros(weights_of(components), np.int64)
-    coding = Coding(order_of(components), size, int(is_float), 0, 0, 0, weights)
+    form = Form(components, size, int(dtype.kind == "f"), 0, 0)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
-        coding = coding._replace(unit=_unit(raw, coding, sampled))
-    pool = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
+        form = form._replace(unit=_unit(channel, form, sampled))
+    coding = coding_of(form)
+    pool = counting_pool(0, 0, 0)
     for _ in range(_ROUNDS):
         squares = new_squares(components)
-        for span, rows, cells in sampled:
-            state = squares, pool, new_coder(MEASURES), np.empty(0, np.uint32)
-            code_values(rows, cells, raw, raw, span.cell, coding, STEPS, *state)
-        solve(squares, weights)
-    return coding._replace(error=error)
+        for cell, rows, cells in sampled:
+            own = rows, cells, raw, raw, cell, coding, STEPS, squares
+            code_values(*own, pool, new_coder(MEASURES, 0))
+        solve(squares, coding.weights)
+    return coding._replace(form=form._replace(error=0 if form.is_float else error))
 
 
-def _unit(raw: Uint8s, coding: Coding, sampled: list[tuple[Span, Uint32s, Int64s]]) -> int:
+def _unit(channel: Named, form: Form, sampled: _Sampled) -> int:
     """Return the unit in which values differ from their parents' by about eight, or none if that is less."""
     usual = []
-    for span, rows, cells in sampled:
-        node = np.cumsum(np.append(1, rows[:-1, ABOUT] >> 4 & 15 == 1)) - 1
-        parents = numbers_of(raw[cells[node, OWN]], coding)
-        usual.append(np.abs(numbers_of(raw[span.cell : span.end_cell], coding) - parents).reshape(-1))
+    for cell, rows, cells in sampled:
+        node = np.cumsum(np.append(1, rows[:-1, ABOUT] & 15 == 1)) - 1
+        parents = numbers_of(channel.values[cells[node, OWN]], form)
+        own = numbers_of(channel.values[cell : cell + len(rows)], form)
+        usual.append(np.abs(own - parents).reshape(-1))
     return max(int(np.median(np.concatenate(usual))).bit_length() - 3, 0) if usual else 0
 
 
-def _copied(channel: Named) -> Named:
-    """Return arrays of the same shapes for the values that will be read; the root's are kept."""
-    copy = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
-    copy.values[0] = channel.values[0]
-    return copy
-
-
 # The blocks.
-
-
-def _span(arrays: TreeArrays, block: Block) -> Span:
-    """Return the first node and cell below a block, and those after its last."""
-    node, cell = _first_below(arrays, block.first)
-    if block.last < arrays.level_nodes[block.level + 1]:
-        return Span(node, cell, *_first_below(arrays, block.last))
-    below = block.level + 2
-    return Span(node, cell, int(arrays.level_nodes[below]), int(arrays.level_cells[below]))
-
-
-def _first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
-    nodes, leaves, first = (int(word) for word in arrays.groups[node >> 3])
-    below = (1 << 8 * (node & 7)) - 1
-    return (
-        (first & 0xFFFFFFFF) + (nodes & below).bit_count(),
-        (first >> 32) + ((nodes | leaves) & below).bit_count(),
-    )
 
 
 class _Streams:
     """Streams of notes."""
 
     def __init__(self) -> None:
-        self._open: tuple[Int64s, Uint32s]
+        self._coder: Coder
         self.found: list[Uint32s] = []
 
-    def begin(self, most: int) -> tuple[Int64s, Uint32s]:
-        """Return a coder and room for so many notes."""
-        self._open = new_coder(NOTES), np.empty(most, np.uint32)
-        return self._open
+    def begin(self, most: int) -> Coder:
+        """Return a coder with room for so many notes."""
+        self._coder = new_coder(NOTES, most)
+        return self._coder
 
     def end(self) -> None:
         """Keep the notes of a stream."""
-        coder, stream = self._open
-        self.found.append(stream[: coder[PLACE]].copy())
+        self.found.append(self._coder.stream[: self._coder.state[PLACE]].copy())
+
+    def list_flagged(self, content: Content, block: Block) -> None:
+        """Do nothing: they are listed."""
 
 
-class _Pass(NamedTuple):
-    """What blocks are noted with."""
+class _Noted(NamedTuple):
+    """A block, and its notes if they are kept."""
 
-    content: Content
-    models: Callable[[], Models]
+    block: Block
+    streams: list[Uint32s] | None
 
-    def block(self, block: Block) -> Noted:
-        """Note the children of nodes."""
-        span, streams = _span(self.content.arrays, block), _Streams()
-        blocks.code_children(self.content, self.models(), block, span, streams)
-        return [span.end_node - span.node, span.end_cell - span.cell], streams.found
 
-    def split(self, chosen: slice, firsts: Int64s) -> Noted:
-        """Note the rows of split cells."""
+class _Noting:
+    """Notes blocks. Each thread counts for itself what occurs."""
+
+    def __init__(self, content: Content, codings: dict[str, Coding]) -> None:
+        self._content, self._codings = content, codings
+        self._kinds = (STRUCTURE, AREAS, *codings)
+        self._here = threading.local()
+        self._counted: list[list[Uint32s]] = []
+
+    def block(self, block: Block) -> list[Uint32s]:
+        """Note a block's streams."""
+        if not hasattr(self._here, "models"):
+            self._here.models = counting(self._codings)
+            self._counted.append(_counts(self._here.models))
         streams = _Streams()
-        blocks.code_split(self.content, self.models(), chosen, firsts, streams)
-        return [], streams.found
+        code_block(self._content, self._here.models, block, self._kinds, streams)
+        return streams.found
 
-    def kept(self, chosen: slice) -> Noted:
-        """Note the values of kept nodes."""
-        streams = _Streams()
-        blocks.code_kept(self.content, self.models(), chosen, streams)
-        return [], streams.found
+    def all(self, blocks: list[Block], executor: Executor) -> list[_Noted]:
+        """Note all blocks, level by level. Of many notes only the first are kept."""
+        found, size = [], 0
+        for level in sorted({block.level for block in blocks}):
+            own = [block for block in blocks if block.level == level]
+            for block, streams in zip(own, ordered_map(executor, self.block, own), strict=True):
+                size += sum(stream.nbytes for stream in streams)
+                found.append(_Noted(block, streams if size <= _MOST_NOTES else None))
+        return found
 
-    def tasks(self) -> list[list[partial[Noted]]]:
-        """Return what notes all, level by level: the blocks of a level in parallel."""
-        arrays, split, kept = self.content.arrays, self.content.split, self.content.kept
-        tasks: list[list[partial[Noted]]] = [
-            [partial(self.block, block) for block in blocks_of(arrays.level_nodes, level)]
-            for level in range(arrays.level_cells.size - 2)
-        ]
-        firsts = first_rows(split.facings)
-        of_split, of_kept = (ends_of(each.cells, arrays.level_cells) for each in (split, kept))
-        tasks.append([partial(self.split, part, firsts) for part in parts(of_split)])
-        tasks.append([partial(self.kept, part) for part in parts(of_kept)])
-        return tasks
+    def counts(self) -> list[Uint32s]:
+        """Return how often which symbols occurred, of each pool."""
+        counted = self._counted or [_counts(counting(self._codings))]
+        return [reduce(np.add, each) for each in zip(*counted, strict=True)]
 
 
-def _called(task: partial[Noted]) -> Noted:
-    return task()
+def _counts(models: Models) -> list[Uint32s]:
+    return [pool.counts for pool in models.pools]
 
 
-def _noted(
-    content: Content, codings: dict[str, Coding], executor: Executor
-) -> tuple[list[Int64s], list[_Note]]:
-    """Return how often what occurs, each thread having counts of its own; and the notes of each block.
-
-    Of many, only the first are kept: the others are made anew.
-    """
-    found: list[list[Int64s]] = []
-    here = threading.local()
-
-    def own() -> Models:
-        if not hasattr(here, "models"):
-            counts = no_counts(codings)
-            found.append(counts)
-            here.models = counting(counts, codings)
-        return here.models  # type: ignore[no-any-return]
-
-    noted: list[_Note] = []
-    size = 0
-    for level in _Pass(content, own).tasks():
-        for task, (numbers, streams) in zip(level, ordered_map(executor, _called, level), strict=True):
-            size += sum(stream.nbytes for stream in streams)
-            noted.append((task, (numbers, streams) if size <= _MOST_NOTES else None))
-    return [reduce(np.add, each) for each in zip(*found or [no_counts(codings)], strict=True)], noted
-
-
-def _encoded(models: tuple[Uint32s, Uint32s], note: _Note) -> Encoded:
-    """Return a block's numbers of children and its streams."""
-    task, noted = note
-    numbers, streams = noted or task()
-    return numbers, [words_of(stream, *models).astype("<u2").tobytes() for stream in streams]
+def _encoded(
+    noting: _Noting, intervals: tuple[Uint32s, Uint32s], noted: _Noted
+) -> tuple[list[int], list[bytes]]:
+    """Return what a block's record begins with, and its streams."""
+    begin, end = noted.block.begin, noted.block.end
+    streams = noted.streams or noting.block(noted.block)
+    counts = [after - before for before, after in zip(begin, end, strict=True)]
+    return counts, [encoded(stream, *intervals) for stream in streams]

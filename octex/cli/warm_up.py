@@ -98,7 +98,7 @@ def _surfaces(folder: Path) -> list[octex.Surface]:
     (folder / "needle.mtl").write_text(_MTL)
     (folder / "needle.ply").write_text(_PLY)
     # Of several values: constants are baked as factors.
-    PIL.Image.fromarray(np.arange(0, 48000, 3000, np.uint16).reshape(4, 4)).save(folder / "needle.png")
+    PIL.Image.fromarray(np.arange(0, 48000, 3000).reshape(4, 4).astype(np.uint16)).save(folder / "needle.png")
     textured = octex.load_surface(folder / "needle.obj")
     deformed = textured.with_rest(2.0 * textured.vertices)
     translucent = octex.Surface.from_arrays(

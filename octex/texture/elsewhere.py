@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from octex.archive.decode import AREAS, Contents, DamagedError
-from octex.archive.layout import SPLIT, TREE, known_names
-from octex.archive.read import opened
+from octex.archive.head import DamagedError
+from octex.archive.layout import AREAS, KEPT_NAME, SPLIT_NAMES, TREE_NAMES, known_names
+from octex.archive.read import Contents, Decoding
 from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.remote import BLOCK, RemoteFile
@@ -25,8 +25,9 @@ from octex.tree.octree import Octree
 #: Rows of the split table that are fetched at least.
 _LEAST_SPLIT = 1 << 8
 #: Tensors of an archive.
-_GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _AREAS = TREE
-_SPLIT_AREAS = SPLIT[2]
+_GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _ = TREE_NAMES
+#: Those that come with the structure, and which rows they have.
+_LISTS = {_FLAGS: "cell", SPLIT_NAMES[0]: "split", SPLIT_NAMES[1]: "split", KEPT_NAME: "kept"}
 
 
 class Elsewhere(Protocol):
@@ -94,8 +95,7 @@ class _Wanted:
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
         self.level = 0  # of the structure
-        self.cells: dict[str, list[Int64s]] = {}  # of areas and channels
-        self.rows_to: dict[str, int] = {}  # down to which level those of split cells and kept nodes
+        self.tables: dict[str, list[tuple[str, Int64s]]] = {}  # rows of areas and channels
 
     def rows(self, array: Array, rows: Array) -> None:
         """Add some rows."""
@@ -104,18 +104,13 @@ class _Wanted:
         if name is None or not rows.size:
             return
         rows = first + rows.astype(np.int64)
-        last = int(rows.max())
-        channel = name.partition("channels/")[2] or AREAS
         if name == _GROUPS:
-            self._reach(self._archive.level_of_node(8 * last + 7) + 1)
-        elif name == _FLAGS:
-            self._reach(self._archive.level_of_cell(last))
-        elif name == _SPLIT_AREAS or name.startswith("split/channels/"):
-            self._add_rows(channel, self._archive.level_of_split_row(last))
-        elif name.startswith("kept/channels/"):
-            self._add_rows(channel, self._archive.level_of_kept_row(last))
-        elif name == _AREAS or name.startswith("channels/"):
-            self.cells.setdefault(channel, []).append(rows)
+            self._reach(self._archive.level_of_node(8 * int(rows.max()) + 7) + 1)
+        elif name in _LISTS:
+            self._reach(self._archive.level_of(_LISTS[name], rows))
+        elif name not in (_LEVEL_CELLS, _LEVEL_NODES):
+            table = {"split": "row", "kept": "kept"}.get(name.partition("/")[0], "cell")
+            self.tables.setdefault(name.partition("channels/")[2] or AREAS, []).append((table, rows))
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
         """Add what says which children nodes have."""
@@ -129,9 +124,6 @@ class _Wanted:
     def _reach(self, level: int) -> None:
         self.level = max(self.level, level)
 
-    def _add_rows(self, kind: str, level: int) -> None:
-        self.rows_to[kind] = max(self.rows_to.get(kind, 0), level)
-
 
 class Archive:
     """An archive elsewhere, decoded as far as it was asked for into arrays of its own.
@@ -143,10 +135,10 @@ class Archive:
         self._remote = remote
         self._lock = RLock()
         with self._decoded():
-            self._decoding = opened(remote.mapping, self._fetch)
+            self._decoding = Decoding(remote.mapping, self._fetch)
         self._has_more = False  # structure than when rows were last asked for
         tensors = self.contents.tensors
-        self._level_cells, self._level_nodes = tensors[_LEVEL_CELLS], tensors[_LEVEL_NODES]
+        self._level_nodes = tensors[_LEVEL_NODES]
         self._n_nodes = int(self._level_nodes[-1])
         coded = known_names(tensors, self._decoding.channels)
         self._places = sorted(
@@ -174,9 +166,7 @@ class Archive:
         with self._decoded():
             was_more = self._decoding.decode_structure(rows.level) or self._has_more
             self._has_more = False
-            was_more |= self._decoding.decode_cells(rows.cells)
-            for kind, level in rows.rows_to.items():
-                was_more |= self._decoding.decode_rows(kind, level)
+            was_more |= self._decoding.decode(rows.tables)
         return was_more
 
     def fetch_arrays(self, *arrays: Array) -> None:
@@ -219,18 +209,9 @@ class Archive:
         """Return the level of a node."""
         return int(np.searchsorted(self._level_nodes, min(node, self._n_nodes - 1), "right")) - 1
 
-    def level_of_cell(self, cell: int) -> int:
-        """Return the level of a cell."""
-        return int(np.searchsorted(self._level_cells, cell, "right")) - 1
-
-    def level_of_split_row(self, row: int) -> int:
-        """Return the level of the cell that a split row is of."""
-        with self._decoded():
-            return self._decoding.level_of_split_row(row)
-
-    def level_of_kept_row(self, row: int) -> int:
-        """Return the level of a kept node."""
-        return self._decoding.level_of_kept_row(row)
+    def level_of(self, table: str, rows: Int64s) -> int:
+        """Return the level of the last of the cells that some rows of a table are of."""
+        return self._decoding.level_of(table, rows)
 
     def _fetch(self, ranges: Sequence[tuple[int, int]]) -> None:
         self._remote.fetch(np.array(ranges, np.int64).reshape(-1, 2))

@@ -612,7 +612,7 @@ class OctreeTexture:
         else:
             from octex.archive.write import write
 
-            write(path, tensors, metadata, list(self.channels), max_error)
+            write(path, tensors, metadata, max_error)
 
     def validate(self) -> None:
         """Prove that the tree is sound and the values are finite.
