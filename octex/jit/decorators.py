@@ -76,4 +76,4 @@ def _compiled(function: Function, **options: Any) -> Function:
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
     if DISABLED:
         return numba.njit(**options)(function)  # type: ignore[no-any-return]
-    return cached(function, options)
+    return cached(function, options)  # type: ignore[no-any-return]
