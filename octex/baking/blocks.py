@@ -13,10 +13,11 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
+from octex.field.facings import Facings, direction_of, face_cell, parts_of, view_of
 from octex.field.footprints import long_footprints, spread
 from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC
-from octex.field.taps import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.taps import AREA_WEIGHTS
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
@@ -199,7 +200,7 @@ def _list(
             group += 1
             continue
         view = view_of(normals, triangle)
-        parts_of(parts, *view[:3])
+        parts_of(parts, view)
         while texel < last:
             if n_blocks >= room.blocks.shape[0] or n_cells + _VOLUME > room.places.size:
                 return group, texel, n_blocks, n_cells, n_rows

@@ -13,20 +13,18 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
 from octex.errors import TextureFileError
 from octex.field.bricks import Tree
+from octex.field.facings import MOST_ROWS, Facings, face, facings_of
 from octex.field.neighborhood import walked_taps
 from octex.field.sinks import list_taps
 from octex.field.sources import SOURCES
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
-    MOST_ROWS,
     MOST_TILED,
     OFF,
     Ahead,
-    Facings,
     Taps,
-    face,
-    facings_of,
+    new_taps,
     place_points,
 )
 from octex.field.tiled import Search
@@ -237,7 +235,7 @@ class Field:
             yield taps if normals is None else self.facing(taps, normals[begin : begin + BLOCK], self)
 
     def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
-        """Return what faces the normals (points, 3) of taps, which change: see `taps.face`.
+        """Return what faces the normals (points, 3) of taps, which change: see `facings.face`.
 
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """
@@ -276,7 +274,7 @@ class Finder:
         tiles = self.field.tiles_for(self.filter)
         most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
         if self._taps is None or self._taps.starts.size < n:
-            self._taps = Taps.of(n, most, self._gradient)
+            self._taps = new_taps(n, most, self._gradient)
             self._all, self._next = np.arange(n), np.arange(1, n + 1)
             self._empty, self._rim = np.empty(n, np.int64), np.empty(n, np.int64)
         taps = self._taps

@@ -11,11 +11,12 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
+from octex.field.facings import Facings
 from octex.field.field import Field, Finder
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, weigh_by_area
+from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_area
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
