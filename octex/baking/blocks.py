@@ -22,7 +22,7 @@ from octex.field.tiles import Tiles, tile_row
 from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
 from octex.texture.blend import stored
-from octex.texture.lens import ANISOTROPY
+from octex.texture.lookup import ANISOTROPY
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.placement import Placement
 

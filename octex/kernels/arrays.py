@@ -13,7 +13,7 @@ from octex.field.tiles import Tiles
 from octex.kernels.layout import LookupArrays
 from octex.texture.blend import NO_TABLE, facing_spreads, stored
 from octex.texture.channel import Channel
-from octex.texture.lens import BLEED_THRESHOLD
+from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import MAX_DEPTH
 

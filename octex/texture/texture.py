@@ -37,16 +37,21 @@ from octex.files import is_address
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, taken, written
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import (
+    ANISOTROPY,
+    BLEED_THRESHOLD,
     Answers,
     Given,
+    Lens,
     LookUp,
+    LookupOptions,
+    SurfacePoints,
     block_in_space,
     check_apart,
     each_block,
     in_blocks,
     in_space,
+    placed,
 )
 from octex.texture.spans import Rows, Spans, add_reads, cells_of, nodes_read
 from octex.tree.octree import Octree
@@ -280,7 +285,7 @@ class OctreeTexture:
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
-        is_of_leaves = given.keys() <= {"points", "normals"}
+        is_of_leaves = not lens.has_footprints(given)
         if is_of_leaves and self._field.tiles is None:
             self._field.prepare(FILTERS.index(filter))
         if self.tree.n_leaves >= _MANY_LEAVES or (is_of_leaves and self._field.tiles is None):
