@@ -44,9 +44,11 @@ parallel, remote.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as type checkers know it; to import typing would take most of the time here
 if TYPE_CHECKING:
+    from typing import Any
+
     from octex.baking.bake import bake as bake
     from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices

@@ -1,14 +1,17 @@
-"""The types of arrays, by what their elements are; and zeros in files, which many are."""
+"""The types of arrays, by what their elements are; zeros in files; and counts of bits."""
 
 from __future__ import annotations
 
 import mmap
 import os
 import tempfile
+from collections.abc import Callable
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
+
+from octex.errors import OutputError
 
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
@@ -34,12 +37,17 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
     """Return so many bytes of 0: in memory, or if they are more in a temporary file, whose pages may go.
 
-    Raises OSError where there is no room for that file.
+    Raises OutputError where there is no room for that file.
     """
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
-    with tempfile.TemporaryFile() as file:
-        return np.frombuffer(zeros_in(file, count), np.uint8)
+    try:
+        with tempfile.TemporaryFile() as file:
+            return np.frombuffer(zeros_in(file, count), np.uint8)
+    except OSError as error:
+        raise OutputError(
+            f"{tempfile.gettempdir()}: has no place for {count:,} bytes: {error.strerror or error}; make room"
+        ) from error
 
 
 def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
@@ -49,3 +57,15 @@ def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
     else:
         file.truncate(count)
     return mmap.mmap(file.fileno(), count)
+
+
+def _bit_counts(words: Integers) -> Uint8s:
+    """Count the bits of unsigned integers by a table, for numpy 1, which has no ``bitwise_count``."""
+    octets = np.ascontiguousarray(words).view(np.uint8).reshape(*words.shape, words.itemsize)
+    counts: Uint8s = _BITS_OF_BYTES[octets].sum(axis=-1, dtype=np.uint8)
+    return counts
+
+
+_BITS_OF_BYTES = np.array([byte.bit_count() for byte in range(256)], np.uint8)
+#: The number of bits that are 1 in each of some unsigned integers.
+bit_counts: Callable[[Integers], Uint8s] = getattr(np, "bitwise_count", _bit_counts)

@@ -10,7 +10,7 @@ OctexError                  anything octex refuses; the message names what, why 
 ├── OutputError             something could not be written; what stood there before still stands
 └── MissingExtraError       an optional package is not installed (also an ImportError)
 
-ModelWarning                something that a model refers to is not there; it is read without (a UserWarning)
+ModelWarning                part of a model is missing or was mended; it is read nevertheless (a UserWarning)
 DefectError                 octex made something that does not fit together: nobody's input is to blame
 """
 
@@ -85,7 +85,7 @@ class MissingExtraError(OctexError, ImportError):
 
 
 class ModelWarning(UserWarning):
-    """A model was read without something that it refers to."""
+    """A model was read without something that it refers to, or with something mended."""
 
 
 class DefectError(Exception):

@@ -31,7 +31,7 @@ try:
 except ImportError:  # on Windows
     fcntl = None  # type: ignore[assignment]
 
-#: The names of files that are being written.
+#: The names of files that are being written, and of scratch folders.
 _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
 #: What a file starts with that Git LFS has left in the place of another.
 _POINTER = b"version https://git-lfs."
@@ -212,14 +212,32 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Make a folder that is gone, with all that is in it, at the end of the block or of the process.
 
-    It lies in ``parent``, by default where temporary files do.
+    It lies in ``parent``, by default where temporary files do. What killed processes left there is removed.
     """
-    folder = (parent or Path(tempfile.gettempdir())) / f"octex-{secrets.token_hex(8)}"
+    parent = parent or Path(tempfile.gettempdir())
+    _remove_leavings(parent)
+    folder = parent / f".octex-{secrets.token_hex(8)}"
     remove = partial(shutil.rmtree, folder, ignore_errors=True)
-    with undone_on_failure(remove):
+    with undone_on_failure(remove), contextlib.ExitStack() as held:
         folder.mkdir(mode=0o700)
+        while fcntl:
+            with contextlib.suppress(FileNotFoundError):
+                _lock(held.enter_context(_opened(folder)))
+            if folder.is_dir():
+                break
+            folder.mkdir(mode=0o700)  # it was taken for leavings before it was locked
         yield folder
         remove()
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    """Open a file or a folder, but no link, to lock it."""
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    try:
+        yield number
+    finally:
+        os.close(number)
 
 
 def _nameless_file(folder: Path) -> BinaryIO | None:
@@ -243,8 +261,8 @@ def _named_file(path: Path) -> BinaryIO:
             return file
 
 
-def _lock(file: BinaryIO) -> bool:
-    """Lock a file as long as it is open; say whether the system does so."""
+def _lock(file: BinaryIO | int) -> bool:
+    """Lock a file or a folder as long as it is open; say whether the system does so."""
     if not fcntl:
         return False
     try:
@@ -255,15 +273,18 @@ def _lock(file: BinaryIO) -> bool:
 
 
 def _remove_leavings(folder: Path) -> None:
-    """Remove the files that killed processes left half-written: those that nobody holds."""
+    """Remove the half-written files and the scratch folders of killed processes: those that nobody holds."""
     if not fcntl:
         return
     with contextlib.suppress(OSError):
-        for entry in os.scandir(folder):
-            if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
-                with contextlib.suppress(OSError), open_file(entry.path) as file:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    Path(entry.path).unlink()
+        for path in folder.iterdir():
+            if _TEMPORARY.fullmatch(path.name):
+                with contextlib.suppress(OSError), _opened(path) as number:
+                    fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    if path.is_dir():
+                        shutil.rmtree(path, ignore_errors=True)
+                    elif path.is_file():
+                        path.unlink()
 
 
 def _name(file: BinaryIO, path: Path) -> None:

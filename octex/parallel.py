@@ -3,13 +3,19 @@
 Functions that work in parallel take ``threads`` and ``executor``, and hand both to `workers`: so many
 threads, by default all processors for large batches and the calling thread alone for small ones; or the
 workers of any executor. What a worker calls works alone in its thread.
+
+A task returns what it makes: `start` sends other processes copies of arrays, to read only. A task that writes
+to the arrays it is given takes its workers from `sharing`: threads of this process.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import os
+import pickle
 import threading
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -115,14 +121,29 @@ def _note_worker() -> None:
 
 
 class built_once(cached_property[Result]):  # noqa: N801  (as what it derives from)
-    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them."""
+    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them.
+
+    Meanwhile only those who ask for the same of the same object wait.
+    """
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
-        with _BUILDING:
-            return super().__get__(instance, owner)
+        if instance is None:
+            return self
+        name, values = self.attrname, instance.__dict__
+        with _BEGINNING:
+            turn = _turns.setdefault((id(instance), name), threading.RLock())
+        with turn:
+            try:
+                if name not in values:
+                    values[name] = self.func(instance)
+                return values[name]
+            finally:
+                with _BEGINNING:
+                    _turns.pop((id(instance), name), None)
 
 
-_BUILDING = threading.RLock()  # only until an object has the value
+_BEGINNING = threading.Lock()
+_turns: dict[tuple[int, str | None], threading.RLock] = {}  # only until an object has the value
 
 
 class _Here(Executor):
@@ -163,6 +184,50 @@ def workers(
         yield pool
 
 
+def shares_memory(executor: Executor) -> bool:
+    """Say whether an executor surely works in this process."""
+    return isinstance(executor, (_Here, ThreadPoolExecutor))
+
+
+def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -> Future[Result]:
+    """Have an executor do a task; other processes get copies of its arrays, which it must not write to.
+
+    Raises ArgumentError for a task that cannot be sent to them.
+    """
+    if shares_memory(executor) or hasattr(executor, "here"):
+        return executor.submit(function, *given)
+    buffers: list[pickle.PickleBuffer] = []
+    text = io.BytesIO()
+    try:
+        _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, given))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ArgumentError(
+            f"executor: a task cannot be sent to its processes: {error}; define functions in a module, or "
+            "give threads"
+        ) from error
+    return executor.submit(_do, text.getvalue(), [buffer.raw().tobytes() for buffer in buffers])
+
+
+class _Pickler(pickle.Pickler):
+    """Keeps the elements of all arrays apart from the rest."""
+
+    def reducer_override(self, given: Any) -> Any:
+        flags = getattr(given, "flags", None)
+        if flags is None or getattr(flags, "forc", True):
+            return NotImplemented
+        return given.copy().__reduce_ex__(5)
+
+
+def _do(text: bytes, copies: list[bytes]) -> Any:
+    """Do a task that was sent here; raises RuntimeError for one that writes to what it was given."""
+    sums = [zlib.adler32(copy) for copy in copies]
+    function, given = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
+    found = function(*given)
+    if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
+        raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
+    return found
+
+
 @contextmanager
 def sharing(executor: Executor) -> Iterator[Executor]:
     """Yield who does tasks that write to arrays of this process.
@@ -171,7 +236,7 @@ def sharing(executor: Executor) -> Iterator[Executor]:
     with the block.
     """
     here = getattr(executor, "here", executor)
-    if isinstance(here, (_Here, ThreadPoolExecutor)):
+    if here is not None and shares_memory(here):
         yield here
         return
     with workers() as own:
@@ -198,7 +263,7 @@ def ordered_map(
     done = 0
     try:
         for item in items:
-            pending.append(executor.submit(function, item))
+            pending.append(start(executor, function, item))
             if len(pending) >= window:
                 yield pending.popleft().result()
                 done += 1

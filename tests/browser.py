@@ -53,6 +53,17 @@ _NORMALS = """([look, [width, height]]) => {
 }"""
 
 
+#: Draws a picture and returns its codes, the lowest row first, as base64.
+_DRAWN = """([look, [width, height]]) => {
+  const { gpu, camera } = viewer, { gl } = gpu, codes = new Uint8Array(4 * width * height);
+  gpu.draw({ ...viewer.look, ...look }, camera, width, height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+  let text = "";
+  for (const code of codes) text += String.fromCharCode(code);
+  return btoa(text);
+}"""
+
+
 @contextmanager
 def started() -> Iterator[Any]:
     """Start the browser that OCTEX_TEST_BROWSER names, by default chromium; skip where there is none.
@@ -137,6 +148,12 @@ class Probe:
     def plane(self, number: int) -> Floats:
         """What is looked up of a plane's four components."""
         return self._asked(number)[1][self.seen]
+
+
+def drawn(page: Any, size: tuple[int, int], **look: Any) -> npt.NDArray[np.uint8]:
+    """Return a picture that a page draws, sRGB codes (height, width, 3); ``look`` changes what is shown."""
+    text = page.evaluate(_DRAWN, [look, size])
+    return np.frombuffer(base64.b64decode(text), np.uint8).reshape(size[1], size[0], 4)[::-1, :, :3]
 
 
 def lit_normals(page: Any, size: tuple[int, int], **look: Any) -> Floats:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import bit_counts
 from octex.channels import ChannelFormat, decode, encode
 from octex.editing.refined import refined_values
 from octex.texture import Channel, OctreeTexture
@@ -245,5 +246,5 @@ def _row(texture: OctreeTexture, cell: int, facing: int) -> int | None:
     at = int(np.searchsorted(split.cells, cell))
     if at == split.cells.size or split.cells[at] != cell or not split.facings[at] & facing:
         return None
-    first = int(np.bitwise_count(split.facings[:at]).sum())
+    first = int(bit_counts(split.facings[:at]).sum())
     return first + (int(split.facings[at]) & (facing - 1)).bit_count()

@@ -64,15 +64,17 @@ class File(Document):
 
 def blended(file: File, skin: int, worlds: dict[int, Floats], at: dict[str, Floats], vertex: int) -> Floats:
     entry = file.json["skins"][skin]
+    sets = [n for n in range(2) if f"JOINTS_{n}" in at]
+    joints = [joint for n in sets for joint in at[f"JOINTS_{n}"][vertex]]
+    weights = [weight for n in sets for weight in at[f"WEIGHTS_{n}"][vertex]]
+    if not any(weights):
+        weights[0] = 1.0
     matrix = np.zeros((4, 4))
-    for n in range(2):
-        if f"JOINTS_{n}" not in at:
-            continue
-        for joint, weight in zip(at[f"JOINTS_{n}"][vertex], at[f"WEIGHTS_{n}"][vertex], strict=True):
-            inverse = np.eye(4)
-            if "inverseBindMatrices" in entry:
-                inverse = file.matrix(entry["inverseBindMatrices"], int(joint))
-            matrix += weight * worlds[entry["joints"][int(joint)]] @ inverse
+    for joint, weight in zip(joints, weights, strict=True):
+        inverse = np.eye(4)
+        if "inverseBindMatrices" in entry:
+            inverse = file.matrix(entry["inverseBindMatrices"], int(joint))
+        matrix += weight / sum(weights) * worlds[entry["joints"][int(joint)]] @ inverse
     return matrix
 
 

@@ -14,7 +14,7 @@ from octex.texture import Channel, OctreeTexture
 Place = tuple[int, int]  # level, Morton code
 Floats = npt.NDArray[np.floating[Any]]
 
-AREAS = [2.0**-30, *(2.0 ** ((code - 207) / 8) for code in range(1, 256))]
+AREAS = [2.0**-44, *(2.0 ** ((code - 207) / 8) for code in range(1, 256))]
 
 
 class Cell(NamedTuple):

@@ -20,6 +20,8 @@ Random = np.random.Generator
 
 #: Covers below this are rounding, or nearly: on which side of a support's rim a point lies is then left open.
 _LEAST_COVER = 1e-5
+#: Derivatives are differences over 2⁻⁷ of a finest cell to both sides.
+_STEP = 7
 
 
 def random_texture(random: Random, dtypes: tuple[str, ...] = tuple(sorted(ONE))) -> OctreeTexture:
@@ -96,7 +98,7 @@ def check(seed: int) -> None:
         _check_references(texture, points, at_random, filter, views, about)
         gradient = filter != "nearest" and random.random() < 0.5
         if gradient:
-            _check_gradients(texture, points, at_random, filter, about)
+            _check_gradients(texture, points, at_random, filter, views, about)
 
 
 def random_views(random: Random, n: int, size: float) -> dict[str, Any]:
@@ -199,13 +201,17 @@ def _on_a_rim(slow: Views, point: Array) -> bool:
 
 
 def _check_gradients(
-    texture: OctreeTexture, points: Array, at_random: Array, filter: str, about: str
+    texture: OctreeTexture, points: Array, at_random: Array, filter: str, views: dict[str, Any], about: str
 ) -> None:
-    """Gradients are finite, and values beside them those without."""
-    for name in texture.channels:
-        values, gradients = texture.sample(points, name, filter, normalize=False, gradient=True)
+    """Gradients are the derivatives of what lookups return; values beside them are those without."""
+    step = 2.0 ** -(texture.tree.max_depth + _STEP)  # of the root cell's edge
+    exact = points.astype(np.float64)
+    for name, channel in texture.channels.items():
+        stored = _stored(texture, name)
+        largest = 1.0 if channel.format.space == "direction" else float(np.abs(stored).max(initial=0.0))
+        values, gradients = texture.sample(points, name, filter, gradient=True, **views)
         assert np.isfinite(values).all() and np.isfinite(gradients).all(), f"{about}: gradients of {name}"
-        plain = texture.sample(points, name, filter, normalize=False)
+        plain = texture.sample(points, name, filter, **views)
         np.testing.assert_allclose(
             values[at_random],
             plain[at_random],
@@ -213,3 +219,21 @@ def _check_gradients(
             atol=1e-4,
             err_msg=f"{about}: {name} beside gradients",
         )
+        middle = texture.sample(exact, name, filter, **views).astype(np.float64)
+        for axis in range(3):
+            ahead, behind = (
+                texture.sample(
+                    exact + sign * step * texture.placement.size * np.eye(3)[axis], name, filter, **views
+                )
+                for sign in (1, -1)
+            )
+            # All by a step, so that rounding of values counts alike whatever the step is.
+            slopes = 0.5 * (ahead.astype(np.float64) - behind)
+            bends = np.abs(ahead - 2 * middle + behind)
+            found = gradients[:, :, axis] * (step * texture.placement.size)
+            allowed = bends + 1e-2 * np.abs(slopes) + 2e-3 * 2.0**-_STEP * largest
+            wrong = (np.abs(found - slopes) > allowed)[at_random]
+            assert not wrong.any(), (
+                f"{about}: the derivative of {name} along axis {axis} is {slopes[at_random][wrong]}, "
+                f"not {found[at_random][wrong]}, at {points[at_random][wrong.any(axis=1)]}"
+            )

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
 
+from octex.arrays import bit_counts
 from octex.channels import ALPHA, COLOR_SPACES, ONE, ChannelFormat
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
@@ -85,7 +86,7 @@ def with_random_data(tree: Octree, seed: int, keep: float | None = None) -> Octr
             np.bitwise_or.at(own, parents, flags[level_cells[level + 1] : level_cells[level + 2]])
     is_split = (random.random(tree.n_cells) < 0.3) & (flags > 0)
     facings = flags[is_split]
-    rows = int(np.bitwise_count(facings).sum())
+    rows = int(bit_counts(facings).sum())
     split = SplitTable(
         np.flatnonzero(is_split).astype(np.uint32),
         facings,

@@ -218,6 +218,20 @@ def test_frequencies_are_of_4096_and_leave_out_no_symbol(counts: list[int]) -> N
     assert ((sizes > 0) == (np.array(counts) > 0)).all()
 
 
+def test_tables_of_pools_are_numbered_through_beyond_255() -> None:
+    def pool(tables: int) -> entropy.Pool:
+        nothing = np.empty(0, np.uint32)
+        intervals = np.arange(tables * 256, dtype=np.uint32)
+        chosen = np.arange(tables, dtype=np.uint8)
+        return entropy.Pool(
+            chosen, intervals, nothing.astype(np.uint8), nothing, np.empty((0, 0), np.int64), 0
+        )
+
+    chosen, intervals = entropy.intervals_of([pool(200), pool(100), pool(9)])
+    np.testing.assert_array_equal(chosen, np.arange(309))
+    assert (chosen.dtype, intervals.size) == (np.uint32, 309 * 256)
+
+
 def test_the_command_archives_and_brings_back(tmp_path: Path) -> None:
     from octex.cli.convert import main
 

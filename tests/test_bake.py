@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+import urllib.parse
 from pathlib import Path
 from typing import Any
 
@@ -750,6 +752,37 @@ def test_images_of_udim_tiles_are_named_by_them(tmp_path: Path) -> None:
         names = [f"a-base_color.{tile}.png" for tile in (1001, 1002)]
         assert all((tmp_path / name).exists() for name in names)
         assert psnr(octex.load_surface(path).evaluate(seen), baked.evaluate(seen)) > 60.0
+
+
+def test_gltf_files_beside_are_named_by_valid_uris(tmp_path: Path) -> None:
+    surface = whole()
+    baked = octex.bake(octex.convert(surface, 3), surface, texture_size=64, channels=["base_color"])
+    path = tmp_path / f"a %41#?{'é' * 60}.gltf"  # as a URI longer than a file's name may be
+    octex.write_model(baked, path)
+    written = json.loads(path.read_text())
+    for entry, ending in ((written["buffers"][0], ".bin"), (written["images"][0], "-0.png")):
+        assert re.fullmatch(r"(?:[\w.~-]|%[0-9A-F]{2})+", entry["uri"], re.ASCII)
+        assert urllib.parse.unquote(entry["uri"]) == path.stem + ending
+    points = baked.scatter(500)
+    assert psnr(octex.load_surface(path).evaluate(points), baked.evaluate(points)) > 100.0
+
+
+def test_obj_files_keep_the_names_of_materials(tmp_path: Path) -> None:
+    names = ["wood", "worn steel", "worn_steel", "", "material3", "a\n\0\ud800b"]
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]])
+    points = np.concatenate([square + np.array([n, 0, 0]) for n in range(len(names))])
+    triangles = np.arange(len(points), dtype=np.int32).reshape(-1, 3)
+    colors = [(n / 8, 0.5, 0.5) for n in range(len(names))]
+    materials = [
+        Material({"base_color": Input(color)}, name=name) for color, name in zip(colors, names, strict=True)
+    ]
+    source = MaterialSource(materials, np.arange(len(names), dtype=np.int32), points, triangles)
+    octex.write_model(Surface(points, triangles, source), tmp_path / "a.obj")
+    read = as_source(octex.load_surface(tmp_path / "a.obj"))
+    found = [read.materials[number] for number in read.triangle_materials]
+    known = ["wood", "worn_steel", "worn_steel_", "material3", "material3_", "a___b"]
+    assert [each.name for each in found] == known
+    np.testing.assert_allclose([each.inputs["base_color"].factor for each in found], colors, atol=1e-6)
 
 
 def test_materials_that_read_one_image_have_one_file(tmp_path: Path) -> None:

@@ -450,6 +450,29 @@ def test_what_is_built_once_is_built_by_one_of_the_threads_that_want_it() -> Non
     assert all(value is values[0] for value in values)
 
 
+def test_who_builds_one_object_waits_for_nobody_who_builds_another() -> None:
+    class Slow:
+        def __init__(self) -> None:
+            self.begun, self.may_end = threading.Event(), threading.Event()
+
+        @parallel.built_once
+        def value(self) -> int:
+            self.begun.set()
+            assert self.may_end.wait(10)
+            return 1
+
+    first, second = Slow(), Slow()
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            found = pool.submit(lambda: first.value)
+            assert first.begun.wait(10)
+            second.may_end.set()
+            assert pool.submit(lambda: second.value).result(5) == 1
+        finally:
+            first.may_end.set()
+        assert found.result() == 1
+
+
 WORDS = (
     "Who works in parallel: ``threads``, so many, by default all processors for large batches and the "
     "calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. "

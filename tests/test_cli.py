@@ -43,7 +43,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "a.glb b.octex c",
             "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
         ),
-        ("a.glb b.octex --dept 3", "--dept is no option, --depth is; see octree-convert --help"),
+        ("a.glb b.octex --dept 3", "--dept is no option: do you mean --depth; see octree-convert --help"),
         ("a.glb b.octex --depth x", "--depth: 'x' is no whole number; see octree-convert --help"),
         ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
         ("a.glb b.octex --cell x", "--cell: 'x' is no number; see octree-convert --help"),

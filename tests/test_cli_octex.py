@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -48,7 +50,9 @@ def test_each_command_does_what_octree_convert_does(
         ("info", [texture], ["--json"]),
         ("validate", [texture], []),
         ("diff", [texture, model], ["--points", 1000]),
+        ("diff", [texture, model], ["--points", 1000, "--threads", 1]),
         ("overlaps", [model], ["--margin", 0.1]),
+        ("overlaps", [model], ["--threads", 1]),
     ):
         wanted = [f"--{command}", *map(str, files), *map(str, options)]
         assert convert(wanted) == ExitCode.DONE
@@ -106,7 +110,10 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     known = "the commands are convert, view, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
     end = f"{known}; see octex --help"
     assert refused(capsys) == f"octex: error: a command is missing: {end}"
-    assert refused(capsys, "convrt", "a") == f"octex: error: 'convrt' is no command, 'convert' is: {end}"
+    assert (
+        refused(capsys, "convrt", "a")
+        == f"octex: error: 'convrt' is no command, do you mean 'convert': {end}"
+    )
     assert refused(capsys, "a.glb") == f"octex: error: 'a.glb' is no command: {end}"
     assert refused(capsys, "--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
     assert refused(capsys, "help", "x").startswith(
@@ -123,8 +130,16 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
         ("diff a.octex", "A B are missing"),
         ("validate a b", "b is one file too many for octex validate FILE"),
         ("warm-up now", "now is one file too many for octex warm-up"),
-        ("edit a.octex b.octex --dpeth=3", "--dpeth is no option, --depth is"),
+        ("edit a.octex b.octex --dpeth=3", "--dpeth is no option: do you mean --depth"),
         ("convert a.glb b.octex --qqq", "--qqq is no option"),
+        (
+            "convert a.octex b.glb --mesh a.glb --uv keep",
+            "--uv is an option of octex bake, not of octex convert",
+        ),
+        (
+            "diff a.octex b.octex --depth 3",
+            "--depth is an option of octex convert and of octex edit and of octex view, not of octex diff",
+        ),
         ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
     ],
@@ -134,6 +149,12 @@ def test_words_that_do_not_fit_are_named(
 ) -> None:
     command = f"octex {words.split()[0]}"
     assert refused(capsys, *words.split()) == f"{command}: error: {message}; see {command} --help"
+
+
+def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:
+    message = refused(capsys, "convert", "a.glb", "b.glb")
+    assert message.endswith("convert a.glb to NAME.octex first, then that with --mesh a.glb")
+    assert refused(capsys, "convert", "a.octex", "b.glb").endswith("give --mesh MODEL")
 
 
 def test_a_file_of_functions_needs_the_name_of_one(
@@ -156,3 +177,32 @@ codes = [main(each.split()) for each in words]
 print(*sorted({"numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm"} & set(sys.modules)), file=sys.stderr)
 """
     assert python(code).stderr.splitlines()[-1] == ""
+
+
+INTERRUPTED = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+from octex.cli import start
+for name in [name for name in sys.modules if name in ("argparse", "octex.errors")]:
+    del sys.modules[name]
+sys.meta_path.insert(0, Finder())
+function = getattr(start, sys.argv.pop(2))
+sys.exit(function())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("module", ["argparse", "octex.errors", "octex.cli.common", "octex.cli.arguments"])
+def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module: str) -> None:
+    scripts = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    for command, target in scripts["scripts"].items():
+        home, _, function = target.partition(":")
+        assert home == "octex.cli.start"
+        done = python(INTERRUPTED, module, function, "--version")
+        assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")

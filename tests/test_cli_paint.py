@@ -129,7 +129,7 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    options = ["--camera", scene.cameras, "--camera", f"{scene.cameras}#square.png"]
+    options = ["--camera", scene.cameras, "--camera", f"{scene.cameras}#square.png", "--threads", 1]
     text = result(capsys, scene.model, scene.texture, "--view", view, "--camera-out", file, *options)
     assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
     assert text.splitlines()[1] == f"{file}: its camera"
@@ -930,7 +930,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
         ],
         *[
             (f"m.glb t.octex --view v.png {words}", f"{words.split()[0]} has no meaning with --view")
-            for words in ("--out o.octex", "--layer l.octex", "--blend over", "--threads 2", "--opacity 0")
+            for words in ("--out o.octex", "--layer l.octex", "--blend over", "--opacity 0")
         ],
         ("m.glb t.octex --camera c --out o.octex --size 3,3", "--size has no meaning with painting"),
         ("m.glb t.octex --camera-out c.json", "--camera-out has no meaning with painting"),

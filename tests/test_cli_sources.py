@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,41 @@ def test_functions_in_files_are_channels_and_surfaces(
     result(capsys, folder / "red.ply", out, "--depth", 5, "--also", ball, *where, "--force")
     assert octex.open(out).contains([[0.0, 0.0, 1.0], [0.5, 0.5, 0.0]]).all()
     assert json.loads(result(capsys, "--diff", out, ball, "--source", red, *where, "--json"))
+
+
+_DATACLASS = """
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from paints import GREEN
+
+
+@dataclass
+class Rings:
+    color: tuple[float, ...] = GREEN
+
+
+def rings(points):
+    from paints_of_calls import BLUE
+
+    return np.tile(np.add(Rings().color, BLUE), (len(points), 1))
+"""
+
+
+def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    (tmp_path / "wood.py").write_text(_DATACLASS)
+    (tmp_path / "paints.py").write_text("GREEN = (0.0, 1.0, 0.0)")
+    (tmp_path / "paints_of_calls.py").write_text("BLUE = (0.0, 0.0, 1.0)")
+    out = tmp_path / "out.octex"
+    rings = f"base_color={tmp_path / 'wood.py'}:rings"
+    result(capsys, folder / "wide.ply", out, "--depth", 4, "--source", rings)
+    assert np.allclose(colors(out), [0, 1, 1])
 
 
 @pytest.mark.parametrize(

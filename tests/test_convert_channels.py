@@ -191,7 +191,10 @@ def test_a_texture_holds_nothing_that_is_not_finite() -> None:
         ({"channels": []}, "channels must name one at least"),
         ({"dtype": "int8"}, "unknown dtype 'int8'; there are: uint8, uint16, float16, float32"),
         ({"dtype": {"alpha": "uint8"}}, "unknown channel of dtype 'alpha'; there are: base_color, metallic"),
-        ({"dtype": "uint16"}, "surface: channel 'emissive' goes above 1, which uint16 cannot hold; give it"),
+        (
+            {"dtype": "uint16"},
+            "surface: channel 'emissive' may go above 1, which uint16 cannot hold; give it",
+        ),
         ({"filter": "sharp"}, "unknown filter 'sharp'; there are: nearest, bilinear"),
         ({"sources": {"paint": 0.5}}, "unknown channel 'paint'; there are: base_color, "),
     ],

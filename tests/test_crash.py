@@ -19,7 +19,7 @@ from tests.test_archive import hilly
 
 ROOT = Path(__file__).parent.parent
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are killed as Linux does it")
-LEFT = ".octex-0123456789abcdef"
+LEFT, LEFT_FOLDER = ".octex-0123456789abcdef", ".octex-fedcba9876543210"
 
 
 @linux
@@ -80,6 +80,8 @@ def test_what_a_killed_process_left_is_removed_and_what_another_one_writes_is_no
     if named:
         monkeypatch.setattr(files, "_nameless_file", lambda _folder: None)
     (tmp_path / LEFT).write_bytes(b"half")
+    (tmp_path / LEFT_FOLDER / "in").mkdir(parents=True)
+    (tmp_path / LEFT_FOLDER / "in" / "a").write_bytes(b"an array")
     (tmp_path / ".octex-mine").write_bytes(b"not a save's")
     with files.replacing(tmp_path / "a") as first:
         first.write(b"first")

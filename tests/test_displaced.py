@@ -103,6 +103,18 @@ def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel: str) -> None
 
 
 @needs_jit
+def test_triangles_without_area_are_displaced_beside_others() -> None:
+    vertices = np.concatenate([SQUARE, [[2.0, 0, 0], [2, 0, 0], [2, 0, 0]]])
+    triangles = np.concatenate([SQUARE_TRIANGLES, [[4, 5, 6]]]).astype(np.int32)
+    surface = octex.Surface.from_arrays(vertices, triangles).with_sources({"roughness": 0.25})
+    made = octex.displace(surface, octex.convert(surface, 4), "roughness", 0.1)
+    frames = made.posed_frames()
+    assert frames is not None
+    assert np.isfinite(frames.normals.values).all() and np.isfinite(frames.tangents.values).all()
+    assert np.isfinite(made.vertices).all()
+
+
+@needs_jit
 def test_what_cannot_be_displaced_is_refused() -> None:
     surface = ball(1).with_sources({"occlusion": height})
     texture = octex.convert(surface, 3, dtype="float16")

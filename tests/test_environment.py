@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 import octex
+from octex.channels import encode
 from octex.errors import ArgumentError, ImageError
 from octex.preview import Bump, draw_preview, render, render_leaves, source_shader, texture_shader
+from octex.preview.pictures import lit
+from octex.preview.shaders import Appearance
 from octex.view.camera import Camera
 from octex.view.environment import Environment
-from octex.view.reflection import Material, reflectances, reflected
+from octex.view.reflection import Material, reflectances, reflected, tone_mapped
 from tests import naive_light
 
 WHITE = Environment.of(np.ones((8, 16, 3)))
@@ -158,6 +161,55 @@ def test_the_studio_turns_with_the_camera():
         studio, turned, np.zeros((20, 3)), normals @ pose[:3, :3].T, normals @ pose[:3, :3].T, material
     )
     assert np.allclose(here, there, atol=1e-5)
+
+
+#: Colour, metallic and roughness of balls, and their mean sRGB codes within 0.89 of the radius, seen from
+#: eight sides in three.js 0.170: RoomEnvironment, NeutralToneMapping, exposure 1.
+_ROOM = [
+    ((0.0, 0.0, 0.0), 0, 0.5, (25, 25, 25)),
+    ((0.02, 0.02, 0.02), 0, 0.3, (45, 45, 45)),
+    ((0.18, 0.18, 0.18), 0, 0.6, (126, 126, 126)),
+    ((0.8, 0.8, 0.8), 0, 0.6, (228, 228, 228)),
+    ((0.7, 0.05, 0.05), 0, 0.4, (220, 70, 70)),
+    ((1.0, 0.78, 0.34), 1, 0.2, (207, 180, 114)),
+    ((0.9, 0.9, 0.9), 1, 0.05, (182, 182, 182)),
+    ((0.9, 0.9, 0.9), 1, 0.35, (212, 212, 212)),
+    ((0.3, 0.3, 0.3), 1, 0.4, (126, 126, 126)),
+]
+
+
+@pytest.mark.parametrize(("color", "metallic", "roughness", "codes"), _ROOM)
+def test_materials_are_as_bright_in_the_studio_as_in_the_room_of_three_js(color, metallic, roughness, codes):
+    x, y = np.meshgrid(*[np.linspace(-0.89, 0.89, 41)] * 2)
+    inside = x**2 + y**2 < 0.89**2
+    normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)[inside]
+    seen = Appearance(
+        np.tile(np.array(color), (len(normals), 1)),
+        metallic=np.full(len(normals), float(metallic)),
+        roughness=np.full(len(normals), roughness),
+    )
+    light = lit(seen, Environment.studio(), AHEAD, np.zeros_like(normals), normals, normals).reflected
+    assert np.abs(encode(light, "uint8", "srgb").mean(axis=0) - codes).max() < 12
+
+
+def test_tone_mapping_keeps_colours_below_white_and_compresses_light_beyond():
+    light = np.array(
+        [[0.0, 0.0, 0.0], [0.04, 0.04, 0.04], [0.5, 0.3, 0.2], [0.8, 0.1, 0.1], [50.0, 10.0, 10.0]]
+    )
+    mapped = tone_mapped(light)
+    assert np.allclose(mapped[:4], [[0, 0, 0], [0.01, 0.01, 0.01], [0.46, 0.26, 0.16], [0.76, 0.06, 0.06]])
+    assert 0.99 < mapped[4, 0] < 1.0
+    assert mapped[4, 1] > 0.8  # it fades to white
+    ramp = tone_mapped(np.linspace(0, 20, 2000)[:, None] * [1.0, 0.5, 0.2])
+    assert (np.diff(ramp[:, 0]) > 0).all()
+
+
+def test_what_glows_in_the_studio_is_compressed_with_what_it_reflects():
+    shines = Appearance(np.full((1, 3), 0.5), emitted=np.full((1, 3), 3.0))
+    normal = np.array([[0.0, 0.0, 1.0]])
+    found = lit(shines, Environment.studio(), AHEAD, np.zeros((1, 3)), normal, normal)
+    assert found.emitted is None
+    assert 0.9 < found.reflected.max() < 1.0
 
 
 def test_both_sides_reflect_alike_and_normals_that_lean_away_stay_finite():

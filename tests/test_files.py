@@ -167,6 +167,29 @@ def test_a_signal_at_any_moment_leaves_no_scratch_folder(
     assert moment > 20
 
 
+KILLED_AT_WORK = """
+import os, signal, sys
+from pathlib import Path
+from octex import files
+with files.scratch_folder(Path(sys.argv[1])) as folder:
+    (folder / "file").write_bytes(bytes(1000))
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@posix
+def test_the_scratch_folder_of_a_killed_process_is_removed_and_one_in_use_is_not(tmp_path: Path) -> None:
+    with files.scratch_folder(tmp_path) as used:
+        (used / "file").write_bytes(b"content")
+        assert python(KILLED_AT_WORK, str(tmp_path)).returncode == -signal.SIGKILL
+        left = names_in(tmp_path)
+        assert len(left) == 2
+        with files.scratch_folder(tmp_path) as other:
+            assert names_in(tmp_path) == sorted([used.name, other.name])
+        assert (used / "file").read_bytes() == b"content"
+    assert names_in(tmp_path) == []
+
+
 STUBBORN = """
 import os, signal, sys
 from octex import files

@@ -99,6 +99,23 @@ def test_gradients_of_footprints_are_those_of_what_they_show() -> None:
             assert bad.mean() < 0.05  # where a step crosses what bends
 
 
+@pytest.mark.parametrize("filter", ["quadratic", "quartic"])
+def test_gradients_follow_what_footprints_without_normals_leave_to_finer_levels(filter: str) -> None:
+    texture = shell(4, 0.4)
+    points, _ = on_shell(300)
+    for width in (0.07, 0.2, 0.5):
+        _, gradients = texture.sample(points, filter=filter, gradient=True, width=width)
+        step = 1e-4
+        for axis in range(3):
+            ahead, behind = (
+                texture.sample(points + sign * step * np.eye(3)[axis], filter=filter, width=width)
+                for sign in (1, -1)
+            )
+            slopes = (ahead.astype(float) - behind) / (2 * step)
+            wrong = np.abs(slopes - gradients[:, :, axis]) > 0.005 * np.abs(slopes).max()
+            assert wrong.mean() < 0.01  # where a step crosses what bends
+
+
 # --- footprints
 
 

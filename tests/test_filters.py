@@ -347,7 +347,8 @@ def errors_of(
     linear = srgb_to_linear(codes[..., None] / 255)
     steps = (np.arange(40) + 0.5) / 40 - 0.5
     uv, jacobians = footprints_of(corners)
-    places = uv[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) @ jacobians.mT
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    places = uv[:, None] + grid @ jacobians.swapaxes(-1, -2)
     reads = naive_filters.dense_reads(linear, (wrap, wrap), places.reshape(-1, 2), flat)
     truth = linear_to_srgb(reads.reshape(len(corners), -1).mean(axis=1))
     image = np.repeat(codes[..., None], 3, axis=2)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
+from octex.arrays import bit_counts
 from octex.channels import (
     ALPHA,
     BASE_COLOR,
@@ -194,7 +195,7 @@ def test_nodes_and_their_sides_keep_the_means_of_the_source() -> None:
     nodes = np.setdiff1d(np.arange(means.tree.n_cells), leaves)
     ours, theirs = fitted.channels["base_color"], means.channels["base_color"]
     assert np.array_equal(ours.values[nodes], theirs.values[nodes])
-    owners = np.repeat(means.tree.split.cells, np.bitwise_count(means.tree.split.facings))
+    owners = np.repeat(means.tree.split.cells, bit_counts(means.tree.split.facings))
     of_nodes = np.isin(owners, nodes)
     assert of_nodes.any()
     assert np.array_equal(ours.split_values[of_nodes], theirs.split_values[of_nodes])
@@ -225,6 +226,25 @@ def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
     fitted.validate()
     ours, theirs = (texture.channels["base_color"].values.astype(int) for texture in (fitted, means))
     assert depth or np.abs(ours - theirs).max() < 128
+
+
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_leaves_whose_samples_all_miss_what_is_in_them_keep_their_means(channel: str, depth: int) -> None:
+    x, y = (each.ravel() / 24 for each in np.meshgrid(np.arange(12, 24), np.arange(24)))
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / 24
+    small = (np.stack([x, y], axis=1)[:, None] + square).reshape(-1, 2)
+    flat = np.concatenate([square * [12, 24], small])  # one half is two triangles, the other many
+    vertices = np.column_stack([flat, 0.2 * flat[:, 0] + 0.1 * flat[:, 1]])
+    triangles = (4 * np.arange(len(flat) // 4)[:, None, None] + HALVES).reshape(-1, 3)
+
+    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
+        return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
+
+    surface = Surface.from_arrays(vertices, triangles).with_sources({channel: halves})
+    fitted, plain = (octex.convert(surface, depth, channels=[channel], fit=fit) for fit in (True, False))
+    assert np.abs(fitted.rows(channel) - plain.rows(channel)).max() <= 0.01
 
 
 def test_a_cell_met_without_area_is_fitted_like_others() -> None:
@@ -347,7 +367,7 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     assert samples is not None
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
-    facings = np.bitwise_count(flags)
+    facings = bit_counts(flags)
     assert (counts >= facings).all()
     assert (counts <= 2 * facings).all()
     shares = np.add.reduceat(samples.shares.astype(int), samples.firsts[:-1])

@@ -177,11 +177,18 @@ def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tm
 
 
 def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path: Path) -> None:
-    (tmp_path / "50%25.png").write_bytes(png(random_image(4, 4)))
-    gltf = Gltf()
-    image = gltf.add("images", uri="50%25.png")
-    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
-    load_surface(gltf.save(tmp_path / "a.gltf"))
+    data = png(random_image(4, 4))
+    (tmp_path / "50%25.png").write_bytes(data)
+    surfaces = []
+    for uri in ("50%25.png", "data:image/png;base64," + base64.b64encode(data).decode()):
+        gltf = Gltf()
+        image = gltf.add("images", uri=uri)
+        gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
+        surfaces.append(load_surface(gltf.save(tmp_path / "a.gltf")))
+    samples = surfaces[0].scatter(100)
+    values = [surface.evaluate(samples) for surface in surfaces]
+    assert values[0].std() > 0.05
+    np.testing.assert_array_equal(*values)
 
 
 @pytest.mark.parametrize("style", ["base64", "base64 with line ends and no padding", "percent"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import octex
+from octex.cli import start
 
 ROOT = Path(octex.__file__).parent
 MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.rglob("*.py"))
@@ -57,6 +59,14 @@ ROWS = [
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
 MADE = {"source", "conversion", "view", "painting"}
 FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
+#: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
+NEW_IN_NUMPY_2 = {
+    "acos", "acosh", "asin", "asinh", "astype", "atan", "atan2", "atanh", "bitwise_count", "bitwise_invert",
+    "bitwise_left_shift", "bitwise_right_shift", "bool", "concat", "cumulative_prod", "cumulative_sum",
+    "isdtype", "long", "mT", "matrix_norm", "matrix_transpose", "matvec", "permute_dims", "pow", "strings",
+    "svdvals", "trapezoid", "ulong", "unique_all", "unique_counts", "unique_inverse", "unique_values",
+    "unstack", "vecdot", "vecmat", "vector_norm",
+}  # fmt: skip
 # Depth and cell limits are checked at the border too.
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
@@ -70,7 +80,7 @@ EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = {target.partition(":")[0] for target in PROJECT["scripts"].values()}
+COMMANDS = {*start.MODULES.values(), *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
 
 
 @cache
@@ -126,6 +136,16 @@ def test_each_big_package_has_one_user(module: str) -> None:
         assert not packages & {"trimesh", "manifold3d"}
 
 
+@pytest.mark.parametrize("module", MODULES)
+def test_no_name_is_used_that_numpy_1_26_lacks(module: str) -> None:
+    names = {
+        node.attr
+        for node in ast.walk(ast.parse((ROOT / f"{module}.py").read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np", "np.linalg")
+    }
+    assert not names & NEW_IN_NUMPY_2
+
+
 def test_the_exported_names_are_these_and_each_exists() -> None:
     assert octex.__all__ == EXPORTED
     for name in [*EXPORTED, "map", "open"]:
@@ -150,3 +170,15 @@ def test_importing_octex_or_a_command_loads_nothing_heavy(module: str) -> None:
     code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_the_extra_test_brings_what_tests_are_skipped_without() -> None:
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
+    listed = [each for extra in project["optional-dependencies"].values() for each in extra]
+    brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]
+    packages = {"pxr": "usd-core", "opengl_basisu": "opengl-basisu"}
+    left_out = {"moto", "s3fs", "scipy"}  # much to install for a test each
+    texts = [path.read_text("utf-8") for path in (ROOT.parent / "tests").glob("*.py")]
+    modules = set(re.findall(r'importorskip\(\s*"(\w+)', " ".join(texts)))
+    assert "playwright" in modules
+    assert {packages.get(module, module.lower()) for module in modules - left_out} <= brought

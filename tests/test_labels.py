@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 import octex
+from octex.channels import BASE_COLOR
 from octex.painting import labels as labelling
+from octex.painting.best import Patches
 from octex.painting.multigrid import graph_of
 from tests import naive_labels
 from tests.conftest import needs_jit
@@ -149,3 +151,41 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
     ]
     found, _ = painted(changed, "best")
     assert np.sqrt(((found - truth)[seen] ** 2).mean()) < 10
+
+
+class _TwoPictures:
+    """Stands for the shots of a paint source: one paints 0.2, the other 0.8, all of them 0.5."""
+
+    channels = (BASE_COLOR,)
+    shots = (0.2, 0.8)
+
+    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
+        return np.tile(np.float32([0.5, 0.5, 0.5, 1.0]), (len(triangles), 1))
+
+    def with_shots(self, shots: list[float], numbers: list[int]) -> _TwoPictures:  # noqa: ARG002
+        alone = _TwoPictures()
+        alone.shots = tuple(shots)  # type: ignore[assignment]
+        return alone
+
+    def each(self, triangles: Array, barycentric: Array, widths: Array) -> tuple[Array, Array]:  # noqa: ARG002
+        count = len(triangles)
+        return np.full((1, count, 3), self.shots[0], np.float32), np.ones((1, count), np.float32)
+
+
+class _Sheets:
+    """Says for each point its triangle's number as the sheet; −1 for triangle 2."""
+
+    def at(self, grid: Array, faces: Array, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
+        return np.where(triangles == 2, -1, triangles)
+
+
+def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
+    shares = np.array([[1, 0], [0, 1]], np.float32)
+    none: Any = np.zeros((0, 3), np.int32)
+    source: Any = _TwoPictures()
+    sheets: Any = _Sheets()
+    own = np.arange(3, dtype=np.int32)
+    paint = Patches(source, sheets, shares, np.zeros((2, 2, 3), np.float32), (none, none), own)
+    found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
+    np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
+    assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()

@@ -99,6 +99,41 @@ def test_memory_is_what_a_conversion_takes_at_its_peak(
 
 
 @needs_jit
+def test_files_of_arrays_go_when_nobody_has_the_array(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, present = [0], []
+    empty = large.Scratch.empty
+
+    def noted(self: large.Scratch, *given: Any) -> Any:
+        made = empty(self, *given)
+        written[0] += made.nbytes
+        present.append(sum(path.stat().st_size for path in self.folder.iterdir()))
+        return made
+
+    monkeypatch.setattr(large.Scratch, "empty", noted)
+    octex.convert(torus(), 6, max_error=2, memory=1, path=tmp_path / "a.octex")
+    assert max(present) < 0.6 * written[0]
+
+
+def test_the_file_of_an_array_stays_while_a_task_names_it(tmp_path: Path) -> None:
+    with large.scratch(tmp_path) as folder:
+        array = large.zeros(1000, np.uint8)
+        array[:] = 7
+        kept, path = array[10:20], folder.new_path()
+        del array
+        assert len(list(folder.folder.iterdir())) == 1
+        large._dump(kept, path, folder)
+        del kept
+        assert len(list(folder.folder.iterdir())) == 2
+        np.testing.assert_array_equal(large._load(path), np.full(10, 7))
+        unnamed = large.zeros(1000, np.uint8)
+        assert len(list(folder.folder.iterdir())) == 3
+        del unnamed
+        assert len(list(folder.folder.iterdir())) == 2
+
+
+@needs_jit
 def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     joined = large.joined

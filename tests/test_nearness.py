@@ -10,6 +10,7 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from octex.arrays import bit_counts
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
 from octex.conversion.distances import Looked
 from octex.conversion.nearness import Decoded, far_cells
@@ -62,7 +63,7 @@ def scene(seed: int, smooth: float) -> Scene:
     flags = full.arrays.flags & np.uint8(others) | np.uint8(1 << 4)
     cells = np.flatnonzero(flags & SPLIT)
     facings = flags[cells] & np.uint8(FACING_FLAGS)
-    rows = int(np.bitwise_count(facings).sum())
+    rows = int(bit_counts(facings).sum())
     split = SplitTable(cells.astype(np.uint32), facings, np.zeros(rows, np.uint8))
     full = full.with_cell_data(flags, full.arrays.areas, split)
     channels = {}

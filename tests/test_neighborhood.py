@@ -81,7 +81,7 @@ def taps(
     while done < n:
         begin = done
         task = arrays, kept_cells, arrays.flags.size, np.asarray(points, np.float64), which, begin
-        done, end = walked_taps(*task, code, walk, found, 0)
+        done, end = walked_taps(*task, code, True, walk, found, 0)
         assert done > begin
         counts = (found.ends - found.starts)[begin:done]
         scales = np.repeat(np.maximum(found.covers[begin:done], taps_of.OFF), counts)

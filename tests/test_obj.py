@@ -8,14 +8,24 @@ import numpy as np
 import pytest
 
 from octex.channels import srgb_to_linear
-from octex.errors import ImageError, ModelError, ModelWarning
+from octex.errors import ImageError, ModelError, ModelWarning, OctexError
 from octex.source.load import load_surface
+from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
 from tests.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
 from tests.test_gltf import assert_agrees
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 WOOD = "newmtl wood\nmap_Kd wood.png\n"
+
+
+def assert_alike(surface: Surface, expected: Surface) -> None:
+    """Two surfaces have the same values, which differ from place to place."""
+    samples = expected.scatter(100)
+    values = expected.evaluate(samples)
+    assert values.std() > 0.05
+    np.testing.assert_array_equal(surface.vertices[surface.triangles], expected.vertices[expected.triangles])
+    np.testing.assert_array_equal(surface.evaluate(samples), values)
 
 
 def wooden(tmp_path: Path, mtl: str = WOOD, faces: str = FACES, square: str = OBJ_SQUARE) -> Path:
@@ -85,7 +95,14 @@ def test_each_face_keeps_its_material(tmp_path: Path) -> None:
 
 
 def test_materials_that_no_face_uses_are_not_read(tmp_path: Path) -> None:
-    load_surface(wooden(tmp_path, WOOD + "newmtl other\nKd red\nmap_Kd gone.png\n"))
+    expected = load_surface(wooden(tmp_path))
+    mtl = WOOD + "newmtl other\nKd red\nmap_Kd gone.png\n"
+    surface = load_surface(wooden(tmp_path, mtl))
+    assert isinstance(surface.source, MaterialSource)
+    assert [material.name for material in surface.source.materials if material.name] == ["wood"]
+    assert_alike(surface, expected)
+    with pytest.raises(OctexError, match="other"):  # it would be refused
+        load_surface(wooden(tmp_path, mtl, FACES + "usemtl other\nf 1/1 3/3 4/4\n"))
 
 
 def test_colours_of_vertices_are_srgb_values(tmp_path: Path) -> None:
@@ -304,7 +321,9 @@ def test_materials_without_a_library_are_white(tmp_path: Path) -> None:
 
 
 def test_a_library_that_no_face_needs_may_be_missing(tmp_path: Path) -> None:
-    load_surface(obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + FACES))
+    surface = load_surface(obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + FACES))
+    assert len(surface.triangles) == 2
+    np.testing.assert_array_equal(surface.evaluate(surface.scatter(20)), 1.0)
 
 
 def test_a_rest_mesh_needs_no_materials(tmp_path: Path) -> None:
@@ -425,10 +444,13 @@ def test_coordinates_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 
 def test_coordinates_may_lack_v(tmp_path: Path) -> None:
     for shorter in (("vt 1 0\n", "vt 0 0\n"), ("vt 0 0\n", "vt 1 0\n", "vt 1 1\n", "vt 0 1\n")):
-        square = OBJ_SQUARE
+        square = whole = OBJ_SQUARE
         for line in shorter:
             square = square.replace(line, line[:4] + "\n")
-        load_surface(wooden(tmp_path, square=square))
+            whole = whole.replace(line, line[:4] + " 0\n")
+        assert square.count("vt") == whole.count("vt") == 4
+        surface = load_surface(wooden(tmp_path, square=square))
+        assert_alike(surface, load_surface(wooden(tmp_path, square=whole)))
 
 
 FLAT_BLUE = "newmtl wood\nnorm wood.png\n"

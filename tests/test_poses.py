@@ -11,8 +11,9 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.cli.main import main
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.preview.hits import rest_normals, visible_hits
+from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
@@ -71,6 +72,22 @@ def test_vertices_are_where_the_specification_puts_them(tmp_path: Path, path: st
         np.testing.assert_array_equal(surface.rest, rest.vertices)
         np.testing.assert_array_equal(surface.triangles, rest.triangles)
         assert surface.provenance["pose"] == f"A@{time}"
+
+
+def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path: Path) -> None:
+    gltf = moving("rotation", "LINEAR")
+    attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["WEIGHTS_0"] = gltf.accessor(WEIGHTS * np.float32([[2], [0.18], [0], [1]]))
+    file = gltf.save(tmp_path / "a.glb")
+    octex.load_surface(file)  # as it rests they do not matter
+    words = r"primitives\[0\]: the weights of 3 of 4 vertices do not sum to 1; octex normalizes them"
+    with pytest.warns(ModelWarning, match=words):
+        surface = octex.load_surface(file, pose="A@1.2")
+    np.testing.assert_allclose(surface.vertices, posed(file, 0, np.float32(1.2)), atol=1e-5)
+    with pytest.warns(ModelWarning, match=words):
+        motion = load_motion(file)
+    assert motion is not None
+    np.testing.assert_allclose(np.add.reduceat(motion.bones.shares, motion.bones.first[:-1]), 1, atol=1e-12)
 
 
 def test_an_animation_without_a_name_is_called_by_its_number(tmp_path: Path) -> None:
@@ -138,11 +155,11 @@ def broken(change: str) -> Gltf:
     primitive = gltf.json["meshes"][0]["primitives"][0]
     attributes, animation = primitive["attributes"], gltf.json["animations"][0]
     sampler, target = animation["samplers"][0], animation["channels"][0]["target"]
-    if change == "weights that sum to 2":
-        attributes["WEIGHTS_0"] = gltf.accessor(2 * WEIGHTS)
-    elif change == "negative weights":
+    if change == "negative weights":
         attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[2, -1, 0, 0]] * 4))
     elif change == "weights that are not finite":
+        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.inf, 1, 0, 0]] * 4))
+    elif change == "weights that are no numbers":
         attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.nan, 1, 0, 0]] * 4))
     elif change == "no weights":
         del attributes["WEIGHTS_0"]
@@ -189,9 +206,12 @@ def broken(change: str) -> Gltf:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("weights that sum to 2", r"vertex 0 are \[2\.0, 0\.0, 0\.0, 0\.0\], which do not sum to 1"),
-        ("negative weights", "which do not sum to 1"),
-        ("weights that are not finite", "which do not sum to 1"),
+        (
+            "negative weights",
+            r"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], which must be finite and not below 0",
+        ),
+        ("weights that are not finite", "which must be finite and not below 0"),
+        ("weights that are no numbers", "which must be finite and not below 0"),
         ("no weights", "has JOINTS_0 without weights"),
         ("no joints", "has a skin but no JOINTS_0"),
         ("a joint out of range", "vertex 2 is moved by joint 3, but its skin has 3"),

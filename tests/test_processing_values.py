@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
+from octex.arrays import bit_counts
 from octex.channels import (
     ALPHA,
     BASE_COLOR,
@@ -125,7 +126,7 @@ def test_rows_of_split_nodes_follow_what_their_children_show() -> None:
     texture = octex.cast(shell(3), "float32")
     made = octex.map(texture, lambda values: values**2)
     tree = texture.tree
-    cells = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings))
+    cells = np.repeat(tree.split.cells, bit_counts(tree.split.facings))
     at_leaves = np.isin(cells, tree.leaf_cells())
     before, after = (each.channels["base_color"].split_values for each in (texture, made))
     np.testing.assert_allclose(after[at_leaves], before[at_leaves] ** 2, atol=1e-6)

@@ -149,7 +149,7 @@ def clipped(polygon: Floats, low: Floats, high: Floats) -> Floats:
 
 def barycentric_of(positions: Floats, corners: Floats) -> Floats:
     a, b, c = corners
-    second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (positions - a).T)[0]
+    second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (positions - a).T, rcond=None)[0]
     return np.stack([1 - second - third, second, third], axis=1)
 
 

@@ -7,6 +7,7 @@ import re
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -14,8 +15,8 @@ import numpy as np
 import pytest
 
 import octex
-from octex import container
-from octex.errors import ArgumentError, MissingExtraError, TextureFileError
+from octex import arrays, container
+from octex.errors import ArgumentError, MissingExtraError, OutputError, TextureFileError
 from octex.remote import BLOCK
 from octex.tree.morton import decode_cells
 from tests.painted import ball
@@ -252,6 +253,58 @@ def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path
         parts = list(pool.map(lambda some: there.sample(some), np.split(far[::-1], 4)))
     np.testing.assert_array_equal(np.concatenate(parts), here.sample(far[::-1]))
     assert not there._remote.is_whole  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("ending", [".octex", ".octz"])
+def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(
+    ending: str, server: Server, large: Path, tmp_path: Path
+) -> None:
+    here = octex.open(large)
+    here.save(tmp_path / f"a{ending}")
+    server.content = (tmp_path / f"a{ending}").read_bytes()
+    cells = decode_cells(here.tree.level_codes(8)[:5]) + 0.5
+    near = here.placement.origin + here.placement.size * (cells / 256)
+    for views in ({}, {"width": here.placement.size / 64}, {"normals": near}):
+        moved = []
+        for in_set in (False, True):
+            begin, there = server.sent, octex.open(server.address)
+            if in_set:
+                local = octex.TextureSet({"here": here, "there": there})
+                parts = np.arange(6) % 2
+                points = np.repeat(near, 2, axis=0)[1:7]
+                given = {
+                    name: np.repeat(each, 2, axis=0)[1:7] if name == "normals" else each
+                    for name, each in views.items()
+                }
+                np.testing.assert_array_equal(
+                    local.sample(points, parts, **given), here.sample(points, **given)
+                )
+                np.testing.assert_array_equal(local.contains(points, parts), here.contains(points))
+            else:
+                there.sample(near, **views)
+                there.contains(near)
+            moved.append(server.sent - begin)
+        assert 0 < moved[1] <= moved[0]
+    local = octex.TextureSet({"here": here, "there": octex.open(server.address)})
+    points = near.copy()
+    points[3] = np.nan
+    with pytest.raises(ArgumentError, match=r"points must be finite, but points\[3\]"):
+        local.sample(points, [0, 1, 0, 1, 1])
+
+
+def test_a_full_disk_under_an_archive_names_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    shell(5).save(tmp_path / "a.octz")
+    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
+    monkeypatch.setattr("octex.archive.read.zeros", partial(arrays.zeros, most_in_memory=0))
+    monkeypatch.setattr(arrays, "zeros_in", full)
+    for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
+        with pytest.raises(OutputError, match=r"has no place for .* bytes: No space left on device"):
+            octex.open(path)
 
 
 def test_what_goes_wrong_on_the_way_names_the_address(server: Server, large: Path) -> None:

@@ -65,11 +65,14 @@ def test_every_filter_blends_as_the_reference_does(texture: OctreeTexture, filte
     values, gradients = texture.sample(points, names, filter, normalize=False, gradient=True)
     units, unit_gradients = texture.sample(points, names, filter, gradient=True)
     steepest = 2.0**texture.tree.max_depth / texture.placement.size
+    places = (points - texture.placement.origin) / texture.placement.size
+    is_inside = (places > 0) & (places < 1)  # elsewhere points are clamped
     for n, point in enumerate(points):
         weights = weights_at(texture, filter, point)
         for name, channel in texture.channels.items():
             value, gradient, covered = expected(channel, texture.channels.get("alpha"), weights)
             assert np.allclose(values[name][n], value, rtol=0, atol=1e-5)
+            gradient[:, ~is_inside[n]] = 0.0
             tolerance = 1e-5 * steepest / covered
             assert np.allclose(gradients[name][n], gradient, rtol=1e-4, atol=tolerance)
             length = np.linalg.norm(value)

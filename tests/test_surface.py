@@ -299,7 +299,9 @@ def test_what_does_not_fit_the_surface_is_refused(
 
 
 def test_coordinates_that_no_texture_uses_may_be_anything() -> None:
-    square(uv=np.full((4, 2), np.nan))
+    surface = square(uv=np.full((4, 2), np.nan), factor=(0.2, 0.5, 0.8, 1.0))
+    samples = surface.scatter(20)
+    np.testing.assert_allclose(surface.evaluate(samples), [(0.2, 0.5, 0.8)] * 20, atol=1e-6)
 
 
 def test_lookups_of_what_is_not_there_are_refused() -> None:

@@ -60,6 +60,8 @@ WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
 def test_textures_are_the_same_in_all_units(work: str) -> None:
     expected, *found = (WORKS[work](ball(12, unit), unit) for unit in (1.0, *UNITS))
     for unit, texture in zip(UNITS, found, strict=True):
+        assert texture.placement.size == expected.placement.size * unit
+        assert texture.placement.origin == tuple(at * unit for at in expected.placement.origin)
         for own, other in zip(arrays_of(texture), arrays_of(expected), strict=True):
             assert np.array_equal(own, other * unit if own is texture.bounds else other)
 

@@ -114,6 +114,21 @@ def test_packages_hold_their_files_uncompressed_at_64_bytes(baked: Surface, tmp_
         octex.write_model(baked, tmp_path / "b.usdz", images="webp")
 
 
+@pytest.mark.parametrize("name", ["materials.glb", "1 droid²é.obj", ".glb", "a\ud800.glb"])
+def test_materials_are_kept_whatever_the_model_is_called(baked: Surface, name: str, tmp_path: Path) -> None:
+    surface = Surface(
+        baked.vertices, baked.triangles, baked.source, uv=baked.uv, frames=baked.frames, name=name
+    )
+    octex.write_model(surface, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    assert validated(stage) == []
+    kinds = {str(prim.GetParent().GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdShade.Material)}
+    assert kinds == {"Scope"}
+    points = baked.scatter(500)
+    found = octex.load_surface(tmp_path / "a.usda").evaluate(points, "base_color")
+    np.testing.assert_allclose(found, baked.evaluate(points, "base_color"), atol=1e-3)
+
+
 @pytest.mark.parametrize("mode", ["opaque", "mask", "blend"])
 def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
     random = np.random.default_rng(1)

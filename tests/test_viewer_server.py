@@ -121,6 +121,18 @@ def test_what_comes_from_elsewhere_is_refused_in_one_line(
     assert served.ask("data/header")[0] == 200
 
 
+def test_refusals_that_are_alike_are_logged_once_and_no_more_than_some(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_MOST_REFUSALS", 3)
+    for _ in range(5):
+        assert served.ask("events", token="a" * 22)[0] == 403
+    assert len(served.lines) == 1
+    for number in range(5):
+        assert served.ask(f"events/{number}", token="a" * 22)[0] == 403
+    assert len(served.lines) == 3
+
+
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
 def test_other_methods_are_refused(served: Served, method: str) -> None:
     assert served.ask(method=method)[0] == 501

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,22 +17,11 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.browser import camera_of, file_url, opened, started
+from tests.browser import camera_of, drawn, file_url, opened, started
 from tests.conftest import needs_jit
 from tests.fixtures import Gltf, png, random_image
 
 SIZE = 240, 180
-#: Draws the source alone and returns its sRGB codes, the lowest row first.
-_DRAWN = """([width, height]) => {
-  const { gpu, look, camera } = viewer, { gl } = gpu, codes = new Uint8Array(4 * width * height);
-  gpu.draw({ ...look, shown: "unlit", divider: 1 }, camera, width, height);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.pictures.picture.buffer);
-  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-  let text = "";
-  for (const code of codes) text += String.fromCharCode(code);
-  return btoa(text);
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +55,7 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(browser: Any, tmp_
     thread.start()
     page = opened(browser, viewer.url, (600, 400))
     page.evaluate("viewer.camera.reset(0.2, 0.1)")
-    drawn = np.frombuffer(base64.b64decode(page.evaluate(_DRAWN, SIZE)), np.uint8)
-    codes = drawn.reshape(SIZE[1], SIZE[0], 4)[::-1].reshape(-1, 4)[:, :3]
+    codes = drawn(page, SIZE, shown="unlit", divider=1).reshape(-1, 3)
     worst, count = [], 0
     for seen, hits in visible_hits(surface, camera_of(page, SIZE), rest_normals(surface)):
         ways = np.zeros_like(hits.rest)

@@ -23,6 +23,7 @@ import numpy as np
 from octex.archive import entropy, models
 from octex.archive.coding import Coding, order_of, weights_of
 from octex.archive.layout import BLOCKS, FORMAT_VERSION, MAGIC, PIECE, START
+from octex.arrays import bit_counts
 from octex.channels import ChannelFormat
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
@@ -62,7 +63,7 @@ def made(seed: int) -> OctreeTexture:
     if chance.random() < 0.5:
         is_split = chance.random(tree.n_cells) < 0.3
         facings = flags[is_split]
-        rows = int(np.bitwise_count(facings).sum())
+        rows = int(bit_counts(facings).sum())
         areas = chance.integers(0, 256, rows, dtype=np.uint8)
         split = SplitTable(np.flatnonzero(is_split).astype(np.uint32), facings, areas)
         if tree.n_cells > 1:

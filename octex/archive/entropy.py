@@ -228,9 +228,9 @@ def words_of(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> Uint16s:
 
 def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
     """Return the table of each context and the intervals of all pools, numbered through."""
-    tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools)])
-    chosen = [pool.chosen + before for pool, before in zip(pools, tables[:-1], strict=True)]
-    return np.concatenate(chosen).astype(np.uint32), np.concatenate([pool.intervals for pool in pools])
+    tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools[:-1])]).tolist()
+    chosen = [pool.chosen.astype(np.uint32) + before for pool, before in zip(pools, tables, strict=True)]
+    return np.concatenate(chosen), np.concatenate([pool.intervals for pool in pools])
 
 
 # Whole numbers without a table, for the tables themselves: how many bits one has, then these, each bit coded

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.layout import ALIGNMENT, Layout, charts_of, doubled_areas, neighbors
+from octex.baking.layout import Layout, charts_of, doubled_areas, neighbors
 from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
@@ -24,20 +24,28 @@ _SIDE = 1024.0
 _PIECE = 4_000
 #: Charts fit at their scale, and not at one that is more than so much larger.
 _CLOSE = 1.03
-#: How much of a map charts fill at best.
-_FULL = 0.92
+#: How much of a map charts fill at best, and how much at least where padding is chosen.
+_FULL, _ENOUGH = 0.92, 0.25
+#: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
+_PADDINGS, _WIDE_PADDINGS = (8, 4, 2, 1, 0), (8, 4, 2)
+#: Charts start at multiples of so many texels. With 8 no texel of three smaller levels has parts of two.
+_ALIGNMENTS = (8, 4, 2, 1)
+#: Blocks of texels along a side of a map, at most, where charts start at multiples of less than 8.
+_MOST_BLOCKS = 1024
 #: Overlaps of a projected chart are looked for in a map of so many texels a side ...
 _PROBE = 256
 #: ... and are there if charts cover so much less than their triangles have area.
 _OVERLAPPING = 0.01
 
 
-def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -> Layout:
-    """Lay a surface out in a square map of charts, ``padding`` texels and more apart.
+def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int | None, texel: float) -> Layout:
+    """Lay a surface out in a square map of charts with ``padding`` texels around each.
 
     Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
     projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
-    units, or the last. Raises ModelError if that is too small for so many charts.
+    units, or the last. Without a ``padding`` it is the widest, 8 to 2, with which texels are that small; in
+    the last size the widest, 8 to 0, with which charts fill a quarter of the map. Raises ModelError if that
+    size is too small for so many charts.
     """
     flat = _unwrapped(mesh)
     if flat is None:
@@ -50,38 +58,53 @@ def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int, texel: float) -
     low, high = mesh.bounds
     wanted = float((high - low).max()) / (_SIDE * texel)
     for size in sizes:
-        least = wanted if size != sizes[-1] else area**-0.5 if area > 0.0 else 1.0
-        found = _fitted(flat, starts, area, size, padding, least)
-        if found is not None:
-            placed = np.empty_like(found)
-            placed[order] = found
+        is_last = size == sizes[-1]
+        least = wanted if not is_last else area**-0.5 if area > 0.0 else 1.0
+        best, around = None, 0
+        for spacing in _spacings(size, padding, is_last):
+            found = _fitted(flat, starts, area, size, spacing, least)
+            if found is not None and (best is None or _area(found) > _area(best)):
+                best, around = found, spacing[0]
+                if not is_last or _area(best) >= _ENOUGH * size**2:
+                    break
+        if best is not None:
+            placed = np.empty_like(best)
+            placed[order] = best
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
             values = np.empty((int(rows.max()) + 1, 2), np.float32)
             values[rows] = points
             uv = Corners(values, rows.reshape(-1, 3))
-            return Layout(uv, placed, faces, charts, edges, size, size)
+            return Layout(uv, placed, faces, charts, edges, size, size, around)
     raise ModelError(
         f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
-        "make it larger, or the padding smaller"
+        f"make it larger{', or the padding smaller' if padding else ''}"
     )
 
 
+def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, int]]:
+    """Return paddings, and the multiples of texels that charts start at with each, the widest first."""
+    least = min(1 << ((size - 1) // _MOST_BLOCKS).bit_length(), _ALIGNMENTS[0])
+    if padding is not None:
+        return [(padding, each) for each in _ALIGNMENTS if each >= least]
+    return [(each, max(each, least)) for each in (_PADDINGS if is_last else _WIDE_PADDINGS)]
+
+
 def _fitted(
-    flat: Float64s, starts: Int64s, area: float, size: int, padding: int, least: float
+    flat: Float64s, starts: Int64s, area: float, size: int, spacing: tuple[int, int], least: float
 ) -> Float64s | None:
     """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
     most = size * np.sqrt(_FULL / area) if area > 0.0 else least
-    low, placed = most, _packed(flat * most, starts, size, padding)
+    low, placed = most, _packed(flat * most, starts, size, *spacing)
     while placed is None:
         if low <= least:
             return None
         most, low = low, max(low / 2.0, least)
-        placed = _packed(flat * low, starts, size, padding)
+        placed = _packed(flat * low, starts, size, *spacing)
     while most > low * _CLOSE:
         middle = np.sqrt(low * most)
-        tried = _packed(flat * middle, starts, size, padding)
+        tried = _packed(flat * middle, starts, size, *spacing)
         if tried is None:
             most = middle
         else:
@@ -250,9 +273,12 @@ def _turn(angle: float) -> Float64s:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def _packed(flat: Float64s, starts: Int64s, size: int, padding: int) -> Float64s | None:
-    """Place charts (m, 3, 2), in texels from their lowest corners on, in a square map; None: no room."""
-    blocks = size // ALIGNMENT
+def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int) -> Float64s | None:
+    """Place charts (m, 3, 2), in texels from their lowest corners on, in a square map; None: no room.
+
+    The map is divided into blocks of so many texels a side, of which no two charts share one.
+    """
+    blocks = size // block
     _, reaches = _boxes(flat, starts)
     if (reaches + 2 * padding > size).any():
         return None
@@ -262,18 +288,18 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int) -> Float64s
     placed = np.empty_like(flat)
     for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
         own = groups[group]
-        shape = np.floor((reaches[group] + 2 * padding) / ALIGNMENT).astype(np.int64) + 1
+        shape = np.floor((reaches[group] + 2 * padding) / block).astype(np.int64) + 1
         if (shape > blocks).any():
             return None
         mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
-        _mark((flat[own] + padding) / ALIGNMENT, padding / ALIGNMENT, mask)
+        _mark((flat[own] + padding) / block, padding / block, mask)
         last, before = tried.get(mask.shape, (-1, mask))
         at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
         if at < 0:
             return None
         tried[mask.shape] = at, mask
         row, column = divmod(at, blocks)
-        placed[own] = flat[own] + (column * ALIGNMENT + padding, row * ALIGNMENT + padding)
+        placed[own] = flat[own] + (column * block + padding, row * block + padding)
     return placed
 
 

@@ -15,7 +15,7 @@ from octex.baking.blocks import Blocks
 from octex.baking.fit import lacking
 from octex.baking.flat import are_flat, means_at_texels, points_on
 from octex.baking.gutters import Borders, fill_up, gutter_of
-from octex.baking.layout import ALIGNMENT, LAYOUTS, Layout, Layouts, doubled_areas, neighbors
+from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors
 from octex.baking.maps import (
     BITS,
     Bits,
@@ -35,7 +35,7 @@ from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
-from octex.parallel import Progress, as_progress, ordered_map, workers
+from octex.parallel import Progress, as_progress, ordered_map, sharing, workers
 from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
@@ -44,8 +44,8 @@ from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.order import put_rows
 
-#: The smallest and the largest maps.
-_SMALLEST, _MOST = 64, 16384
+#: The smallest and the largest maps, and what their sizes are multiples of.
+_SMALLEST, _MOST, _STEP = 64, 16384, 8
 #: Most lookups along a side of a texel.
 _MOST_LOOKUPS = 8
 #: Rows of texels in one task.
@@ -66,7 +66,7 @@ def bake(
     max_distance: float | None = None,
     uv: Layouts = "auto",
     texture_size: int | None = None,
-    padding: int = 8,
+    padding: int | None = None,
     channels: Sequence[str] | None = None,
     bits: Bits = 8,
     supersample: int = 1,
@@ -92,9 +92,11 @@ def bake(
                  "atlas": new ones for all (of the extra ``atlas``, xatlas, where it is installed); "auto":
                  its own if of no material more than 1 % overlaps with what looks otherwise, or is squeezed
                  into texels that would show what does, else new ones
-    texture_size  texels a side of the square maps, 64 to 16384; by default the power of two, up to 8192,
-                 whose texels are about as large as the texture's finest cells, or smaller
-    padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart
+    texture_size  texels a side of the square maps, 64 to 16384; by default of each the least power of two,
+                 up to 8192, whose texels are about as wide as the leaves on its triangles, or narrower;
+                 leaves that are finer, on less than 1 % of these, do not count
+    padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart. By default 8,
+                 or fewer in an atlas whose charts would have too little room
     channels     those that are baked, by name; by default all that materials have
     bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
                  may be above 1, directions as (x + 1) / 2
@@ -102,7 +104,7 @@ def bake(
 
     Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
     agree in the latter two become one. Where all are opaque and the texture has alpha below 1, they are masks
-    if hardly any is between 0 and 1, else they blend. Maps without variation become numbers.
+    if hardly any is between 0 and 1, else they blend. Channels without variation become numbers.
 
     Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
     thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
@@ -116,15 +118,16 @@ def bake(
     as_texture(texture)
     as_surface(surface)
     as_choice(uv, LAYOUTS, "uv")
-    padding = as_whole(padding, "padding", 0, 64)
+    if padding is not None:
+        padding = as_whole(padding, "padding", 0, 64)
     names = _channels_of(texture, channels)
     if bits not in BITS:
         raise ArgumentError(f"bits must be 8, 16 or 32, not {bits!r}")
     supersample = as_whole(supersample, "supersample", 1, _MOST_LOOKUPS)
     if texture_size is not None:
         texture_size = as_whole(texture_size, "texture_size", _SMALLEST, _MOST)
-        if texture_size % ALIGNMENT:
-            raise ArgumentError(f"texture_size must be a multiple of {ALIGNMENT}, not {texture_size}")
+        if texture_size % _STEP:
+            raise ArgumentError(f"texture_size must be a multiple of {_STEP}, not {texture_size}")
     distance = np.inf if max_distance is None else as_number(max_distance, "max_distance", 0.0, np.inf)
     if source is None and max_distance is not None:
         raise ArgumentError("max_distance says how far away source may be; give source too")
@@ -134,7 +137,7 @@ def bake(
         surface = surface.placed_in(texture)
     else:
         other = _Other.of(as_surface(source, "source"), texture, distance)
-    with workers(threads, executor) as pool:
+    with workers(threads, executor) as given, sharing(given) as pool:
         report("unwrap", 0, 1)
         sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
@@ -146,7 +149,7 @@ def bake(
         owners = np.empty(len(surface.triangles), np.int32)
         for sheet in sheets:
             owners[sheet.triangles] = len(materials) + sheet.owners
-            made, shows = _bake_sheet(job, sheet, padding, pool, _part_of(report, done, total))
+            made, shows = _bake_sheet(job, sheet, pool, _part_of(report, done, total))
             materials += made
             shows_any |= shows
             done += sheet.layout.height
@@ -174,9 +177,7 @@ def _part_of(report: Progress, before: int, whole: int) -> Progress:
     return advance
 
 
-def _bake_sheet(
-    job: _Job, sheet: Sheet, padding: int, pool: Executor, progress: Progress
-) -> tuple[list[Material], bool]:
+def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> tuple[list[Material], bool]:
     """Return the materials of a sheet, with its maps, and whether these show anything."""
     layout = sheet.layout
     shown = layout._replace(faces=sheet.triangles[layout.faces])
@@ -190,8 +191,8 @@ def _bake_sheet(
     is_flat = are_flat(shown)
     if is_flat.any():
         _bake_flat(job, shown.of(is_flat), taken, maps)
-    if padding and not taken.all():
-        _bake_gutter(job, shown.of(~is_flat), taken, padding, maps, pool)
+    if layout.padding and not taken.all():
+        _bake_gutter(job, shown.of(~is_flat), taken, maps, pool)
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
@@ -400,9 +401,9 @@ def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
     taken.reshape(-1)[texels] = True
 
 
-def _bake_gutter(job: _Job, layout: Layout, taken: Bools, padding: int, maps: Values, pool: Executor) -> None:
+def _bake_gutter(job: _Job, layout: Layout, taken: Bools, maps: Values, pool: Executor) -> None:
     """Write the channels around the charts, and count these texels as covered, in place."""
-    borders = Borders.of(layout, taken, math.ceil(_REACH * padding))
+    borders = Borders.of(layout, taken, math.ceil(_REACH * layout.padding))
     list(ordered_map(pool, lambda some: _bake_beside(job, layout, some, maps), borders.parts(_GUTTER)))
 
 

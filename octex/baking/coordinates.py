@@ -19,7 +19,7 @@ from octex.texture import OctreeTexture
 
 #: Coordinates of which more than this part shows what differs in one texel are not kept.
 _MOST = 0.01
-#: Texels a side of the maps in which that is looked for, at most; places where it is; and what looks alike,
+#: Texels a side of the maps in which that is looked for; places where it is; and what looks alike,
 #: of 1, as stored.
 PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
 #: Coordinates that cover more maps than this look otherwise somewhere.
@@ -58,7 +58,7 @@ def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout
     whole = unit_area(layout)
     if whole > _MOST_DRAWN:
         return 1.0 - 1.0 / whole
-    layout = layout.sized(min(layout.width, PROBE))
+    layout = layout.sized(PROBE)
     drawn = _drawn(layout, pool)
     covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
     shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
@@ -193,3 +193,19 @@ def areas_of(mesh: Mesh) -> Float64s:
 def cell_of(texture: OctreeTexture) -> float:
     """Return the width of a texture's finest cells."""
     return float(texture.placement.size / 2**texture.tree.max_depth)
+
+
+def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
+    """Return the width of a texture's leaves on a mesh: leaves that are finer hold less than 1 % of it.
+
+    It is that of the finest cells where no leaf holds the mesh.
+    """
+    own, weights = _scattered(areas_of(mesh))
+    places = at_corners(mesh.rest, mesh.triangles[own], weights)
+    places = places[texture.contains(places, threads=1)]
+    if not len(places):
+        return cell_of(texture)
+    cells = texture.taps(places, next(iter(texture.channels)), "nearest", threads=1).rows
+    levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
+    level = int(np.sort(levels)[::-1][int(_MOST * levels.size)])
+    return float(texture.placement.size / 2**level)

@@ -266,6 +266,7 @@ def _frames(normals: Float64s, parts: Tessellation) -> Frames:
     axes = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     tangents: Float32s = np.ones((len(normals), 4), np.float32)
     across = np.cross(normals, axes)
-    tangents[:, :3] = across / np.linalg.norm(across, axis=1, keepdims=True)
+    lengths = np.linalg.norm(across, axis=1, keepdims=True)
+    tangents[:, :3] = np.where(lengths > 0, across / np.where(lengths > 0, lengths, 1), axes)
     rows = parts.triangles
     return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))

@@ -18,8 +18,8 @@ Layouts = Literal["auto", "keep", "atlas"]
 LAYOUTS: tuple[Layouts, ...] = ("auto", "keep", "atlas")
 #: Coordinates nearer to whole numbers than this are these.
 BEYOND = 1e-4
-#: Charts start at multiples of so many texels, so that no texel of three smaller levels has parts of two.
-ALIGNMENT = 8
+#: Texels around charts that are filled, where no number is given.
+PADDING = 8
 #: A triangle may repeat the map so often.
 _MOST_REPEATS = 16
 #: Ends of edges are one point of a map if they are so near, in texels.
@@ -39,11 +39,16 @@ class Layout(NamedTuple):
     edges: Bools  # (k, 3)   which sides are edges of charts; side n goes from corner n to the next
     width: int
     height: int
+    padding: int = PADDING  # texels around charts
 
     def of(self, chosen: Bools) -> Layout:
         """Return the same of some of what is drawn."""
-        drawn = self.corners[chosen], self.faces[chosen], self.charts[chosen], self.edges[chosen]
-        return Layout(self.uv, *drawn, self.width, self.height)
+        return self._replace(
+            corners=self.corners[chosen],
+            faces=self.faces[chosen],
+            charts=self.charts[chosen],
+            edges=self.edges[chosen],
+        )
 
     def sized(self, size: int) -> Layout:
         """Return the same layout in square maps of another size."""
@@ -56,8 +61,8 @@ def unit_area(layout: Layout) -> float:
     return float(np.abs(doubled_areas(corners)).sum() / 2)
 
 
-def kept_layout(mesh: Mesh, size: int) -> Layout:
-    """Lay a surface out by its own texture coordinates in a square map.
+def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
+    """Lay a surface out by its own texture coordinates in a square map, to be filled around its charts.
 
     Raises ModelError if it has none, or if they repeat the map many times.
     """
@@ -82,10 +87,10 @@ def kept_layout(mesh: Mesh, size: int) -> Layout:
     moved = low[faces] + np.stack([across, down], axis=1)
     charts, edges = charts_of(mesh, uv * size)
     row, column = (moved - moved.min(axis=0)).astype(np.int64).T
-    squares = (charts[faces] * (row.max() + 1) + row) * (column.max() + 1) + column
+    squares = (charts[faces].astype(np.int64) * (row.max() + 1) + row) * (column.max() + 1) + column
     _, numbers = np.unique(squares, return_inverse=True)
     corners = (uv[faces] - moved[:, None]) * size
-    return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size)
+    return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size, padding)
 
 
 def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.baking.fit import fit_rows, put_codes
-from octex.channels import ALPHA, CHANNELS, ColorSpace, decode, encode, srgb8_encoder
+from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_encoder
 from octex.jit import inlined, kernel
 from octex.parallel import ordered_map
 from octex.source.corners import Frames
@@ -29,14 +29,14 @@ IMAGES = {
 }
 #: Alpha that is hardly anywhere between these is a mask.
 _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
-#: First channels of images that may give way to numbers: glTF has none for occlusion and for normals.
-_NUMBERS = ("base_color", "alpha", "roughness", "metallic", "emissive", "specular")
 #: Rows of texels that are encoded at once.
 _ENCODED = 8
 #: Bits of numbers in maps; those of floats.
 Bits = Literal[8, 16, 32]
 BITS: tuple[Bits, ...] = (8, 16, 32)
 _FLOAT = 32
+#: Texels that differ by no more than this are alike, by the bits of a number: cells of 8 bits are rounded.
+_ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
 #: Directions shorter than this point nowhere; squared.
 _NOWHERE = 1e-12
 
@@ -175,7 +175,8 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
     """Return the inputs of materials whose images are maps of channels, with numbers of 8, 16 or 32 bits.
 
     Texels are fitted to bilinear reading: ``part`` is what they lack (`fit.lacking`). ``wrap`` is how
-    coordinates beyond the unit square meet the images. What does not vary is a number.
+    coordinates beyond the unit square meet the images. A channel that does not vary is a number, and 1 in an
+    image of others.
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, dict[str, Input]]] = []
@@ -195,8 +196,11 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
     firsts = range(0, len(maps.areas), _ENCODED)
     list(ordered_map(executor, lambda first: _encode(maps, bits, part, images, first), firsts))
     for texels, made in images:
-        if next(iter(made)) in _NUMBERS and all((rows == texels[0, 0]).all() for rows in texels):
-            inputs |= {name: _number(each, texels, CHANNELS[name].space) for name, each in made.items()}
+        for name, read in made.items():
+            number = _number(name, read, texels, _ALIKE[bits])
+            if number is not None:
+                inputs[name] = number
+                texels[..., list(read.lanes)] = _one(texels)
     return inputs
 
 
@@ -220,10 +224,28 @@ def _lanes_of(channels: tuple[str, ...], names: list[str]) -> tuple[int, ...]:
     return tuple(lanes)
 
 
-def _number(given: Input, texels: Texels, space: ColorSpace) -> Input:
-    """Return an input without its image, all of whose texels are alike."""
-    values = decode(texels[0, 0, list(given.lanes)], "linear" if texels.dtype == np.float32 else space)
+def _number(name: str, given: Input, texels: Texels, alike: float) -> Input | None:
+    """Return a channel's input without its image; None if texels differ, or materials have no such number.
+
+    glTF has none for occlusion but 1, and none for normals but those of the surface.
+    """
+    one, lanes = _one(texels), list(given.lanes)
+    fixed = {"normal": (0.5, 0.5, 1.0), "occlusion": (1.0,)}.get(name)
+    first = texels[0, 0, lanes] / one if fixed is None else np.array(fixed)
+    if not all((np.abs(rows[:, lanes] / one - first) <= alike).all() for rows in texels):
+        return None
+    if fixed is not None:
+        return Input((1.0,) * len(lanes))
+    mean = texels[..., lanes].mean(axis=(0, 1), dtype=np.float64)
+    if texels.dtype == np.float32:
+        return Input(tuple(mean.tolist()))
+    values = decode(np.rint(mean).astype(np.uint16), CHANNELS[name].space)
     return Input(tuple((values * given.factor).tolist()))
+
+
+def _one(texels: Texels) -> float:
+    """Return what texels have where a channel is 1."""
+    return 1.0 if texels.dtype == np.float32 else 65535.0
 
 
 def _encode(
@@ -252,7 +274,7 @@ def _encode(
             else:
                 rows[..., lanes] = np.maximum(fitted[..., own], 0.0)
         for lane in {*range(4)} - used:
-            rows[..., lane] = 1.0 if bits == _FLOAT else 65535
+            rows[..., lane] = _one(texels)
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:

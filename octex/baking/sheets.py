@@ -11,8 +11,8 @@ import numpy as np
 
 from octex.arrays import Int32s
 from octex.baking.atlas import atlas_layout
-from octex.baking.coordinates import PROBE, areas_of, cell_of, check_overlaps, check_stretches, squeezed
-from octex.baking.layout import BEYOND, Layout, Layouts, kept_layout, unit_area
+from octex.baking.coordinates import PROBE, areas_of, check_overlaps, check_stretches, leaf_of, squeezed
+from octex.baking.layout import BEYOND, PADDING, Layout, Layouts, kept_layout, unit_area
 from octex.errors import ModelError, ModelWarning
 from octex.source.corners import Corners
 from octex.source.materials import Material, MaterialSource
@@ -22,7 +22,7 @@ from octex.texture import OctreeTexture
 
 #: The sizes of maps that are chosen by themselves.
 _SMALLEST, _LARGEST = 64, 8192
-#: Texels are about as large as cells if they are at most so much wider.
+#: Texels are about as large as leaves if they are at most so much wider.
 _ABOUT = 1.15
 #: Most UDIM tiles that a material may have.
 _MOST_TILES = 100
@@ -39,10 +39,10 @@ class Sheet(NamedTuple):
 
 
 def sheets_of(
-    texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None, padding: int,
-    pool: Executor,
+    texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None,
+    padding: int | None, pool: Executor,
 ) -> list[Sheet]:  # fmt: skip
-    """Lay a surface out in maps of a size, or of sizes that keep the texture's cells.
+    """Lay a surface out in maps of a size, or of sizes that keep the texture's leaves.
 
     Materials that read the same image share maps, others have their own; those without coordinates get an
     atlas each. Otherwise all triangles share one atlas, and materials that differ in nothing but their names
@@ -79,10 +79,11 @@ def _own_materials(surface: Surface) -> tuple[list[Material], Int32s]:
 
 
 def _kept(
-    texture: OctreeTexture, surface: Surface, names: list[str], size: int | None, padding: int,
+    texture: OctreeTexture, surface: Surface, names: list[str], size: int | None, padding: int | None,
     materials: list[Material], owners: Int32s, pool: Executor,
 ) -> Iterator[Sheet]:  # fmt: skip
     """Yield the sheets of a surface at its own coordinates; raises ModelError if they cannot be kept."""
+    around = PADDING if padding is None else padding
     groups: dict[object, list[int]] = {}
     for number in np.unique(owners).tolist():
         read = [each.texture for each in materials[number].inputs.values() if each.texture is not None]
@@ -100,7 +101,7 @@ def _kept(
             yield Sheet(mesh, chosen, _atlas(texture, mesh, size, padding), shown, numbers)
             continue
         mesh.uv = own.of(chosen)
-        layout = kept_layout(mesh, size or PROBE)
+        layout = kept_layout(mesh, size or PROBE, around)
         try:
             check_overlaps(texture, mesh, names, layout, pool)
         except ModelError:
@@ -111,7 +112,7 @@ def _kept(
             yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size, shown), shown, numbers)
             continue
         for name, tile, there in tiles:
-            layout = kept_layout(tile, size or PROBE)
+            layout = kept_layout(tile, size or PROBE, around)
             check_overlaps(texture, tile, names, layout, pool)
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
             of_tile = _fitted(texture, tile, layout, size, shown)
@@ -165,39 +166,37 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
     return tiles
 
 
-def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int) -> Layout:
-    """Return an atlas of a size, or of the first that keeps the texture's cells."""
-    texel = _ABOUT * cell_of(texture)
-    if size is not None:
-        return atlas_layout(mesh, [size], padding, texel)
-    first = _size_for(texture, areas_of(mesh).sum(), 0.6)
-    return atlas_layout(
-        mesh, [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())], padding, texel
-    )
+def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int | None) -> Layout:
+    """Return an atlas of a size, or of the first that keeps the texture's leaves."""
+    leaf = leaf_of(texture, mesh)
+    first = size or _size_for(leaf, areas_of(mesh).sum(), 0.6)
+    sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())] if size is None else [size]
+    return atlas_layout(mesh, sizes, padding, _ABOUT * leaf)
 
 
 def _fitted(
     texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None, materials: list[Material]
 ) -> Layout:
-    """Return a layout of a size, or of one that keeps the texture's cells.
+    """Return a layout of a size, or of one that keeps the texture's leaves.
 
     Where coordinates are squeezed none does: what matters there is that the materials' own texels stay apart.
     """
     if size is not None:
         return layout.sized(size)
+    leaf = leaf_of(texture, mesh)
     is_squeezed = squeezed(texture, mesh, _LARGEST)
     if not is_squeezed.any():
-        return layout.sized(_size_for(texture, areas_of(mesh).sum(), unit_area(layout)))
+        return layout.sized(_size_for(leaf, areas_of(mesh).sum(), unit_area(layout)))
     read = [each.texture for material in materials for each in material.inputs.values()]
     own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
     others = np.flatnonzero(~is_squeezed).astype(np.int32)
     part = unit_area(layout._replace(uv=layout.uv.of(others)))
-    return layout.sized(max(_size_for(texture, areas_of(mesh)[others].sum(), part), _power_above(own)))
+    return layout.sized(max(_size_for(leaf, areas_of(mesh)[others].sum(), part), _power_above(own)))
 
 
-def _size_for(texture: OctreeTexture, area: float, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows an area with texels about as large as cells."""
-    return _power_above(np.sqrt(area / max(part, 1e-6)) / (_ABOUT * cell_of(texture)))
+def _size_for(leaf: float, area: float, part: float) -> int:
+    """Return the size of maps of which a ``part`` shows an area with texels about as wide as a leaf."""
+    return _power_above(np.sqrt(area / max(part, 1e-6)) / (_ABOUT * leaf))
 
 
 def _power_above(side: float) -> int:

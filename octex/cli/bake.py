@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from octex.formats.images import ImageFormat
 
 _OF_IMAGES = (
-    *("--uv", "--texture-size", "--padding", "--channels", "--images", "--supersample"),
+    *("--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"),
     *("--source", "--max-distance"),
 )
 _OF_VERTICES = ("--subdivide", "--max-error")
@@ -34,8 +34,11 @@ _ALWAYS_VERTICES = (".ply", ".3mf")
 _WITH_UNIT = (*_USD, ".3mf")
 #: How images are stored, and the bits of a number in their maps.
 _IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
-    "png": ("png", 8), "jpeg": ("jpeg", 8), "webp": ("webp", 8), "png16": ("png", 16), "exr": ("exr", 32),
+    "png": ("png", 8), "webp": ("webp", 8), "jpeg": ("jpeg", 8), "jpeg-all": ("jpeg-all", 8),
+    "png16": ("png", 16), "exr": ("exr", 32),
 }  # fmt: skip
+#: Images of more bytes than this are large.
+_LARGE = 10_000_000
 _UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 
 BAKE = Command(
@@ -56,7 +59,7 @@ BAKE = Command(
         ),
         option(
             "--texture-size",
-            "texels a side of the maps (default: a power of two that keeps the cells, up to 8192)",
+            "texels a side of the maps (default: a power of two that keeps the leaves, up to 8192)",
             metavar="N",
             type=whole_number,
         ),
@@ -72,11 +75,17 @@ BAKE = Command(
             metavar="DISTANCE",
             type=length,
         ),
-        option("--padding", "texels around each chart (default 8)", metavar="N", type=whole_number),
+        option(
+            "--padding",
+            "texels around each chart (default 8, or fewer where an atlas has no room)",
+            metavar="N",
+            type=whole_number,
+        ),
         option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
         option(
-            "--images",
-            "png (default); webp, smaller; jpeg, with loss; png16, of 16 bits; exr, floats (not in glTF)",
+            "--image-format",
+            "png (default); webp, smaller (not in USD); jpeg, colours with loss; jpeg-all, normals and "
+            "numbers too; png16, of 16 bits; exr, floats (not in glTF)",
             choices=tuple(_IMAGES),
         ),
         option(
@@ -121,7 +130,10 @@ BAKE = Command(
         *SHAPE_OPTIONS,
         *RUNNING,
     ],
-    ["droid.octex droid.glb baked.glb", "droid.octex droid.glb web.glb --texture-size 1024 --images webp"],
+    [
+        "droid.octex droid.glb baked.glb",
+        "droid.octex droid.glb web.glb --texture-size 1024 --image-format webp",
+    ],
 )
 
 
@@ -160,7 +172,7 @@ def bake(options: argparse.Namespace, program: str) -> int:
         raise ArgumentError(f"--unit has no meaning for {options.OUTPUT}: such files state none")
     inputs = options.TEXTURE, options.MODEL, options.rest, options.source
     check_outputs([(options.OUTPUT, _ENDINGS, "OUTPUT")], inputs, force=options.force)
-    images, bits = _IMAGES[options.images or "png"]
+    images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     from octex.formats.models import check_extra
@@ -190,14 +202,14 @@ def bake(options: argparse.Namespace, program: str) -> int:
                 max_distance=options.max_distance,
                 uv=options.uv or "auto",
                 texture_size=options.texture_size,
-                padding=8 if options.padding is None else options.padding,
+                padding=options.padding,
                 channels=options.channels,
                 bits=bits,
                 supersample=1 if options.supersample is None else options.supersample,
                 progress=progress,
             )
         with progress.stage("write"):
-            octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
+            written = octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
     size = max(_sizes(baked), default=0)
     made: dict[str, Any] = {
         "output": str(options.OUTPUT),
@@ -205,12 +217,18 @@ def bake(options: argparse.Namespace, program: str) -> int:
         "triangles": len(baked.triangles),
         "vertices": len(baked.vertices),
         "texture_size": size,
-        "bytes": options.OUTPUT.stat().st_size,
+        "bytes": sum(path.stat().st_size for path in written.files),
+        "image_bytes": written.image_bytes,
         "seconds": round(time.perf_counter() - began, 3),
     }
     where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
     what = f"{', '.join(made['channels'])} {where}, {bytes_text(made['bytes'])}"
-    tell(options, made, f"{options.OUTPUT}: {what}, {made['seconds']:.1f} s")
+    lines = [f"{options.OUTPUT}: {what}, {made['seconds']:.1f} s"]
+    if images == "png" and written.image_bytes > _LARGE:
+        webp = "" if ending in _USD else "webp makes them smaller without loss, "
+        taken = f"its images take {bytes_text(written.image_bytes)}"
+        lines.append(f"{taken}: --image-format {webp}jpeg makes colours far smaller with some")
+    tell(options, made, *lines)
     return ExitCode.DONE
 
 

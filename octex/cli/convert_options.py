@@ -295,8 +295,8 @@ _WORDS = {
     | _OF_ANYTHING
     | _OF_TEXTURES
     | _MATERIALS,
-    "--diff": {"--points", "--preview", "--force", "--quiet", "--json"} | _MATERIALS,
-    "--overlaps": {"--margin", "--rest", "--json", "--quiet"},
+    "--diff": {"--points", "--preview", "--force", "--threads", "--quiet", "--json"} | _MATERIALS,
+    "--overlaps": {"--margin", "--rest", "--threads", "--json", "--quiet"},
     "--info": {"--json"},
     "--validate": {"--json", "--quiet"},
     "--warm-up": {"--quiet"},
@@ -430,7 +430,9 @@ def work_of(options: argparse.Namespace, program: str) -> str:
             if word not in given:
                 raise ArgumentError(f"{word} is missing; see {program} --help")
         if work == _CONVERSION and options.OUTPUT.suffix.lower() in (*BAKED_ENDINGS, PTEX_ENDING):
-            raise ArgumentError(f"{options.OUTPUT}: a texture is baked onto its model: give --mesh MODEL")
+            raise ArgumentError(
+                f"{options.OUTPUT}: a texture is baked onto its model: {_mesh_needed(options)}"
+            )
         if work == _CONVERSION and options.OUTPUT.suffix.lower() == PAGE_ENDING and options.INPUT.is_dir():
             raise ArgumentError(f"{options.INPUT}: is a folder of parts: give --mesh MODEL")
     if work == _CONVERSION:
@@ -469,6 +471,13 @@ def check_input(options: argparse.Namespace, kind: str, program: str) -> None:
         from octex.checks import as_depth
 
         as_depth(options.depth, "--depth")
+
+
+def _mesh_needed(options: argparse.Namespace) -> str:
+    """Say how what is made of a texture and its model is made, of INPUT."""
+    if options.INPUT.suffix.lower() in TEXTURE_ENDINGS or options.INPUT.is_dir():
+        return "give --mesh MODEL"
+    return f"convert {options.INPUT} to NAME.octex first, then that with --mesh {options.INPUT}"
 
 
 def archive_error(options: argparse.Namespace, kind: str) -> int:

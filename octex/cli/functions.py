@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,11 +30,16 @@ def function_name(text: str) -> FunctionName | None:
 def load_function(named: FunctionName) -> Callable[..., Any]:
     """Run a file and return its function.
 
-    Raises InputError for a file that cannot be read or raises, and for a name that is no function in it.
+    The file can import others in its folder, as ``python FILE.py`` lets it. Raises InputError for a file that
+    cannot be read or raises, and for a name that is no function in it.
     """
-    spec = importlib.util.spec_from_file_location("octex_functions", named.path)
+    path = named.path.resolve()
+    spec = importlib.util.spec_from_file_location(f"octex_functions:{path}", path)
     assert spec is not None and spec.loader is not None  # by its ending
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look their annotations up
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))  # for good: functions may import when they are called
     try:
         spec.loader.exec_module(module)
     except OSError as error:

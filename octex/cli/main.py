@@ -13,18 +13,14 @@ from octex.cli.bake import BAKE
 from octex.cli.common import run, say
 from octex.cli.convert_options import COMMANDS
 from octex.cli.paint_options import PAINT
+from octex.cli.parser import Command
 from octex.cli.topics import TOPICS, topic
 from octex.cli.viewer import VIEW
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"
-_SUMMARIES = {
-    **{name: command.summary for name, command in COMMANDS.items()},
-    "paint": PAINT.summary,
-    "bake": BAKE.summary,
-    "view": VIEW.summary,
-    "help": "Print a page on a topic.",
-}
+#: All commands but help.
+EVERY: dict[str, Command] = {**COMMANDS, "paint": PAINT, "bake": BAKE, "view": VIEW}
 _ORDER = (
     "convert",
     "view",
@@ -62,7 +58,7 @@ def _answer(first: str, rest: Sequence[str]) -> int:
         say(f"{PROGRAM} {octex.__version__}")
     elif first == "help":
         for name in rest:
-            if name in _SUMMARIES and name != "help" and name not in TOPICS:
+            if name in EVERY and name not in TOPICS:
                 return main([name, "--help-all"])
             say(topic(name))
     else:
@@ -77,16 +73,18 @@ def _unknown(word: str) -> str:
     if word.startswith("-"):
         return f"{word} stands before the command: {known}"
     near = get_close_matches(word, _ORDER, 1)
-    return f"{word!r} is no command{f', {near[0]!r} is' if near else ''}: {known}"
+    return f"{word!r} is no command{f', do you mean {near[0]!r}' if near else ''}: {known}"
 
 
 def _overview() -> str:
+    summaries = {name: each.summary for name, each in EVERY.items()}
+    summaries["help"] = "Print a page on a topic."
     lines = [
         f"usage: {PROGRAM} COMMAND … [options]",
         "",
         "Octree textures: colour a model without UVs.",
         "",
-        *(f"  {name:9} {_SUMMARIES[name]}" for name in _ORDER),
+        *(f"  {name:9} {summaries[name]}" for name in _ORDER),
         "",
         f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
         f"{PROGRAM} help TOPIC prints a page on one of these:",

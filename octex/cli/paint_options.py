@@ -218,8 +218,8 @@ _OPTIONS = (
 )
 
 # Which options go with which work.
-_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--quiet", "--json"} | SHAPE_WORDS
-_MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview", "--threads"}
+_SHARED = {"MODEL", "TEXTURE", "--rest", "--force", "--threads", "--quiet", "--json"} | SHAPE_WORDS
+_MERGE = _SHARED | VIEW_WORDS | {"--out", "--blend", "--opacity", "--preview"}
 _WORDS = {
     "painting": _MERGE
     | {"IMAGE", "--camera", "--unwrap", "--conformal", "--mask", "--masks", "--key", "--since", "--whole"}

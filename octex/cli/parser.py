@@ -17,6 +17,7 @@ from octex.cli.common import say
 from octex.errors import ArgumentError, ExitCode
 
 _WIDEST = 110  # columns of help
+_ALIKE = 0.8  # difflib's ratio, from which on a word may be meant for an option
 
 
 class Option(NamedTuple):
@@ -59,6 +60,10 @@ class Command(NamedTuple):
     examples: Sequence[str]  # what stands behind the command's name
     usual: Collection[str] = ()  # the options that the first screen of help lists; none: all
     usages: Sequence[Sequence[str]] = ()  # the words of each thing that it does; none: the files
+
+    def has(self, word: str) -> bool:
+        """Say whether a word is an option of the command."""
+        return any(each.word == word for each in self.options)
 
 
 class Parser(argparse.ArgumentParser):
@@ -132,8 +137,7 @@ class Parser(argparse.ArgumentParser):
             name = word if word in self._options else word.partition("=")[0]
             action = self._options.get(name)
             if action is None:
-                near = get_close_matches(name, self._options, 1)
-                self.error(f"{name} is no option{f', {near[0]} is' if near else ''}")
+                self._refuse(name)
             options.append(word)
             if word != name:
                 continue
@@ -147,6 +151,16 @@ class Parser(argparse.ArgumentParser):
                 options += [words.popleft() for _ in range(min(action.nargs, len(words)))]
         self._check_files(files, options)
         return self.parse_args([*options, "--", *files] if files else options)
+
+    def _refuse(self, word: str) -> NoReturn:
+        """Say that a word is no option, and where it is one or what it may be meant for."""
+        from octex.cli.main import EVERY
+
+        others = [f"octex {name}" for name, each in EVERY.items() if each.has(word)]
+        if others:
+            self.error(f"{word} is an option of {' and of '.join(others)}, not of {self.prog}")
+        near = get_close_matches(word, self._options, 1, _ALIKE)
+        self.error(f"{word} is no option{f': do you mean {near[0]}' if near else ''}")
 
     def _check_files(self, files: Sequence[str], options: Sequence[str]) -> None:
         """Refuse too few or too many files, but for a command that only shows its help."""

@@ -21,12 +21,8 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.jit import inlined, kernel, new_array, popcount
-from octex.tree.layout import AREA_ONE, AREA_STEPS, POSITIVE_FACINGS
-
-#: Areas below this many faces come from contacts alone and are stored as none.
-LEAST_AREA = 2.0**-40
-#: What the seven leading mantissa bits add to an area's code.
-AREA_CODES = np.rint(AREA_STEPS * np.log2(1 + (np.arange(128) + 0.5) / 128)).astype(np.int64)
+from octex.tree.areas import area_code
+from octex.tree.layout import POSITIVE_FACINGS
 
 
 class SumColumns(NamedTuple):
@@ -154,16 +150,6 @@ def sum_children(children: Sums) -> Sums:
 
 
 @inlined
-def _coded_area(area: float) -> int:
-    if area < LEAST_AREA:
-        return 0
-    # The float's own exponent, and its leading mantissa bits through a table: a fifth of log2's time.
-    bits = np.int64(np.float32(area).view(np.int32))
-    code = AREA_STEPS * ((bits >> 23) - 127) + AREA_CODES[(bits >> 16) & 127] + AREA_ONE
-    return 1 if code < 1 else 255 if code > 255 else code
-
-
-@inlined
 def _store_mean(
     sums: Float64s,
     entry: int,
@@ -210,7 +196,7 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
         seen = np.int64(level.flags[i])
         n_facings = popcount(np.uint64(seen))
         if n_facings == 1:
-            areas[i] = _coded_area(sums[entry, components])
+            areas[i] = area_code(sums[entry, components])
             _store_mean(sums, entry, columns, starts, values, i)
             entry += 1
             continue
@@ -218,13 +204,13 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
             total[0, k] = 0.0
             for j in range(entry, entry + n_facings):
                 total[0, k] += sums[j, k]
-        areas[i] = _coded_area(total[0, components])
+        areas[i] = area_code(total[0, components])
         _store_mean(total, 0, columns, starts, values, i)
         if seen & (seen >> 1) & POSITIVE_FACINGS:
             two_sided[cell] = i
             cell += 1
             for j in range(entry, entry + n_facings):
-                facing_areas[row] = _coded_area(sums[j, components])
+                facing_areas[row] = area_code(sums[j, components])
                 _store_mean(sums, j, columns, facing_starts, facing_values, row)
                 row += 1
         entry += n_facings

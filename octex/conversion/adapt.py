@@ -7,7 +7,7 @@ detail than that, a leaf that meets it at some points can be far off at others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from itertools import count
@@ -27,7 +27,7 @@ from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of,
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
-from octex.parallel import Progress, ordered_map
+from octex.parallel import Progress, ordered_map, sharing
 from octex.texture.channel import Channel
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
@@ -303,8 +303,13 @@ class _Merger:
             judged[block] = found
         return judged
 
-    def _mapped(self, work: Callable[[Int64s], Any], blocks: Sequence[Int64s]) -> Iterable[Any]:
-        return map(work, blocks) if self._executor is None else ordered_map(self._executor, work, blocks)
+    def _mapped(self, work: Callable[[Int64s], Any], blocks: Sequence[Int64s]) -> Iterator[Any]:
+        """Yield what ``work`` says of each block; it reads all samples, which do not travel."""
+        if self._executor is None:
+            yield from map(work, blocks)
+            return
+        with sharing(self._executor) as pool:
+            yield from ordered_map(pool, work, blocks)
 
 
 class _Runs(Sequence[Int64s]):

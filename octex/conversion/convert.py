@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from octex.conversion.sides import fitters
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, as_progress, shares_memory, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
@@ -188,7 +188,7 @@ def convert(
     with ExitStack() as stack:
         pool = stack.enter_context(workers(threads, executor))
         if target is not None and is_mapped:
-            is_here = executor is None or isinstance(executor, ThreadPoolExecutor)
+            is_here = executor is None or shares_memory(executor)
             if must_stay:
                 raise ArgumentError(
                     f"{surface.name}: sources with gaps need all of it in memory; leave out memory, and path "

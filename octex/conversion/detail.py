@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Float64s, Int32s, Uint8s
+from octex.arrays import Float32s, Float64s, Int32s, Uint8s, bit_counts
 from octex.checks import as_choice
 from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
@@ -71,7 +71,7 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
 def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: Float32s) -> Uint8s:
     """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
     levels = wanted(pieces.triangles, pieces.barycentric, widths)
-    counts = np.bitwise_count(pieces.flags).astype(np.int64)
+    counts = bit_counts(pieces.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
     _deepen(pieces.entries, levels, of_entries)
     deepest: Uint8s = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)

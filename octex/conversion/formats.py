@@ -17,7 +17,7 @@ def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> t
     """Return how the channels of a source, which messages call ``name``, are stored.
 
     ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
-    unknown names and types, and an integer type for a channel that goes above 1.
+    unknown names and types, and an integer type for light whose source may go above 1.
     """
     names = [channel.name for channel in channels]
     wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
@@ -35,7 +35,7 @@ def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> t
             space = "linear" if space == "srgb" else space
         elif space == "linear" and channel.dtype.startswith("float"):
             raise ArgumentError(
-                f"{name}: channel {channel.name!r} goes above 1, which {chosen} cannot hold; "
+                f"{name}: channel {channel.name!r} may go above 1, which {chosen} cannot hold; "
                 "give it the dtype float16 or float32"
             )
         formats.append(channel._replace(space=space, dtype=chosen))

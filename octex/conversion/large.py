@@ -12,8 +12,10 @@ from __future__ import annotations
 import errno
 import io
 import mmap
+import os
 import pickle
 import secrets
+import weakref
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future
@@ -41,17 +43,19 @@ _NO_PLACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES,
 
 
 class _File(NamedTuple):
-    path: Path
+    address: int
     size: int
-    mapping: mmap.mmap
+    mapping: weakref.ref[mmap.mmap]
 
 
 class Scratch:
-    """A folder for large arrays, and what was put there by address."""
+    """A folder for large arrays. The file of an array goes with it, unless a task names the file."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._files: dict[int, _File] = {}
+        self._files: dict[Path, _File] = {}
+        self._named: dict[Path, mmap.mmap] = {}
+        self._process = os.getpid()
 
     def new_path(self) -> Path:
         """Return the path of a file that is not there yet."""
@@ -66,20 +70,34 @@ class Scratch:
         with path.open("x+b") as file:
             mapping = zeros_in(file, size)
         array: Array = np.frombuffer(mapping, dtype).reshape(shape)
-        self._files[array.ctypes.data] = _File(path, size, mapping)
+        self._files[path] = _File(array.ctypes.data, size, weakref.ref(mapping))
+        weakref.finalize(mapping, self._free, path)
         return array
+
+    def _free(self, path: Path) -> None:
+        del self._files[path]
+        if os.getpid() == self._process:  # not a fork of it
+            with suppress(OSError):
+                path.unlink()
 
     def flush(self) -> None:
         """Write out what other machines are about to read."""
-        for file in self._files.values():
-            file.mapping.flush()
+        for file in list(self._files.values()):
+            mapping = file.mapping()
+            if mapping is not None:
+                mapping.flush()
 
     def place_of(self, array: Array) -> tuple[str, int] | None:
-        """Return the file that an array lies in, and where there; None for an array in memory."""
+        """Return the file that an array lies in, and where there; None for an array in memory.
+
+        The file then stays until the scratch folder goes.
+        """
         address = array.ctypes.data
-        for first, file in self._files.items():
-            if first <= address < first + file.size:
-                return str(file.path), address - first
+        for path, file in list(self._files.items()):
+            mapping = file.mapping()
+            if mapping is not None and 0 <= address - file.address < file.size:
+                self._named[path] = mapping
+                return str(path), address - file.address
         return None
 
 

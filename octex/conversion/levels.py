@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s, bit_counts
 from octex.channels import ALPHA, ChannelFormat, encode
 from octex.conversion import large
 from octex.conversion.accumulate import (
@@ -320,7 +320,7 @@ def _convert_run(job: Job, run: Run) -> Part:
 
 def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> Bools:
     """Say which cells have an ``alpha`` that is stored as more than 0."""
-    counts = np.bitwise_count(leaves.flags).astype(np.int64)
+    counts = bit_counts(leaves.flags).astype(np.int64)
     firsts = np.cumsum(counts) - counts
     weights, areas = (np.add.reduceat(leaves.sums[:, column], firsts) for column in (columns.alpha, -1))
     form = next(channel for channel in channels if channel.name == ALPHA.name)
@@ -330,7 +330,7 @@ def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumn
 
 def _some_pieces(pieces: Pieces, cells: Bools) -> tuple[Pieces, Bools]:
     """Return the pieces of some cells, and say which they are."""
-    owned = np.repeat(cells, np.bitwise_count(pieces.flags))
+    owned = np.repeat(cells, bit_counts(pieces.flags))
     chosen = owned[pieces.entries]
     some = Pieces(
         pieces.codes[cells],
@@ -367,7 +367,7 @@ def _of(level: Sums, left: Int64s | None) -> Sums:
     if left is None or left.size == level.codes.size:
         return level
     chosen = among(level.codes, left)
-    return Sums(left, level.flags[chosen], level.sums[np.repeat(chosen, np.bitwise_count(level.flags))])
+    return Sums(left, level.flags[chosen], level.sums[np.repeat(chosen, bit_counts(level.flags))])
 
 
 def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:
@@ -385,7 +385,7 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
             encode(each, channel.dtype, channel.space)
             for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
         ]
-        counts = np.bitwise_count(flags[cells]).astype(np.int64)
+        counts = bit_counts(flags[cells]).astype(np.int64)
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)
         for channel, whole, facing in zip(channels, values, facing_values, strict=True):

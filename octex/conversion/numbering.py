@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Int32s, Int64s, bit_counts
 from octex.conversion import large
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
@@ -57,7 +57,7 @@ class Leaves(NamedTuple):
         The samples are then those of these leaves alone.
         """
         cells = self.numbers_of(chosen)
-        counts = np.bitwise_count(tree.split.facings).astype(np.int64)
+        counts = bit_counts(tree.split.facings).astype(np.int64)
         at = np.searchsorted(tree.split.cells, cells)
         first_rows, counts = (np.cumsum(counts) - counts)[at], counts[at]
         heads = np.cumsum(counts) - counts

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools
+from octex.arrays import Bools, bit_counts
 from octex.conversion.facings import has_opposite, kinds_around
 from octex.conversion.fit import fitted, fitted_rows
 from octex.conversion.numbering import Leaves
@@ -104,7 +104,7 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
     kinds, count = kinds_around(tree, executor), len(leaves.firsts) - 1
     field = Field(tree)
-    owners = np.repeat(tree.split.cells, np.bitwise_count(tree.split.facings)).astype(np.int64)
+    owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
     found = np.empty(count, np.bool_)
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s, bit_counts
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
@@ -438,8 +438,7 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Ru
     """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
     found, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
-        np.concatenate([[0], np.cumsum(np.bitwise_count(tree.split.facings), dtype=np.int64)])
-        for tree in trees
+        np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
     ]
     firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
     every = np.concatenate(ends)

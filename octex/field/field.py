@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.bricks import Tree
 from octex.field.facings import MOST_ROWS, Facings, face, facings_of
@@ -24,6 +24,7 @@ from octex.field.taps import (
     OFF,
     Ahead,
     Taps,
+    hold_outside,
     new_taps,
     place_points,
 )
@@ -121,7 +122,7 @@ class Field:
         found: list[Tiles] = []
         for level in levels:
             tiles = marked(build_tiles(self.level(level).tree), self.tree)
-            n_marked, n_cells = np.bitwise_count(tiles.marks).sum(), sum(self.tree.cells_by_depth()[level])
+            n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
             if not found or 2 * n_marked < n_cells:  # they serve the most
                 found.append(tiles)
         return tuple(found) or None
@@ -250,16 +251,24 @@ class Field:
 class Finder:
     """Finds the taps of points of texture space, a block after another, in one field.
 
-    ``whole`` is the field that it is a level of, by default itself.
+    ``whole`` is the field that it is a level of, by default itself. With ``adds`` the taps of several levels
+    are added up.
     """
 
     def __init__(
-        self, field: Field, filter: str, *, gradient: bool = False, whole: Field | None = None
+        self,
+        field: Field,
+        filter: str,
+        *,
+        gradient: bool = False,
+        whole: Field | None = None,
+        adds: bool = False,
     ) -> None:
         self.field = field
         self._whole = whole or field
         self.filter = FILTERS.index(filter)
         self._gradient = gradient
+        self._adds = adds
         self._walk: Walk | None = None
         self._taps: Taps | None = None
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
@@ -269,7 +278,12 @@ class Finder:
 
         ``rows`` are what will be read of the cells next: they are asked for.
         """
-        self._ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
+        taps = self._find(places, Ahead(rows, _NOTHING[:0], _NONE, _NONE))
+        if self._gradient:
+            hold_outside(taps, places)
+        return taps
+
+    def _find(self, places: Float64s, ahead: Ahead) -> Taps:
         n = len(places)
         tiles = self.field.tiles_for(self.filter)
         most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
@@ -292,7 +306,7 @@ class Finder:
             taps = taps.with_room(end, end + MOST_TILED[self.filter] * which.size + 8)
             end, n_empty, more = source(
                 *(above, places if number == 0 else places[which], which, number > 0, last),
-                *(taps, end, empty, rim[n_rim:], self._ahead),
+                *(taps, end, empty, rim[n_rim:], ahead),
             )
             n_rim += more
             which = empty[:n_empty].copy()
@@ -312,7 +326,7 @@ class Finder:
             taps = taps.with_room(end, end + MOST_TAPS)
             done, end = walked_taps(
                 *(tree.arrays, tree.kept.cells, self._whole.tree.n_cells, places, which, done),
-                *(self.filter, self._walk, taps, end),
+                *(self.filter, not self._adds, self._walk, taps, end),
             )
         return taps
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.field.splines import LINEAR
-from octex.jit import inlined, kernel, new_array
+from octex.jit import inlined, kernel, new_array, new_zeros
 from octex.tree.layout import MAX_DEPTH
 
 #: Looks made at once: few enough to stay in the processor's cache.
@@ -37,6 +37,8 @@ _NARROWEST, _WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
 #: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
 #: error, and one look does for widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
+
+NO_SLOPES = np.empty((0, 3), np.float32)
 
 
 class Footprints(NamedTuple):
@@ -60,10 +62,12 @@ class Probes(NamedTuple):
     points: Floats  # (m, 3)
     owners: Int32s  # (m,)   whose looks these are
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
+    slopes: Float32s = NO_SLOPES  # (m, 3)   derivatives of the shares in texture space; (0, 3) if not wanted
 
     def of(self, rows: Int64s) -> Probes:
         """Return some of them."""
-        return Probes(self.points[rows], self.owners[rows], self.shares[rows])
+        slopes = self.slopes[rows] if self.slopes.size else self.slopes
+        return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
 
 
 def round_footprints(widths: Float64s, sharpness: float) -> Footprints:
@@ -121,23 +125,29 @@ def _principal_axes(
 
 
 @kernel
-def passed_on(looks: Probes, left: Float32s, least: np.float32, more: Probes) -> Probes:
+def passed_on(
+    looks: Probes, left: Float32s, left_slopes: Float32s, least: np.float32, more: Probes
+) -> Probes:
     """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share.
 
-    Where there is a look of the same owner at the same point, the share is added to its own. Owners ascend,
-    in what is given and returned.
+    ``left_slopes`` are the derivatives of ``left``, where looks have those of their shares. Where there is a
+    look of the same owner at the same point, the share is added to its own. Owners ascend, in what is given
+    and returned.
     """
+    gradient = looks.slopes.shape[0] > 0
     count = n_more = more.shares.size
     for n in range(left.size):
         count += left[n] > least
     points, owners = new_array((count, 3), looks.points.dtype), new_array(count, np.int32)
-    shares = new_array(count, np.float32)
+    shares, slopes = new_array(count, np.float32), new_zeros((count if gradient else 0, 3), np.float32)
     at = m = 0
     for n in range(left.size + 1):
         is_last = n == left.size
         if not is_last and not left[n] > least:
             continue
         while m < n_more and (is_last or more.owners[m] < looks.owners[n]):
+            for axis in range(3 if gradient else 0):
+                slopes[at, axis] = more.slopes[m, axis]
             at = _write_look(more, m, more.shares[m], points, owners, shares, at)
             m += 1
         if is_last:
@@ -145,11 +155,18 @@ def passed_on(looks: Probes, left: Float32s, least: np.float32, more: Probes) ->
         share, same = looks.shares[n] * left[n], m
         while same < n_more and more.owners[same] == looks.owners[n] and not _is_same(more, same, looks, n):
             same += 1
-        if same < n_more and more.owners[same] == looks.owners[n]:
+        is_there = same < n_more and more.owners[same] == looks.owners[n]
+        for axis in range(3 if gradient else 0):
+            slope = looks.slopes[n, axis] * left[n] + looks.shares[n] * left_slopes[n, axis]
+            if is_there:
+                more.slopes[same, axis] += slope
+            else:
+                slopes[at, axis] = slope
+        if is_there:
             more.shares[same] += share
         else:
             at = _write_look(looks, n, share, points, owners, shares, at)
-    return Probes(points[:at], owners[:at], shares[:at])
+    return Probes(points[:at], owners[:at], shares[:at], slopes[:at])
 
 
 @inlined

@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
 from octex.field.field import Field
-from octex.field.footprints import Footprints, Probes, spread
+from octex.field.footprints import NO_SLOPES, Footprints, Probes, spread
 from octex.field.lookups import ChannelRows, Lookup, Query, coarse_to_fine, pass_on
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
@@ -20,7 +20,6 @@ from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
 _NO_ROWS = np.empty(0, np.uint32)
-_NO_SLOPES = np.empty((0, 3), np.float32)
 
 
 class TapList(NamedTuple):
@@ -90,7 +89,7 @@ class _Listing(Lookup):
             room = int((taps.ends - taps.starts).sum()) + 1
             starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
             shares = np.empty(room, np.float32)
-            list_taps(taps, 1.0, starts, found, shares, _NO_SLOPES)
+            list_taps(taps, 1.0, starts, found, shares, NO_SLOPES)
             counts.append(np.diff(starts))
             rows.append(found[: starts[-1]])
             weights.append(shares[: starts[-1]])
@@ -185,7 +184,7 @@ class _Listing(Lookup):
                 some = slice(begin, begin + BLOCK)
                 facing = None if normals is None else normals[owners[some]]
                 here = self._field.level(level)
-                taps, _ = self.weighed_taps(here, looks.points[some], facing, left[some])
+                taps, _ = self.weighed_taps(here, looks.points[some], facing, (left[some], NO_SLOPES))
                 yield level, taps, owners[some], looks.shares[some]
             pass_on(by_level, level, looks, left)
 

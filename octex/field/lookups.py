@@ -13,7 +13,7 @@ from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.facings import Facings
 from octex.field.field import Field, Finder
-from octex.field.footprints import Footprints, Probes, passed_on, spread
+from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_area
@@ -326,11 +326,14 @@ class Lookup:
         n_points = run.stop - run.start
         gradient = bool(self._gradients)
         sums = [Sums.of(n_points, channel.codes.components, gradient) for channel in self._channels]
+        if gradient:
+            for level, looks in by_level.items():
+                by_level[level] = looks._replace(slopes=np.zeros((looks.shares.size, 3), np.float32))
         normals = None if self._query.normals is None else self._query.normals[run]
         for level, looks in coarse_to_fine(by_level, self._field.tree.max_depth):
             here = self._field.level(level)
             add = self._add_by_tiles if self.adds_tiled(here) else self._add_by_taps
-            pass_on(by_level, level, looks, add(here, looks, normals, sums))
+            pass_on(by_level, level, looks, *add(here, looks, normals, sums))
         bare = np.zeros(n_points, np.bool_)
         for number, channel in enumerate(self._channels):
             gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -341,24 +344,24 @@ class Lookup:
 
     def _add_by_taps(
         self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
-    ) -> Float32s:
-        """Add looks at a level up, in any tree; return the part of each that mixes opposite facings."""
-        left = self._room_for_left(here, looks)
+    ) -> tuple[Float32s, Float32s]:
+        """Add looks at a level up, in any tree; see `_room_for_left` for what is returned."""
+        left, slopes = self._room_for_left(here, looks)
         for begin in range(0, len(looks.points), BLOCK):
             rows = slice(begin, begin + BLOCK)
             owners = looks.owners[rows]
             facing = None if normals is None else normals[owners]
-            taps, _ = self.weighed_taps(here, looks.points[rows], facing, left[rows])
+            taps, _ = self.weighed_taps(here, looks.points[rows], facing, (left[rows], slopes[rows]))
             for number, channel in self.each_weighed(taps, False, always=True):
                 used, codes = _as_read(taps, channel)
-                add_up(used, codes, False, owners, looks.shares[rows], sums[number])
-        return left
+                add_up(used, codes, False, owners, looks.shares[rows], looks.slopes[rows], sums[number])
+        return left, slopes
 
     def _add_by_tiles(
         self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
-    ) -> Float32s:
-        """Add looks at a level up by tiles; return the part of each that mixes opposite facings."""
-        codes, left = self._channels[0].codes, self._room_for_left(here, looks)
+    ) -> tuple[Float32s, Float32s]:
+        """Add looks at a level up by tiles; see `_room_for_left` for what is returned."""
+        codes, (left, slopes) = self._channels[0].codes, self._room_for_left(here, looks)
         facing = _NO_VECTORS if normals is None else normals
 
         def add_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
@@ -374,15 +377,18 @@ class Lookup:
 
         rim, _ = self._search_tiles(here, len(looks.points), add_some)
         if rim.size:
-            part = self._add_by_taps(here, looks.of(rim), normals, sums)
+            part, _ = self._add_by_taps(here, looks.of(rim), normals, sums)
             if part.size:
                 left[rim] = part
-        return left
+        return left, slopes
 
-    def _room_for_left(self, here: Field, looks: Probes) -> Float32s:
-        """Return room for what of each look mixes facings; none where nothing can."""
-        is_any = self._query.normals is None and self._mixes(here)
-        return np.zeros(len(looks.points) if is_any else 0, np.float32)
+    def _room_for_left(self, here: Field, looks: Probes) -> tuple[Float32s, Float32s]:
+        """Return room for the part of each look that mixes facings, and for its derivatives if wanted.
+
+        There is none where nothing can mix.
+        """
+        count = len(looks.points) if self._query.normals is None and self._mixes(here) else 0
+        return np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
 
     def _look_again(
         self,
@@ -405,11 +411,15 @@ class Lookup:
                 self._gradients[number][rows] = gradients[at]
 
     def weighed_taps(
-        self, here: Field, points: Floats, normals: Float32s | None, left: Float32s | None = None
+        self,
+        here: Field,
+        points: Floats,
+        normals: Float32s | None,
+        left: tuple[Float32s, Float32s] | None = None,
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
 
-        ``left`` takes what mixes opposite facings.
+        ``left`` takes what mixes opposite facings, and its derivatives: see `taps.leave_mixed`.
         """
         if len(self._places) < len(points):
             self._places = np.empty((len(points), 3))
@@ -417,7 +427,10 @@ class Lookup:
         fault = place_points(Positions.of(points), *self._placement, places)
         if here.tree.max_depth not in self._finders:
             self._finders[here.tree.max_depth] = Finder(
-                here, self._query.filter, gradient=bool(self._gradients), whole=self._field
+                *(here, self._query.filter),
+                gradient=bool(self._gradients),
+                whole=self._field,
+                adds=self._query.footprints is not None,
             )
         taps = self._finders[here.tree.max_depth].find(places, self._rows)
         field = self._field
@@ -427,7 +440,7 @@ class Lookup:
             taps = here.facing(taps, normals, field)
         elif left is not None and self._mixes(here):
             assert self._query.mixed is not None
-            leave_mixed(taps, self._query.mixed(here.tree.max_depth), left)
+            leave_mixed(taps, self._query.mixed(here.tree.max_depth), *left)
         return taps, fault
 
     def _mixes(self, here: Field) -> bool:
@@ -467,10 +480,12 @@ def coarse_to_fine(by_level: dict[int, Probes], depth: int) -> Iterator[tuple[in
             yield level, by_level[level]
 
 
-def pass_on(by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s) -> None:
-    """Look at the next level for what was not seen at this."""
+def pass_on(
+    by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s, slopes: Float32s = NO_SLOPES
+) -> None:
+    """Look at the next level for what was not seen at this, and how that changes: see `passed_on`."""
     if left.size:
-        none = Probes(looks.points[:0], looks.owners[:0], looks.shares[:0])
-        more = passed_on(looks, left, _ROUNDED, by_level.get(level + 1, none))
+        none = Probes(looks.points[:0], looks.owners[:0], looks.shares[:0], looks.slopes[:0])
+        more = passed_on(looks, left, slopes, _ROUNDED, by_level.get(level + 1, none))
         if more.shares.size:
             by_level[level + 1] = more

@@ -63,6 +63,7 @@ def _taps_of(
     y: float,
     z: float,
     filter_code: int,
+    is_constant: bool,
     walk: Walk,
     rows: Uint32s,
     weights: Float32s,
@@ -73,15 +74,20 @@ def _taps_of(
 
     ``filter_code`` is 1 linear, 2 quadratic, 3 quartic. ``rows``, ``weights`` (m,) and ``slopes`` (m, 3), or
     (0, 3) if they are not wanted, must have room for MOST_TAPS. A row is a cell's number, or the number of
-    cells + r for row r of ``kept_cells`` (ascending, the nodes flagged KEPT). Weights sum to 1; slopes are
-    their derivatives by x, y and z. The point is first clamped into the root; it must be finite.
+    cells + r for row r of ``kept_cells`` (ascending, the nodes flagged KEPT). Weights sum to the cover, or to
+    OFF if that is more; slopes are their derivatives by x, y and z, if ``is_constant`` those of weights with
+    a constant sum. The point is first clamped into the root; it must be finite.
 
     The cover is how much of the spline's weight falls on leaves, 0 … 1. Where it is zero, the taps are those
     of the tree truncated at the deepest level that has any there.
     """
     if filter_code == QUARTIC:
-        return _taps_within(arrays, kept_cells, x, y, z, QUARTIC, 3, walk, rows, weights, slopes, first)
-    return _taps_within(arrays, kept_cells, x, y, z, filter_code, 2, walk, rows, weights, slopes, first)
+        return _taps_within(
+            arrays, kept_cells, x, y, z, QUARTIC, 3, is_constant, walk, rows, weights, slopes, first
+        )
+    return _taps_within(
+        arrays, kept_cells, x, y, z, filter_code, 2, is_constant, walk, rows, weights, slopes, first
+    )
 
 
 @inlined
@@ -93,6 +99,7 @@ def _taps_within(
     z: float,
     filter_code: int,
     parents: int,
+    is_constant: bool,
     walk: Walk,
     rows: Uint32s,
     weights: Float32s,
@@ -115,8 +122,10 @@ def _taps_within(
         if truncated or walk.levels[level, NODES] == 0:
             level -= 1
         truncated = True
-    normalize(walk, n_taps, total, weights, slopes, first)
-    return first + n_taps, 0.0 if truncated else total
+    cover = 0.0 if truncated else total
+    wanted = max(cover, np.float64(OFF))
+    write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, weights, slopes, first)
+    return first + n_taps, cover
 
 
 @inlined
@@ -294,20 +303,34 @@ def _find_kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
 
 
 @inlined
-def normalize(walk: Walk, n_taps: int, total: float, weights: Float32s, slopes: Float32s, first: int) -> None:
-    """Write the weights and slopes of taps of weight ``total``: weights then sum to 1."""
+def write_taps(
+    walk: Walk,
+    n_taps: int,
+    total: float,
+    wanted: float,
+    is_constant: bool,
+    weights: Float32s,
+    slopes: Float32s,
+    first: int,
+) -> None:
+    """Write the weights of taps of weight ``total``, scaled to the sum ``wanted``, and their slopes.
+
+    If ``is_constant``, the sum does not change with the position: slopes sum to zero.
+    """
     taps = walk.taps
-    scale = 1.0 / total
+    scale = wanted / total
     for n in range(n_taps):
         weights[first + n] = taps[0, n] * scale
     if slopes.shape[0] == 0:
         return
     for axis in range(3):
-        total_slope = 0.0
+        drift = 0.0
+        if is_constant:
+            for n in range(n_taps):
+                drift += taps[axis + 1, n]
+            drift /= total
         for n in range(n_taps):
-            total_slope += taps[axis + 1, n]
-        for n in range(n_taps):
-            slopes[first + n, axis] = (taps[axis + 1, n] - taps[0, n] * scale * total_slope) * scale
+            slopes[first + n, axis] = (taps[axis + 1, n] - taps[0, n] * drift) * scale
 
 
 @kernel
@@ -319,18 +342,20 @@ def walked_taps(
     which: Int64s,
     begin: int,
     filter_code: int,
+    is_constant: bool,
     walk: Walk,
     taps: Taps,
     end: int,
 ) -> tuple[int, int]:
     """Find the taps of points ``which[begin:]`` of those in texture space (n, 3), from index ``end`` on.
 
-    ``first_kept`` is what the first row of ``kept_cells`` is counted as. Stops where there might be no room
-    for a point's taps; returns how far it came, and the end of the taps.
+    ``first_kept`` is what the first row of ``kept_cells`` is counted as. If ``is_constant``, slopes are those
+    of weights with a constant sum: more exact at the rim of the spline's support, but not to be added up over
+    levels. Stops where there might be no room for a point's taps; returns how far it came, and the end of the
+    taps.
     """
     n_cells = np.uint32(arrays.flags.size)
     shift = np.uint32(first_kept - arrays.flags.size)
-    gradient = taps.slopes.shape[0] > 0
     for m in range(begin, which.size):
         if end + MOST_TAPS > taps.rows.size:
             return m, end
@@ -338,16 +363,12 @@ def walked_taps(
         start = end
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         end, cover = _taps_of(
-            arrays, kept_cells, x, y, z, filter_code, walk, taps.rows, taps.weights, taps.slopes, start
+            *(arrays, kept_cells, x, y, z, filter_code, is_constant, walk),
+            *(taps.rows, taps.weights, taps.slopes, start),
         )
-        scale = np.float32(max(cover, np.float64(OFF)))
         for tap in range(start, end):
             if taps.rows[tap] >= n_cells:
                 taps.rows[tap] += shift
-            taps.weights[tap] *= scale
-            if gradient:
-                for axis in range(3):
-                    taps.slopes[tap, axis] *= scale
         taps.starts[n], taps.ends[n], taps.covers[n] = start, end, cover
     return which.size, end
 
@@ -409,7 +430,7 @@ def _refine_cells(
         first = min(level, deepest)
         count, total = collect(arrays, kept_cells, walk, first, False, QUADRATIC, 2, 1, rows, end)
         if total > 0.0:
-            normalize(walk, count, total, weights, no_slopes, end)
+            write_taps(walk, count, total, 1.0, True, weights, no_slopes, end)
             end += count
         done += 1
         starts[done] = end

@@ -273,10 +273,18 @@ def add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components: 
 
 
 @fused_kernel
-def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Float32s, sums: Sums) -> None:
+def add_up(
+    taps: Taps,
+    codes: Codes,
+    is_asked: bool,
+    owners: Int32s,
+    shares: Float32s,
+    share_slopes: Float32s,
+    sums: Sums,
+) -> None:
     """Add the blends of looks, times their shares, to those of the points that own them.
 
-    ``is_asked`` as in `blend`.
+    ``share_slopes`` (looks, 3) are the derivatives of the shares, for gradients. ``is_asked`` as in `blend`.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     gradient = sums.total_slopes.shape[0] > 0
@@ -292,9 +300,12 @@ def add_up(taps: Taps, codes: Codes, is_asked: bool, owners: Int32s, shares: Flo
             if gradient:
                 slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
                 for axis in range(3):
-                    sums.total_slopes[owner, axis] += share * slopes[4][axis]
+                    share_slope = np.float64(share_slopes[n, axis])
+                    sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * five[4]
                     for component in range(components):
-                        sums.slopes[owner, component, axis] += share * slopes[component][axis]
+                        sums.slopes[owner, component, axis] += (
+                            share * slopes[component][axis] + share_slope * five[component]
+                        )
 
 
 @kernel

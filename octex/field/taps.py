@@ -154,9 +154,35 @@ def finish(
     taps.starts[at], taps.ends[at] = start, end
     taps.covers[at] = np.float32(0.0) if is_off else total
     if is_off:
-        for tap in range(start, end):
-            scale(taps, tap, OFF / total)
+        let_sum_to_off(taps, start, end, total)
     return end, n_empty, n_rim
+
+
+@kernel
+def hold_outside(taps: Taps, places: Float64s) -> None:
+    """Set the slopes of points outside the root cell to zero along the axes that ``places`` (n, 3) clamp."""
+    for n in range(places.shape[0]):
+        for axis in range(3):
+            if 0.0 < places[n, axis] < 1.0:
+                continue
+            for tap in range(taps.starts[n], taps.ends[n]):
+                taps.slopes[tap, axis] = 0.0
+
+
+@inlined
+def let_sum_to_off(taps: Taps, start: int, end: int, total: np.float32) -> None:
+    """Scale the taps of a point, of weight ``total``, to the sum OFF: their slopes then sum to zero."""
+    factor = OFF / total
+    for axis in range(3 if taps.slopes.shape[0] > 0 else 0):
+        drift = np.float32(0.0)
+        for tap in range(start, end):
+            drift += taps.slopes[np.uint64(tap), axis]
+        drift /= total
+        for tap in range(start, end):
+            at = np.uint64(tap)
+            taps.slopes[at, axis] = (taps.slopes[at, axis] - taps.weights[at] * drift) * factor
+    for tap in range(start, end):
+        taps.weights[np.uint64(tap)] *= factor
 
 
 @inlined
@@ -231,8 +257,8 @@ def weigh_by_area(taps: Taps, areas: Uint8s) -> None:
         total = np.float32(0.0)
         for tap in range(taps.starts[n], taps.ends[n]):
             total += taps.weights[tap]
-        for tap in range(taps.starts[n], taps.ends[n] if total > np.float32(0.0) else 0):
-            scale(taps, tap, OFF / total)
+        if total > np.float32(0.0):
+            let_sum_to_off(taps, taps.starts[n], taps.ends[n], total)
 
 
 @kernel
@@ -251,17 +277,32 @@ def mark_mixed(cells: Uint32s, facings: Uint8s, spreads: Float32s, threshold: fl
 
 
 @kernel
-def leave_mixed(taps: Taps, mixed: Uint8s, left: Float32s) -> None:
+def leave_mixed(taps: Taps, mixed: Uint8s, left: Float32s, slopes: Float32s) -> None:
     """Let cells that are marked in ``mixed`` (cells,) weigh nothing; see `mark_mixed`.
 
-    Writes to ``left`` (points,) the part of the weight that is taken away.
+    Writes to ``left`` (points,) the part of the weight that is taken away, and its derivatives to ``slopes``
+    (points, 3), or (0, 3) if they are not wanted.
     """
+    zero = np.float32(0.0)
     for n in range(taps.starts.size):
-        total = gone = np.float32(0.0)
+        total = gone = zero
+        x = y = z = of_x = of_y = of_z = zero  # the slopes of what is gone, and of all
         for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-            weight, cell = taps.weights[np.uint64(tap)], taps.rows[np.uint64(tap)]
+            at = np.uint64(tap)
+            weight, cell = taps.weights[at], taps.rows[at]
+            is_mixed = cell < mixed.size and mixed[np.uint64(cell)] != 0
             total += weight
-            if cell < mixed.size and mixed[np.uint64(cell)] != 0:
+            if slopes.shape[0] > 0:
+                p, q, r = taps.slopes[at, 0], taps.slopes[at, 1], taps.slopes[at, 2]
+                of_x, of_y, of_z = of_x + p, of_y + q, of_z + r
+                if is_mixed:
+                    x, y, z = x + p, y + q, z + r
+            if is_mixed:
                 gone += weight
-                scale(taps, tap, np.float32(0.0))
-        left[np.uint64(n)] = gone / total if gone > np.float32(0.0) else np.float32(0.0)
+                scale(taps, tap, zero)
+        share = gone / total if gone > zero else zero
+        left[np.uint64(n)] = share
+        if slopes.shape[0] > 0:
+            inverse = np.float32(1.0) / total if gone > zero else zero
+            slopes[n, 0], slopes[n, 1] = (x - share * of_x) * inverse, (y - share * of_y) * inverse
+            slopes[n, 2] = (z - share * of_z) * inverse

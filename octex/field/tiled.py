@@ -15,7 +15,16 @@ from octex.field.facings import MOST_ROWS, Facings, add_facing, face
 from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, take, weigh_by_alpha
 from octex.field.sources import linear_taps, nearest_rows, nearest_taps, quadratic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
-from octex.field.taps import MOST_TILED, Ahead, Taps, leave_mixed, new_taps, place_points, weigh_by_area
+from octex.field.taps import (
+    MOST_TILED,
+    Ahead,
+    Taps,
+    hold_outside,
+    leave_mixed,
+    new_taps,
+    place_points,
+    weigh_by_area,
+)
 from octex.field.tiles import Tiles
 from octex.jit import bytes_of, inlined, kernel, new_array, part
 from octex.tree.search import Origin, Positions, count_of, position
@@ -149,6 +158,8 @@ def look_up_tiled(
         else:
             taps = _of_points(room, count)
             more, rest = _find_taps(search, here, each[:count], taps, empty, rim, ahead)
+            if gradient:
+                hold_outside(taps, here)
             if is_seen:
                 sums.values[:], sums.totals[:] = 0.0, 0.0
                 add_facing(taps, search.facings, facing, channel.codes, owners, shares, sums)
@@ -217,8 +228,8 @@ def add_tiled(
             add_facing(taps, search.facings, facing[:count], *looks, sums)
         else:
             if search.mixed.size > 0:
-                leave_mixed(taps, search.mixed, left[begin:end])
-            add_up(taps, codes, True, owners[begin:end], shares[begin:end], sums)
+                leave_mixed(taps, search.mixed, left[begin:end], taps.slopes)
+            add_up(taps, codes, True, owners[begin:end], shares[begin:end], taps.slopes, sums)
         n_empty += _number(each[:0], begin, empty, more)
         n_rim += _number(each[:0], begin, rim, rest)
     return n_empty, n_rim

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
+from octex.errors import OutputError
 from octex.jit import inlined, kernel, new_zeros, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.morton import decode, decode_cells
@@ -163,7 +164,7 @@ def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
     size = 8 * (rows + 1) * np.dtype(dtype).itemsize
     try:
         memory = zeros(size + CACHE_LINE, _IN_MEMORY)
-    except OSError:  # no room for a file
+    except OutputError:  # no room for a file
         memory = np.zeros(size + CACHE_LINE, np.uint8)
     start = -memory.ctypes.data % CACHE_LINE
     return memory[start : start + size].view(dtype)

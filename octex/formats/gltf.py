@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
+import urllib.parse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
+from octex.formats.images import FileFormat, ImageFormat, Written, encoded_images, image_names, materials_of
 from octex.formats.origins import origin_of
 from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
@@ -29,13 +31,13 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _DIELECTRIC = 0.04
 
 
-def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
+def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
 
     ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
     posed ones, of a model far from the origin by a translation of its node; normals and tangents are the
-    surface's ``frames``, without which viewers shade it flat. ``images`` is how maps are stored: "png", or
-    with loss "jpeg" (where there is no alpha) or "webp".
+    surface's ``frames``, without which viewers shade it flat. ``images`` is how maps are stored, as
+    ``write_model`` has it.
 
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
@@ -43,10 +45,8 @@ def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> None:
         raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
-    if path.suffix.lower() == ".glb":
-        _write_glb(content, path)
-    else:
-        _write_files(content, path)
+    write = _write_glb if path.suffix.lower() == ".glb" else _write_files
+    return Written(write(content, path), sum(len(data) for data, _ in content.images))
 
 
 class _Content:
@@ -61,7 +61,7 @@ class _Content:
         }
         self.arrays: list[bytes] = []  # of buffer views
         self._views: list[dict[str, Any]] = []
-        self.images: list[tuple[bytes, ImageFormat]] = []  # files
+        self.images: list[tuple[bytes, FileFormat]] = []  # files
         self._extensions: set[str] = set()
 
     def add(self, surface: Surface, source: MaterialSource) -> None:
@@ -169,19 +169,17 @@ class _Content:
             lanes = _LANES.get(name, given.lanes)
             if any(given.offset) or (given.texture is not None and given.lanes[: len(lanes)] != lanes):
                 raise ModelError(f"glTF cannot say what the channel {name!r} is made of; bake it first")
-        for pair in (("base_color", "alpha"), ("metallic", "roughness")):
-            textures = [inputs[name].texture for name in pair if name in inputs]
-            known = {id(each.texels) for each in textures if each is not None}
-            if len(known) > 1 or (None in textures and known and "alpha" not in pair):
-                raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
         color, alpha = inputs.get("base_color", Input((1.0,) * 3)), inputs.get("alpha", Input((1.0,)))
         pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
-        if color.texture is not None:
-            pbr["baseColorTexture"] = self._texture(color)
         for name, factor in (("metallic", "metallicFactor"), ("roughness", "roughnessFactor")):
             pbr[factor] = inputs[name].factor[0] if name in inputs else float(name == "roughness")
-            if name in inputs and inputs[name].texture is not None:
-                pbr["metallicRoughnessTexture"] = self._texture(inputs[name])
+        for pair, word in (
+            (("base_color", "alpha"), "baseColorTexture"),
+            (("metallic", "roughness"), "metallicRoughnessTexture"),
+        ):
+            read = _in_one_image(inputs, pair)
+            if read is not None:
+                pbr[word] = self._texture(read)
         made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
         if material.name:
             made["name"] = material.name
@@ -235,6 +233,22 @@ class _Content:
         return {"bufferView": self._view(data), "mimeType": f"image/{ending}"}
 
 
+def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input | None:
+    """Return an input of two channels that has the image of both; None if both are numbers.
+
+    Where one of them is a number, the image must be 1 there. Raises ModelError for what glTF cannot say.
+    """
+    plain = {"base_color": Input((1.0,) * 3)}
+    given = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
+    read = [each for each in given.values() if each.texture is not None]
+    texels = [each.texture.texels for each in read if each.texture is not None]
+    numbers = [name for name, each in given.items() if each.texture is None and name != "alpha"]
+    is_one = all(each is texels[0] for each in texels)
+    if texels and not (is_one and all((texels[0][..., _LANES[name]] == 65535).all() for name in numbers)):
+        raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
+    return read[0] if read else None
+
+
 #: Where glTF reads a channel in its texture.
 _LANES = {
     "base_color": (0, 1, 2), "alpha": (3,), "occlusion": (0,), "roughness": (1,), "metallic": (2,),
@@ -242,7 +256,7 @@ _LANES = {
 }  # fmt: skip
 
 
-def _write_glb(content: _Content, path: Path) -> None:
+def _write_glb(content: _Content, path: Path) -> list[Path]:
     words = content.finish({}, content.embed)
     words += b" " * (-len(words) % 4)
     size = sum(map(len, content.arrays))
@@ -254,15 +268,22 @@ def _write_glb(content: _Content, path: Path) -> None:
         file.write(struct.pack("<II", len(words), _JSON) + words)
         file.write(struct.pack("<II", size, _BIN))
         file.writelines(content.arrays)
+    return [path]
 
 
-def _write_files(content: _Content, path: Path) -> None:
-    names = content.names(path.stem)
-    words = content.finish({"uri": f"{path.stem}.bin"}, lambda number: {"uri": names[number]})
+def _write_files(content: _Content, path: Path) -> list[Path]:
+    names, arrays = content.names(path.stem), path.with_name(f"{path.stem}.bin")
+    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
     for name, (data, _) in zip(names, content.images, strict=True):
         with replacing(path.with_name(name)) as file:
             file.write(data)
-    with replacing(path.with_name(f"{path.stem}.bin")) as file:
+    with replacing(arrays) as file:
         file.writelines(content.arrays)
     with replacing(path) as file:
         file.write(words)
+    return [path, arrays, *map(path.with_name, names)]
+
+
+def _named(file: str) -> dict[str, Any]:
+    """Return what names a file beside the .gltf."""
+    return {"uri": urllib.parse.quote(os.fsencode(file))}

@@ -6,14 +6,15 @@ import io
 import re
 import struct
 import zlib
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import PIL.Image
 
 from octex.arrays import Array, Float32s, Uint8s, Uint16s
-from octex.channels import encode
+from octex.channels import CHANNELS, encode
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.parallel import ordered_map, workers
@@ -21,10 +22,12 @@ from octex.source.images.png import SIGNATURE
 from octex.source.materials import Material, MaterialSource
 from octex.source.surface import Surface
 
-ImageFormat = Literal["png", "jpeg", "webp", "exr"]
-IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "webp", "exr")
+FileFormat = Literal["png", "jpeg", "webp", "exr"]
+#: How a model's images are stored; with "jpeg" its colours, with "jpeg-all" numbers and directions too.
+ImageFormat = Literal["png", "jpeg", "jpeg-all", "webp", "exr"]
+IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "jpeg-all", "webp", "exr")
 #: How Pillow writes them. zlib's level 3 takes a third of the time of its own choice, for a tenth more bytes.
-_SETTINGS: dict[ImageFormat, dict[str, Any]] = {
+_SETTINGS: dict[FileFormat, dict[str, Any]] = {
     "png": {"compress_level": 3},
     "jpeg": {"quality": 95, "subsampling": 0},
     "webp": {"lossless": True, "exact": True},
@@ -36,6 +39,13 @@ _LEVEL = 3
 _TILE = re.compile(r"[1-9]\d{3}")
 #: Rows of an OpenEXR image that are packed together.
 _EXR_ROWS = 16
+
+
+class Written(NamedTuple):
+    """The files of a model."""
+
+    files: list[Path]  # the model's own first
+    image_bytes: int  # how many bytes its images take, inside the model's file or beside it
 
 
 def materials_of(surface: Surface) -> MaterialSource:
@@ -78,29 +88,42 @@ def codes_of(colors: Float32s) -> Uint8s:
 
 def encoded_images(
     materials: Sequence[Material], form: ImageFormat
-) -> tuple[list[tuple[bytes, ImageFormat]], dict[int, int]]:
+) -> tuple[list[tuple[bytes, FileFormat]], dict[int, int]]:
     """Return the files of all images that materials read, each once, and their numbers by the ids of texels.
 
     Alpha is in a file if a material that is not opaque reads it.
     """
-    texels: dict[int, tuple[Array, bool]] = {}
+    texels: dict[int, Array] = {}
+    channels: dict[int, set[str]] = {}
     for material in materials:
         for name, given in material.inputs.items():
             if given.texture is not None:
                 key = id(given.texture.texels)
-                _, is_covered = texels.get(key, (None, False))
-                is_covered |= name == "alpha" and material.alpha_mode != "opaque"
-                texels[key] = given.texture.texels, is_covered
+                texels[key] = given.texture.texels
+                read = channels.setdefault(key, set())
+                if name != "alpha" or material.alpha_mode != "opaque":
+                    read.add(name)
+
+    def encoded(key: int) -> tuple[bytes, FileFormat]:
+        lanes = slice(4 if "alpha" in channels[key] else 3)
+        return image_file(texels[key], lanes, file_format(form, channels[key] - {"alpha"}))
+
     with workers(None, None, len(texels)) as pool:
-        files = ordered_map(
-            pool, lambda each: image_file(each[0], slice(4 if each[1] else 3), form), list(texels.values())
-        )
+        files = ordered_map(pool, encoded, list(texels))
         return list(files), {key: number for number, key in enumerate(texels)}
 
 
+def file_format(form: ImageFormat, channels: Iterable[str]) -> FileFormat:
+    """Return the format of the file of an image that holds channels."""
+    if form == "jpeg-all":
+        return "jpeg"
+    is_color = all(CHANNELS[name].space == "srgb" for name in channels)
+    return "png" if form == "jpeg" and not is_color else form
+
+
 def image_file(
-    texels: Array, lanes: slice | tuple[int, ...], form: ImageFormat = "png"
-) -> tuple[bytes, ImageFormat]:
+    texels: Array, lanes: slice | tuple[int, ...], form: FileFormat = "png"
+) -> tuple[bytes, FileFormat]:
     """Return an image file of some lanes of texels (height, width, 4), and its format.
 
     A PNG has 16 bits where eight are not enough. With alpha "jpeg" gives a PNG. Raises ModelError for floats
@@ -116,7 +139,7 @@ def image_file(
     codes: Uint8s = np.empty(chosen.shape, np.uint8)
     count = chosen.shape[2]
     is_deep = _bytes_of(chosen, codes)
-    made: ImageFormat = "png" if form == "jpeg" and count == 4 else form
+    made: FileFormat = "png" if form == "jpeg" and count == 4 else form
     if is_deep and made == "png":
         return _png16_file(chosen), made
     image = PIL.Image.fromarray(codes[..., 0] if count == 1 else codes)

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from octex.channels import linear_to_srgb
+from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import ImageFormat, colors_of_vertices, image_file, image_name, materials_of
+from octex.formats.images import (
+    ImageFormat,
+    Written,
+    colors_of_vertices,
+    file_format,
+    image_file,
+    image_name,
+    materials_of,
+)
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -27,22 +36,23 @@ _MAPS = {
 }
 
 
-def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
+def write_obj(surface: Surface, path: Path, images: ImageFormat) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
 
     Raises ModelError for values above 1, and for materials that read several sets of texture coordinates.
     """
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
+    names = _names({number: source.materials[number] for number in used})
     coordinates = source.coordinates[0] if source.coordinates else None
     lines = [f"mtllib {path.stem}.mtl"]
     materials = []
     written: dict[tuple[object, ...], str] = {}
     for number in used:
-        materials.append(f"newmtl material{number}")
+        materials.append(f"newmtl {names[number]}")
         materials += _described(source.materials[number], path, number, images, written)
     with replacing(path.with_suffix(".mtl")) as file:
-        file.write("\n".join([*materials, ""]).encode())
+        file.write("\n".join([*materials, ""]).encode(errors="surrogateescape"))
     positions = surface.vertices
     colors = colors_of_vertices(surface)
     if colors is not None:  # as many programs write them; in sRGB
@@ -60,11 +70,25 @@ def write_obj(surface: Surface, path: Path, images: ImageFormat) -> None:
     separator = "//" if coordinates is None else "/"
     corners = np.stack(columns, axis=-1) + 1
     for number in used:
-        lines.append(f"usemtl material{number}")
+        lines.append(f"usemtl {names[number]}")
         for triangle in corners[source.triangle_materials == number].tolist():
             lines.append("f " + " ".join(separator.join(map(str, corner)) for corner in triangle))
     with replacing(path) as file:
-        file.write("\n".join([*lines, ""]).encode())
+        file.write("\n".join([*lines, ""]).encode(errors="surrogateescape"))
+    made = [path.with_name(name) for name in written.values()]
+    return Written([path, path.with_suffix(".mtl"), *made], sum(each.stat().st_size for each in made))
+
+
+def _names(materials: Mapping[int, Material]) -> dict[int, str]:
+    """Return a name for each material by its number: its own, where that is one word and not taken."""
+    names: dict[int, str] = {}
+    for number, material in materials.items():
+        # Many readers end a name at a blank, and none reads zeros or halves of surrogate pairs.
+        name = re.sub(r"[\s\0\ud800-\udfff]", "_", material.name) or f"material{number}"
+        while name in names.values():
+            name += "_"
+        names[number] = name
+    return names
 
 
 def _described(
@@ -82,11 +106,14 @@ def _described(
                 raise ModelError("an .obj file has one set of texture coordinates; write a .glb")
             key = id(given.texture.texels), given.lanes
             if key not in written:
-                data, ending = image_file(given.texture.texels, given.lanes, images)
+                data, ending = image_file(given.texture.texels, given.lanes, file_format(images, [channel]))
                 stem = image_name(path.stem, material, channel, f"{number}-{channel}")
                 written[key] = f"{stem}.{ending}"
                 with replacing(path.with_name(written[key])) as file:
                     file.write(data)
             yield f"{word} {written[key]}"
         if factor:
-            yield f"{factor} " + " ".join(f"{each:.7g}" for each in given.factor)
+            values = np.array(given.factor)
+            if CHANNELS[channel].space == "srgb":
+                values = linear_to_srgb(values)
+            yield f"{factor} " + " ".join(f"{each:.7g}" for each in values)

@@ -12,7 +12,7 @@ from octex.arrays import Float64s
 from octex.channels import ColorSpace, encode
 from octex.errors import ModelError, TextureFileError
 from octex.files import replacing
-from octex.formats.images import codes_of, colors_of_vertices, normals_of_vertices
+from octex.formats.images import Written, codes_of, colors_of_vertices, normals_of_vertices
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
@@ -57,7 +57,7 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
             )
 
 
-def write_mesh(surface: Surface, path: Path) -> None:
+def write_mesh(surface: Surface, path: Path) -> Written:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
 
     ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
@@ -95,6 +95,7 @@ def write_mesh(surface: Surface, path: Path) -> None:
         file.write("\n".join(lines).encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
+    return Written([path], 0)
 
 
 def _properties(vertex: np.dtype[np.void]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Array
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import codes_of, colors_of_vertices
+from octex.formats.images import Written, codes_of, colors_of_vertices
 from octex.formats.origins import origin_of
 from octex.formats.units import Unit
 from octex.source.surface import Surface
@@ -24,7 +24,7 @@ _UNITS: dict[Unit, str] = {
 }  # fmt: skip
 
 
-def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
+def write_3mf(surface: Surface, path: Path, unit: Unit) -> Written:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a 3MF mesh with a colour group.
 
     Positions are the posed ones, in float32, of a model far from the origin by the item's transform; ``unit``
@@ -73,6 +73,7 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> None:
             locale.setlocale(locale.LC_ALL, before)
         with replacing(path) as file:
             file.write(made.read_bytes())
+    return Written([path], 0)
 
 
 def _items(kind: Any, rows: Array) -> Any:

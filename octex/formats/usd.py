@@ -5,7 +5,6 @@ Materials are UsdPreviewSurface (specification 2.6); usdz packages are made by O
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import ImageFormat, encoded_images, image_names, materials_of
+from octex.formats.images import ImageFormat, Written, encoded_images, image_names, materials_of
 from octex.formats.origins import origin_of
 from octex.formats.units import METERS, Unit
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
@@ -38,7 +37,11 @@ _INPUTS = {
 _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpacity", "float")}
 
 
-def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> None:
+#: The path of the scope that holds the materials.
+_MATERIALS = "/model/materials"
+
+
+def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> Written:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
 
     The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. A model far from the origin is
@@ -72,6 +75,7 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
         root = UsdGeom.Xform.Define(stage, "/model").GetPrim()
         stage.SetDefaultPrim(root)
         Usd.ModelAPI(root).SetKind("component")
+        UsdGeom.Scope.Define(stage, _MATERIALS)  # first: a mesh may have the same name
         mesh = _mesh(stage, surface, source)
         writer = _Materials(stage, numbers, places if is_package else [f"./{name}" for name in names], source)
         for number in used:
@@ -88,14 +92,15 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
                     file.write(data)
         with replacing(path) as file:
             file.write(made.read_bytes())
+    beside = [] if is_package else [path.with_name(name) for name in names]
+    return Written([path, *beside], sum(len(data) for data, _ in files))
 
 
 def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
     """Define the mesh, with what is bound to its corners."""
     from pxr import Sdf, UsdGeom, Vt
 
-    name = re.sub(r"\W", "_", Path(surface.name).stem)
-    mesh = UsdGeom.Mesh.Define(stage, f"/model/{name if re.match('[A-Za-z_]', name) else f'_{name}'}")
+    mesh = UsdGeom.Mesh.Define(stage, _free_path(stage, "/model", Path(surface.name).stem))
     origin = origin_of(surface.vertices)
     if origin.any():
         mesh.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(tuple(origin.tolist()))
@@ -131,6 +136,17 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
     return mesh
 
 
+def _free_path(stage: Any, parent: str, name: str) -> str:
+    """Return the path of a prim that is not there yet, below ``parent``, by a name made valid."""
+    from pxr import Tf
+
+    # A half of a surrogate pair is no text for OpenUSD.
+    path = f"{parent}/{Tf.MakeValidIdentifier(name.encode(errors='replace').decode())}"
+    while stage.GetPrimAtPath(path):
+        path += "_"
+    return path
+
+
 def _set_name(slot: int) -> str:
     return f"st{slot}" if slot else "st"
 
@@ -161,14 +177,11 @@ class _Materials:
 
     def material(self, number: int) -> Any:
         """Define the material with a number, under its name."""
-        from pxr import Sdf, Tf, UsdShade
+        from pxr import Sdf, UsdShade
 
         types = Sdf.ValueTypeNames
         material = self._source.materials[number]
-        name = Tf.MakeValidIdentifier(material.name) if material.name else f"material{number}"
-        while self._stage.GetPrimAtPath(f"/model/materials/{name}"):
-            name += "_"
-        at = f"/model/materials/{name}"
+        at = _free_path(self._stage, _MATERIALS, material.name or f"material{number}")
         made = UsdShade.Material.Define(self._stage, at)
         surface = self._shader(f"{at}/surface", "UsdPreviewSurface")
         made.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")

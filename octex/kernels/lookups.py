@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Float32s, Uint32s
 from octex.field.facings import Facings, see, view_along
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import collect, fill_window, finest, normalize, rounded
+from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
 from octex.field.sinks import Flat, value_of
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, weigh_by_area
@@ -156,8 +156,9 @@ def _walked(
         if is_cut or walk.levels[here, NODES] == 0:
             here -= 1
         is_cut = is_off = True
-    normalize(walk, n, total, weights, slopes, 0)
-    return n, 0.0 if is_off else total
+    cover = 0.0 if is_off else total
+    write_taps(walk, n, total, max(cover, np.float64(OFF)), True, weights, slopes, 0)
+    return n, cover
 
 
 @inlined
@@ -179,7 +180,6 @@ def _find(
         _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
         scratch.walk, *scratch.taps[:3],
     )  # fmt: skip
-    _scale(scratch, n, max(cover, np.float64(OFF)))
     return n, cover == 0.0
 
 

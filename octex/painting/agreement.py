@@ -22,7 +22,7 @@ from octex.painting.pictures import Levels, masked
 from octex.painting.projected import Projected
 from octex.painting.resuming import Kept, fits
 from octex.painting.shots import most_ahead
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, sharing
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
@@ -50,7 +50,8 @@ def agreeing(source: Projected, executor: Executor, kept: Kept | None = None) ->
     ``kept`` is what is kept of all that the source is made from.
     """
     numbers = range(len(source.shots))
-    found = list(ordered_map(executor, partial(_kept_differences, source, kept), numbers))
+    with sharing(executor) as pool:
+        found = list(ordered_map(pool, partial(_kept_differences, source, kept), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
@@ -60,7 +61,8 @@ def agreeing(source: Projected, executor: Executor, kept: Kept | None = None) ->
         levels, mask = source.shots[number].levels, _mask(found[number], far)
         return levels if mask.all() else masked(levels, mask)
 
-    return source.with_levels(ordered_map(executor, agreed, numbers, window=most_ahead()))
+    with sharing(executor) as pool:
+        return source.with_levels(ordered_map(pool, agreed, numbers, window=most_ahead()))
 
 
 def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Float32s:

@@ -13,7 +13,7 @@ from octex.painting.consensus import agreed_step, robust_weights
 from octex.painting.pictures import Levels
 from octex.painting.projected import Projected
 from octex.painting.shots import most_ahead, pixels_of_points
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, sharing
 from octex.source.surface import Surface
 
 #: What is evened out: one gain for each picture; or gains of each component, and what is lost in the corners.
@@ -48,8 +48,9 @@ def balanced(
         levels, vignetting = source.shots[number].levels, numbers[number, 3:]
         return evened(levels, vignetting) if vignetting.any() else levels
 
-    every = ordered_map(executor, lit, range(len(numbers)), window=most_ahead())
-    return source.with_levels(every).with_gains(gains)
+    with sharing(executor) as pool:
+        every = ordered_map(pool, lit, range(len(numbers)), window=most_ahead())
+        return source.with_levels(every).with_gains(gains)
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:

@@ -69,7 +69,8 @@ class Patches(PaintSource):
         sheets = self._sheets.at(*self._mesh, self._own[triangles], barycentric)
         found = self._source.evaluate(triangles, barycentric, widths)
         components = found.shape[1] - 1
-        shares = np.where(found[:, -1:] > 0, self._shares[sheets], np.float32(0))
+        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # no sheet: from all pictures
+        shares = np.where(is_seen[:, None], self._shares[sheets], np.float32(0))
         sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
         for number, shot in enumerate(self._source.shots):
             own = np.flatnonzero(shares[:, number] > 0)

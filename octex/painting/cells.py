@@ -13,7 +13,7 @@ from octex.channels import ALPHA, ChannelFormat, decode
 from octex.editing.refined import refined_values
 from octex.errors import ArgumentError
 from octex.jit import kernel, new_array, new_zeros
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, sharing
 from octex.texture import OctreeTexture
 from octex.tree import morton
 from octex.tree.beside import boundary, near, with_boundary
@@ -267,7 +267,8 @@ def with_skirt(
         np.zeros(skirt.size, np.uint8),
     )
     parts = [some(extra, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
-    list(ordered_map(executor, lambda part: _average_beside(part, level, beside), parts))
+    with sharing(executor) as pool:
+        list(ordered_map(pool, lambda part: _average_beside(part, level, beside), parts))
     return _joined(paint, extra)
 
 

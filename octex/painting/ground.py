@@ -54,7 +54,7 @@ class Ground:
         if not self._keeps or self.surface.frames is not None:
             return shading_of(self.surface)
         normals = corner_normals(self.surface.vertices, self.surface.triangles)
-        return lambda chosen: normals[chosen]
+        return normals.__getitem__
 
     @cached_property
     def content(self) -> bytes:

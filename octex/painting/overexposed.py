@@ -18,7 +18,7 @@ from octex.painting.patches import PATCH, beside, patches_of, seen_at, widths_of
 from octex.painting.pictures import Levels, masked
 from octex.painting.projected import Projected
 from octex.painting.shots import Shot, most_ahead
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, sharing
 
 #: From this light on a picture may be cut off: 250 of 255 codes.
 _CUT = 0.955
@@ -36,8 +36,10 @@ def without_overexposed(given: Projected, evened: Projected, executor: Executor)
     ``given`` is the same as it was before.
     """
     numbers = range(len(given.shots))
-    levels = ordered_map(executor, partial(_masked, given, evened), numbers, window=most_ahead())
-    return evened.with_levels(levels)
+    with sharing(executor) as pool:
+        return evened.with_levels(
+            ordered_map(pool, partial(_masked, given, evened), numbers, window=most_ahead())
+        )
 
 
 def _masked(given: Projected, evened: Projected, number: int) -> Levels:

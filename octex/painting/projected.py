@@ -172,7 +172,7 @@ class Projected(PaintSource):
         normals = self._shading(chosen)
         return Projected(
             shots, self._channels[0], self._terms, vertices, faces, stretches[chosen],
-            self._gains, self._says, lambda some: normals[some],
+            self._gains, self._says, normals.__getitem__,
         )  # fmt: skip
 
     def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:

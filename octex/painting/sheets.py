@@ -7,11 +7,12 @@ thin part, from one of two walls in a cell to the other, or from part to part.
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.conversion.cells import BLOCK_BITS, SPREAD
 from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
 from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
@@ -95,12 +96,8 @@ def sheets_of(
     if within is not None:
         blocks = some_blocks(blocks, within.reaches(blocks, max(level - BLOCK_BITS, 0)))
 
-    def columns_of(run: Run) -> Columns:
-        pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
-        return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
-
     runs = even_runs(most_pieces(grid, faces, blocks, level))
-    columns = list(ordered_map(executor, columns_of, runs))
+    columns = list(ordered_map(executor, partial(_columns_of, grid, faces, blocks, level, within), runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.lexsort((codes, triangles))
     codes, triangles = codes[order], triangles[order]
@@ -134,9 +131,17 @@ def sheets_of(
     )
 
 
+def _columns_of(
+    grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: Run
+) -> Columns:
+    """Cut what lies in some blocks, and in the region if one is given."""
+    pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+    return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
+
+
 def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
     """Return the columns of the pieces in chosen cells, or in all."""
-    owners = np.repeat(np.arange(pieces.codes.size), np.bitwise_count(pieces.flags))[pieces.entries]
+    owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
     some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])
     bits = bits_of(pieces.flags)[pieces.entries[some]]
     columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]

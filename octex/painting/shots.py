@@ -18,6 +18,7 @@ from octex.conversion import large
 from octex.jit import kernel
 from octex.painting.pictures import Levels, Projection, Window, window_of
 from octex.painting.resuming import Kept, fits
+from octex.parallel import start
 from octex.view.camera import Camera
 from octex.view.lens import distort, is_bent
 from octex.view.visibility import (
@@ -88,7 +89,7 @@ def take_shots(
     as `levels_of` does.
     """
     given = [(each, form, scale, around, kept) for each, scale in zip(projections, scales, strict=True)]
-    decoded = (executor.submit(_decoded, *each) for each in given)
+    decoded = (start(executor, _decoded, *each) for each in given)
     queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
         levels, window = queue.popleft().result()

@@ -227,19 +227,17 @@ def _propagate(
 
     Where triangles are not acute, a vertex may be nearer than one that its ray passes: it is corrected later.
     """
-    keys = np.empty(around.size * 8 + known.size + 1)
-    names = np.empty(keys.size, np.int64)
+    heap = np.empty(distances.size, np.int64)
+    places = np.full(distances.size, -1, np.int64)
     given = np.zeros(distances.size, np.bool_)
     count = 0
     for k in range(known.size):
         given[known[k]] = True
-        count = _push(keys, names, count, distances[known[k]], known[k])
+        count = _raise(heap, places, count, distances, known[k])
     while count > 0:
-        key, vertex = keys[0], names[0]
-        count = _pop(keys, names, count)
-        if key > distances[vertex]:  # it has come nearer since
-            continue
-        if key > reach:
+        vertex = heap[0]
+        count = _pop(heap, places, count, distances)
+        if distances[vertex] > reach:
             break
         for at in range(first[vertex], first[vertex + 1]):
             face = around[at]
@@ -252,9 +250,9 @@ def _propagate(
                     continue
                 has_two = distances[third] < np.inf
                 distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two)
-                if distance < distances[other] * (1.0 - 1e-12) and count < keys.size:
+                if distance < distances[other] * (1.0 - 1e-12):
                     distances[other], angles[other] = distance, angle
-                    count = _push(keys, names, count, distance, other)
+                    count = _raise(heap, places, count, distances, other)
 
 
 @inlined
@@ -293,31 +291,41 @@ def _stepped(
 
 
 @inlined
-def _push(keys: Float64s, names: Int64s, count: int, key: float, name: int) -> int:
-    """Put an entry into a binary heap."""
-    at = count
-    while at > 0 and keys[(at - 1) >> 1] > key:
-        keys[at], names[at] = keys[(at - 1) >> 1], names[(at - 1) >> 1]
+def _raise(heap: Int64s, places: Int64s, count: int, distances: Float64s, vertex: int) -> int:
+    """Move a vertex that has come nearer up in a binary heap, into which it is put if it is not there.
+
+    ``places`` (vertices,) say where vertices are in the heap, −1 if they are not. Returns its size.
+    """
+    at = places[vertex]
+    if at < 0:
+        at = count
+        count += 1
+    while at > 0 and distances[heap[(at - 1) >> 1]] > distances[vertex]:
+        heap[at] = heap[(at - 1) >> 1]
+        places[heap[at]] = at
         at = (at - 1) >> 1
-    keys[at], names[at] = key, name
-    return count + 1
+    heap[at], places[vertex] = vertex, at
+    return count
 
 
 @inlined
-def _pop(keys: Float64s, names: Int64s, count: int) -> int:
-    """Take the least entry, the first, out of a binary heap."""
+def _pop(heap: Int64s, places: Int64s, count: int, distances: Float64s) -> int:
+    """Take the nearest vertex, the first, out of a binary heap; return its size."""
     count -= 1
-    key, name = keys[count], names[count]
-    at = 0
+    places[heap[0]] = -1
+    if count == 0:
+        return 0
+    vertex, at = heap[count], 0
     while 2 * at + 1 < count:
         child = 2 * at + 1
-        if child + 1 < count and keys[child + 1] < keys[child]:
+        if child + 1 < count and distances[heap[child + 1]] < distances[heap[child]]:
             child += 1
-        if keys[child] >= key:
+        if distances[heap[child]] >= distances[vertex]:
             break
-        keys[at], names[at] = keys[child], names[child]
+        heap[at] = heap[child]
+        places[heap[at]] = at
         at = child
-    keys[at], names[at] = key, name
+    heap[at], places[vertex] = vertex, at
     return count
 
 

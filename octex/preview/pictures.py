@@ -20,7 +20,7 @@ from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.reflection import Material, reflected
+from octex.view.reflection import Material, reflected, tone_mapped
 from octex.view.shading import background
 from octex.view.shading import light as soft_light
 from octex.view.zbuffer import Buffers, z_buffer
@@ -116,7 +116,11 @@ def lit(
         appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion,
         appearance.specular,
     )  # fmt: skip
-    return appearance._replace(reflected=reflected(light, camera, points, faces, normals, material))
+    found = reflected(light, camera, points, faces, normals, material)
+    if not light.tone_mapped:
+        return appearance._replace(reflected=found)
+    seen: Floats = found if appearance.emitted is None else found + appearance.emitted
+    return appearance._replace(reflected=tone_mapped(seen), emitted=None)
 
 
 def posed_normals(surface: Surface, triangles: Int32s, normals: Floats) -> Floats:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from octex.channels import ALPHA, encode
 from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
 from octex.editing.nodes import Nodes, all_children, by_level, node_cells
 from octex.functions import answer
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, sharing, start
 from octex.processing.mapping import centres_of, levels_of
 from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, find_made, take, unite
@@ -107,7 +106,7 @@ class Mixing:
         rows = rows_of(tree.split, made.cells)
         owners = np.searchsorted(made.cells, rows.cells)
         tasks = [
-            self._executor.submit(side.residuals, name, made, owners, rows.bits)
+            start(self._executor, side.residuals, name, made, owners, rows.bits)
             for side in (self._first, self._second)
         ]
         one, other = (task.result() for task in tasks)
@@ -201,11 +200,13 @@ class Mixing:
         cells = self._first.origins.cells, self._second.origins.cells
 
         parts = [slice(begin, begin + _MANY) for begin in range(0, len(found), _MANY)]
-        rows = [(cells[0][some], cells[1][some], self._share[some], found[some]) for some in parts]
-        done = ordered_map(self._executor, partial(_taken, one, other), rows)
-        for (*_, here), own in zip(rows, done, strict=True):
-            if not np.may_share_memory(here, own):  # the executor works in other processes
-                here[:] = own
+        with sharing(self._executor) as pool:
+            for _ in ordered_map(
+                pool,
+                lambda some: take(cells[0][some], cells[1][some], self._share[some], one, other, found[some]),
+                parts,
+            ):
+                pass
 
     def _give_areas(self) -> None:
         """Give cells the areas of the texture that prevails; the parts in nodes are averaged by them."""
@@ -263,10 +264,3 @@ class Mixing:
             side.row_areas(owners[prevails], bits[prevails], own)
             areas[prevails] = own
         return areas
-
-
-def _taken(one: Uint8s, other: Uint8s, rows: tuple[Int64s, Int64s, Float32s, Uint8s]) -> Uint8s:
-    """Take some rows, in place."""
-    first, second, share, found = rows
-    take(first, second, share, one, other, found)
-    return found

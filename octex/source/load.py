@@ -64,7 +64,8 @@ def load_surface(
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
     MissingExtraError for content that an extra decodes which is not installed; and ArgumentError for names
     and values that do not fit, a pose that the file lacks among them. Warns with ModelWarning where a model
-    is read without something that it refers to: the material file of an OBJ model, or a material.
+    is read without something that it refers to: the material file of an OBJ model, or a material; and where
+    the weights of a skin are normalized.
     """
     as_choice(filter, FILTERS, "filter")
     own = {} if sources is None else as_entries(sources, "sources")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from octex.arrays import Array, Int64s, Uint8s
+from octex.arrays import Array, Int64s, Uint8s, bit_counts
 from octex.errors import ModelError
 from octex.jit import kernel
 
@@ -76,7 +76,7 @@ def _chunk(
     if edge != 1 << depth or not 1 <= depth <= _DEEPEST_CHUNK:
         raise ValueError(f"a chunk size of {edge}")
     masks = part("svo")
-    count = int(np.bitwise_count(masks).sum())
+    count = int(bit_counts(masks).sum())
     coords = np.empty((count, 3), np.int64)
     found = _walk(masks, depth, coords)
     if found < 0:

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from octex.arrays import Float32s, Uint8s
+from octex.arrays import Float32s, Uint8s, bit_counts
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.lookups import ChannelRows
 from octex.field.sinks import Codes
@@ -39,7 +39,7 @@ def facing_spreads(channel: Channel, tree: Octree) -> Float32s:
     """Say how far opposite facings differ in split cells of the tree's deepest level, at their first rows."""
     spreads = np.zeros(tree.split.areas.size, np.float32)
     first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[tree.max_depth]))
-    row = int(np.bitwise_count(tree.split.facings[:first]).sum())
+    row = int(bit_counts(tree.split.facings[:first]).sum())
     codes, space, _ = stored(channel.of(tree))
     split_values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
     spreads_of(codes.table, split_values, tree.split.facings[first:], row, spreads)

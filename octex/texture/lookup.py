@@ -169,7 +169,21 @@ class _Fault(NamedTuple):
     row: int
 
 
-class _Blocks(Sequence[tuple[Given, list[Array]]]):
+class _Block(NamedTuple):
+    """What is given of some points, and the rows of their answers, which do not travel to other processes."""
+
+    given: Given
+    answers: list[Array]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _block_to_answer, (self.given, [(each.shape, each.dtype) for each in self.answers])
+
+
+def _block_to_answer(given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
+    return _Block(given, [np.empty(*each) for each in answers])
+
+
+class _Blocks(Sequence[_Block]):
     """What is given of points and the rows of their answers, block by block."""
 
     def __init__(self, given: Given, answers: list[Array]) -> None:
@@ -181,9 +195,9 @@ class _Blocks(Sequence[tuple[Given, list[Array]]]):
     def __getitem__(self, number: Any) -> Any:
         rows = slice(number * BLOCK, (number + 1) * BLOCK)
         given = {name: array[rows] for name, array in self._given.items()}
-        return given, [answer[rows] for answer in self._answers]
+        return _Block(given, [answer[rows] for answer in self._answers])
 
-    def __iter__(self) -> Iterator[tuple[Given, list[Array]]]:
+    def __iter__(self) -> Iterator[_Block]:
         return (self[number] for number in range(len(self)))
 
 
@@ -196,7 +210,7 @@ def in_blocks(
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
     if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
-        fault, _ = _checked_block(look_up, (given, answers))
+        fault, _ = _checked_block(look_up, _Block(given, answers))
         if fault is not None:
             _refuse(fault, 0, given)
         return
@@ -289,7 +303,7 @@ def _refuse(fault: _Fault, begin: int, given: Given) -> None:
     raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
 
-def _checked_block(look_up: LookUp, block: tuple[Given, list[Array]]) -> tuple[_Fault | None, list[Array]]:
+def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
     given, answers = block
     taken: dict[str, Array] = {}
     for name, array in given.items():
@@ -346,9 +360,6 @@ class Answers:
             self.returned = tuple(self.arrays) if gradient else self.arrays[0]
 
 
-_new_answer = partial(np.empty, dtype=np.float32)
-
-
 def answers_for(
     shapes: Mapping[str, tuple[int, ...]], out: Any, single: bool, name: str = "out"
 ) -> dict[str, Float32s]:
@@ -357,7 +368,10 @@ def answers_for(
     ``out`` is one array if ``single``, else a dict of them. Raises ArgumentError.
     """
     if out is None:
-        return dict(zip(shapes, map(_new_answer, shapes.values()), strict=True))
+        new: dict[str, Float32s] = {}
+        for channel, shape in shapes.items():
+            new[channel] = np.empty(shape, np.float32)
+        return new
     if single:
         out = dict.fromkeys(shapes, out)
     elif not isinstance(out, Mapping) or set(out) != set(shapes):

@@ -20,7 +20,7 @@ from octex.field.tiles import can_be_tiled
 from octex.texture.channel import Channel
 from octex.texture.elsewhere import Archive, Elsewhere, RenderFile
 from octex.texture.file import File, taken
-from octex.texture.lookup import Lens, placed
+from octex.texture.lookup import Given, Lens, placed
 from octex.texture.spans import cells_of, nodes_read
 from octex.texture.texture import OctreeTexture
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
@@ -122,14 +122,7 @@ class RemoteTexture(OctreeTexture):
 
     def contains(self, points: Any, **options: Any) -> Any:
         """Say which points leaves hold; see `OctreeTexture.contains`."""
-        (origin, size), (places, _) = self.placement, placed(points)
-        places = np.clip(np.nan_to_num((places - np.array(origin)) / size), 0.0, 1.0)
-        depth = self._tree.max_depth
-        cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
-        with self._fetching:
-            self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest")
-            here = self._partial
-        return here.contains(points, **options)
+        return self._fetched_around(placed(points)[0]).contains(points, **options)
 
     def level(self, level: int) -> OctreeTexture:
         """Return the texture of levels 0 … ``level``, which are fetched; see `OctreeTexture.level`."""
@@ -169,21 +162,37 @@ class RemoteTexture(OctreeTexture):
             return self._partial
 
     def _fetched_for(self, points: Any, channel: Any, filter: Any, options: dict[str, Any]) -> OctreeTexture:
+        """Fetch what a lookup reads, and return the texture that answers it."""
+        lens = Lens(filter, **{name: options[name] for name in Lens._fields if name in options})
+        normals, width, dPdx, dPdy = (options.get(name) for name in ("normals", "width", "dPdx", "dPdy"))
+        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
+        return self._fetched(channel, lens, given)
+
+    def _ready_for(
+        self,
+        _count: int,
+        channel: str | list[str] | tuple[str, ...] | None,
+        lens: Lens | None,
+        given: Callable[[], Given],
+    ) -> OctreeTexture:
+        """Fetch what lookups read, and return the texture that answers them."""
+        if channel is None or lens is None:
+            return self._fetched_around(given()["points"])
+        return self._fetched(channel, lens, given())
+
+    def _fetched(self, channel: str | list[str] | tuple[str, ...], lens: Lens, given: Given) -> OctreeTexture:
         """Fetch what a lookup reads, and return the texture that answers it.
 
         What says which cells there are around the points comes first, level by level, then what these are
         said to hold. Coarse cells that mix facings leave looks to finer ones: then around these, too.
         """
-        lens = Lens(filter, **{name: options[name] for name in Lens._fields if name in options})
-        normals, width, dPdx, dPdy = (options.get(name) for name in ("normals", "width", "dPdx", "dPdy"))
-        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
         with self._fetching, self._remote.checked_once():
             is_first, is_tiled = True, can_be_tiled(self._partial.tree)
             while not self._remote.is_whole:
                 if not lens.has_footprints(given) and ("normals" in given or not is_tiled):
                     self._partial._field.level(self._tree.max_depth)
                 reads = self._partial._reads(channel, lens, given, cells_alone=is_first)
-                is_more = self._fetch_nodes(cells_of(reads.values()), filter)
+                is_more = self._fetch_nodes(cells_of(reads.values()), lens.filter)
                 if not (is_first or is_more):
                     rows = self._remote.rows()
                     self._partial._add_reads(rows, reads, lens, given)
@@ -191,6 +200,16 @@ class RemoteTexture(OctreeTexture):
                     return self._partial
                 is_first = False
             return self._whole()
+
+    def _fetched_around(self, points: Array) -> OctreeTexture:
+        """Fetch what says which points leaves hold, and return the texture that says so."""
+        origin, size = self.placement
+        places = np.clip(np.nan_to_num((points - np.array(origin)) / size), 0.0, 1.0)
+        depth = self._tree.max_depth
+        cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
+        with self._fetching:
+            self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest")
+            return self._partial
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
         """Fetch what says which cells there are around some, by level; say whether there was any."""

@@ -187,13 +187,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
         given = lens.given(points, normals=normals, gradient=gradient, **footprint)
-        used = self._with_parts(given, parts)
-        components = self._components(list(used) or [0], channel)
+        given["parts"] = self._numbers(parts, len(given["points"]))
+        used = np.flatnonzero(np.bincount(given["parts"])).tolist()
+        components = self._components(used or [0], channel)
         answers = Answers(components, channel, len(given["points"]), gradient, out)
         if out is not None:
             check_apart(given.values(), answers.arrays)
         look_ups = {
-            part: texture._block_lookup(answers.channels, lens, normalize) for part, texture in used.items()
+            part: texture._block_lookup(answers.channels, lens, normalize)
+            for part, texture in self._ready_for(given, answers.channels, lens)
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
         return answers.returned
@@ -217,23 +219,20 @@ class TextureSet(Mapping[str, OctreeTexture]):
         Raises ArgumentError for positions that are not finite (n, 3), and for parts that are not there.
         """
         given = {"points": placed(points)[0]}
-        used = self._with_parts(given, parts)
+        given["parts"] = self._numbers(parts, len(given["points"]))
         inside = np.empty(len(given["points"]), np.bool_)
-        look_ups = {part: texture._holds for part, texture in used.items()}
+        look_ups = {part: texture._holds for part, texture in self._ready_for(given)}
         in_blocks(given, [inside], partial(_by_part, look_ups), threads, executor)
         return inside
 
-    def _with_parts(self, given: dict[str, Array], parts: npt.ArrayLike) -> dict[int, OctreeTexture]:
-        """Add the number of each point's part; return the textures of those in use, ready to be looked up."""
-        count = len(given["points"])
-        numbers = self._numbers(parts, count)
-        given["parts"] = numbers
-        used: dict[int, OctreeTexture] = {}
-        for part, size in enumerate(np.bincount(numbers).tolist()):
-            if size:
-                used[part] = self[self.names[part]]
-                used[part]._read_for(size)
-        return used
+    def _ready_for(
+        self, given: Given, channel: list[str] | None = None, lens: Lens | None = None
+    ) -> Iterator[tuple[int, OctreeTexture]]:
+        """Yield the parts in use and their textures, as `OctreeTexture._ready_for` returns them."""
+        for part, count in enumerate(np.bincount(given["parts"]).tolist()):
+            if count:
+                texture = self[self.names[part]]
+                yield part, texture._ready_for(count, channel, lens, partial(_sound_rows, given, part))
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""
@@ -309,6 +308,17 @@ class TextureSet(Mapping[str, OctreeTexture]):
             "bytes": sum(each["bytes"]["total"] for each in parts.values()),
             "provenance": dict(self.metadata),
         }
+
+
+def _sound_rows(given: Given, part: int) -> Given:
+    """Return what is given of a part's points; what is not finite the lookup itself refuses, by its row."""
+    own = {name: array for name, array in given.items() if name != "parts"}
+    sound = given["parts"] == part
+    for array in own.values():
+        sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+    if "width" in own:
+        sound &= own["width"] >= 0
+    return {name: array[sound] for name, array in own.items()}
 
 
 def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> int:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from octex.arrays import Array, Int64s
+from octex.arrays import Array, Int64s, bit_counts
 from octex.container import header_length
 from octex.field.listing import Reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
@@ -119,9 +119,9 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
     """Return the child nodes of some nodes: whose they are, 0 …, their Morton codes, and their numbers."""
     groups, shifts = tree.arrays.groups[nodes >> 3], (8 * (nodes & 7)).astype(np.uint64)
     masks = (groups[:, 0] >> shifts).astype(np.uint8)
-    before = np.bitwise_count(groups[:, 0] & ((np.uint64(1) << shifts) - np.uint64(1)))
+    before = bit_counts(groups[:, 0] & ((np.uint64(1) << shifts) - np.uint64(1)))
     parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
-    counts = np.bitwise_count(masks).astype(np.int64)
+    counts = bit_counts(masks).astype(np.int64)
     firsts = (groups[:, 2] & np.uint64(0xFFFFFFFF)).astype(np.int64) + before - (np.cumsum(counts) - counts)
     numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)
     return parents, codes[parents] << 3 | octants, numbers
@@ -150,7 +150,7 @@ def add_reads(
     if kept.cells.size:
         spans.until(arrays.flags, n_cells)
     n_split = count_before(split.cells, n_cells)
-    ends = np.cumsum(np.bitwise_count(split.facings[:n_split]), dtype=np.int64)  # of split cells' rows
+    ends = np.cumsum(bit_counts(split.facings[:n_split]), dtype=np.int64)  # of split cells' rows
     is_coarse = any(
         level < tree.max_depth or (rows < arrays.level_cells[level]).any() for level, rows in levels.items()
     )
@@ -175,7 +175,7 @@ def add_reads(
             if any(has_leaves[: level + 1]):
                 spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
         seen = np.flatnonzero(np.isin(split.cells[:n_split], cells)) if by_facing else owners[:0]
-        counts = np.bitwise_count(split.facings[seen]).astype(np.int64)
+        counts = bit_counts(split.facings[seen]).astype(np.int64)
         firsts = ends[seen] - np.cumsum(counts)
         of_split = np.repeat(firsts, counts) + np.arange(counts.sum())
         for channel in channels:

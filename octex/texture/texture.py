@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from types import MappingProxyType
@@ -318,6 +318,20 @@ class OctreeTexture:
             return None
         self._read_for(len(points))
         return known.at(points)
+
+    def _ready_for(
+        self,
+        count: int,
+        channel: str | list[str] | tuple[str, ...] | None,  # noqa: ARG002
+        lens: Lens | None,  # noqa: ARG002
+        given: Callable[[], Given],  # noqa: ARG002
+    ) -> OctreeTexture:
+        """Return the texture that answers so many lookups, and has at hand what these read.
+
+        Without a channel they are those of ``contains``. ``given`` returns what is given of the points.
+        """
+        self._read_for(count)
+        return self
 
     def _block_lookup(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
         """Return how a block of points is looked up: what `lookup.in_blocks` takes."""

@@ -10,20 +10,41 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s, Uint8s
+from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 
 #: Areas in cell faces by their codes. What the surface only touches, code 0, weighs next to nothing, so that
 #: it decides only where it is alone.
 AREAS: Float64s = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
-AREAS[0] = 2.0**-30
+AREAS[0] = 2.0**-44
 #: Less is a contact: a quarter of the least that is none is more than this, of eight contacts less.
-_LEAST = 2.0**-28
+_LEAST = 2.0**-40
+#: What the seven leading mantissa bits add to an area's code.
+_MANTISSA_STEPS = np.rint(AREA_STEPS * np.log2(1 + (np.arange(128) + 0.5) / 128)).astype(np.int64)
+
+
+@inlined
+def area_code(area: float) -> int:
+    """Return the code of an area in cell faces."""
+    if area < _LEAST:
+        return 0
+    # The float's own exponent, and its leading mantissa bits through a table: a fifth of log2's time.
+    bits = np.int64(np.float32(area).view(np.int32))
+    code = AREA_STEPS * ((bits >> 23) - 127) + _MANTISSA_STEPS[(bits >> 16) & 127] + AREA_ONE
+    return 1 if code < 1 else 255 if code > 255 else code
 
 
 def area_codes(areas: Float64s) -> Uint8s:
     """Return the codes of areas in cell faces, of any shape."""
-    codes = np.rint(AREA_STEPS * np.log2(np.maximum(areas, _LEAST))) + AREA_ONE
-    return np.where(areas >= _LEAST, np.clip(codes, 1, 255), 0).astype(np.uint8)
+    codes = np.empty(areas.shape, np.uint8)
+    _write_codes(np.ascontiguousarray(areas).reshape(-1), codes.reshape(-1))
+    return codes
+
+
+@kernel
+def _write_codes(areas: Float64s, codes: Uint8s) -> None:
+    for n in range(areas.size):
+        codes[n] = area_code(areas[n])
 
 
 def shared_codes(codes: Uint8s, parts: npt.ArrayLike) -> Uint8s:

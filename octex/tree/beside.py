@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint64s
+from octex.arrays import Bools, Int64s, Uint64s, bit_counts
 from octex.jit import inlined, kernel, new_array, trailing_zeros
 from octex.tree.edit import first_not_below
 from octex.tree.morton import decode, spread
@@ -45,7 +45,7 @@ def _around(codes: Int64s, level: int, without: Int64s) -> Int64s:
     blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
     masks = _masks_around(codes, level, blocks)
     _clear(without, blocks, masks)
-    found = np.empty(int(np.bitwise_count(masks).sum()), np.int64)
+    found = np.empty(int(bit_counts(masks).sum()), np.int64)
     _write(blocks, masks, found)
     return found
 

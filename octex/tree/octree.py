@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s
+from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s, bit_counts
 from octex.checks import as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, new_array, new_zeros, popcount, trailing_zeros
@@ -194,7 +194,7 @@ class Octree:
         level_nodes[-1] = n_nodes
         n_split = count_before(self.split.cells, n_cells)
         facings = self.split.facings[:n_split]
-        rows = int(np.bitwise_count(facings).sum())
+        rows = int(bit_counts(facings).sum())
         kept = self.kept.cells[: count_before(self.kept.cells, n_cells)]
         n_kept = count_before(kept, int(arrays.level_cells[level]))
         flags = arrays.flags[:n_cells]

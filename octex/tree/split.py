@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint8s
+from octex.arrays import Bools, Int64s, Uint8s, bit_counts
 from octex.tree.areas import shared_codes
 from octex.tree.layout import FACING_FLAGS, SplitTable
 
@@ -33,7 +33,7 @@ def bits_of(facings: Uint8s) -> Uint8s:
 
 def counts_of(facings: Uint8s) -> Int64s:
     """Return how many rows cells of some facings have."""
-    counts: Int64s = np.bitwise_count(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
+    counts: Int64s = bit_counts(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
     return counts
 
 
@@ -58,7 +58,7 @@ def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, In
     at = np.minimum(np.searchsorted(split.cells, cells.astype(np.uint32)), split.cells.size - 1)
     there = (split.cells[at] == cells) & (split.facings[at] & bits != 0)
     counts = counts_of(split.facings)
-    rows = (np.cumsum(counts) - counts)[at] + np.bitwise_count(split.facings[at] & (bits - np.uint8(1)))
+    rows = (np.cumsum(counts) - counts)[at] + bit_counts(split.facings[at] & (bits - np.uint8(1)))
     return there, rows[there]
 
 

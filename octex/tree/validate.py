@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Uint8s, Uint32s, Uint64s
+from octex.arrays import Uint8s, Uint32s, Uint64s, bit_counts
 from octex.errors import ArgumentError, TextureFileError
 from octex.jit import kernel, popcount
 from octex.tree.layout import (
@@ -116,7 +116,7 @@ def _check_split(flags: Uint8s, split: SplitTable) -> None:
         raise TextureFileError("split table: its cells are not those flagged as split, in order")
     if (flags[split.cells] & FACING_FLAGS != split.facings).any():
         raise TextureFileError("split table: a cell's facings are not its normal flags")
-    rows = int(np.bitwise_count(split.facings).sum())
+    rows = int(bit_counts(split.facings).sum())
     if rows != split.areas.size:
         raise TextureFileError(f"split table: {split.areas.size} rows, but the facings number {rows}")
 

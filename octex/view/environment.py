@@ -50,11 +50,13 @@ class Environment:
     """Light that comes from far away, in every direction; make it with ``of``, ``load`` or ``studio``.
 
     ``tables`` are what kernels read. An environment that ``follows`` the camera has its middle behind it.
+    Pictures in one that is ``tone_mapped`` compress what is brighter than white; others clip it.
     """
 
-    def __init__(self, tables: Tables, *, follows: bool = False) -> None:
+    def __init__(self, tables: Tables, *, follows: bool = False, tone_mapped: bool = False) -> None:
         self.tables = tables
         self.follows = follows
+        self.tone_mapped = tone_mapped
 
     @classmethod
     def of(
@@ -93,10 +95,15 @@ class Environment:
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
-        """Return the built-in one: a lamp beside the camera, two strips, a bright ceiling; it follows it."""
+        """Return the built-in one: two lamps beside the camera, two strips, a bright ceiling.
+
+        It is grey, follows the camera and is tone mapped. Materials look about as bright as in three.js'
+        RoomEnvironment with its neutral tone mapping.
+        """
         stops = as_number(exposure, "exposure", -64.0, 64.0)
         light, shapes = _studio_tables()
-        return cls(Tables(light * np.float32(2.0**stops), shapes, np.eye(3)), follows=True)
+        tables = Tables(light * np.float32(2.0**stops), shapes, np.eye(3))
+        return cls(tables, follows=True, tone_mapped=True)
 
     def seen_by(self, camera: Camera) -> Tables:
         """Return the tables with the axes that they have for a camera."""
@@ -171,11 +178,12 @@ def _means(many: int, few: int) -> Float64s:
 def _studio() -> Float64s:
     """Return the built-in light; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
-    light = 0.34 + 0.30 * _ramp(directions[..., 1], -0.3, 0.9)
+    light = 0.44 + 0.46 * _ramp(directions[..., 1], -0.3, 0.9)
     for centre, across, size, strength in (
-        ((-0.62, 0.60, 0.50), (0.30, 0.30), 0.10, 5.2),  # the key lamp
-        ((0.93, 0.20, 0.30), (0.10, 0.55), 0.06, 2.2),  # a strip at the right
-        ((-0.45, 0.35, -0.82), (0.12, 0.50), 0.06, 2.6),  # and one behind
+        ((-0.62, 0.60, 0.50), (0.30, 0.30), 0.10, 7.5),  # the key lamp
+        ((0.45, 0.75, 0.50), (0.16, 0.16), 0.06, 5.0),  # a smaller one above
+        ((0.93, 0.20, 0.30), (0.10, 0.55), 0.06, 4.5),  # a strip at the right
+        ((-0.45, 0.35, -0.82), (0.12, 0.50), 0.06, 5.0),  # and one behind
     ):
         middle = np.array(centre) / np.linalg.norm(centre)
         right = np.cross((0.0, 1.0, 0.0), middle)

@@ -27,6 +27,8 @@ _BITS = 12
 _SAMPLES = 2**_BITS
 #: Normals that lean away are turned until their cosine with the way to the eye is this.
 _GRAZING = 1e-3
+#: The tone mapper compresses light from here on, and takes so much of its colour.
+_COMPRESSED, _DESATURATION = 0.76, 0.15
 
 
 class Material(NamedTuple):
@@ -68,6 +70,22 @@ def reflected(
     tables = environment.seen_by(camera)
     _reflect(tables, reflectances(), points, faces, normals, columns, eye, perspective, lit)
     return lit
+
+
+def tone_mapped(light: Floats) -> Float64s:
+    """Return light (n, 3) as a screen shows it, linear: what is brighter than white is compressed.
+
+    Colours lose 0.04, which surfaces that are no metal reflect of white light; dark ones lose less. (Khronos
+    PBR Neutral tone mapper, 2024.)
+    """
+    least = light.min(axis=1, keepdims=True)
+    color = light.astype(np.float64) - np.where(least < 0.08, least - 6.25 * least * least, 0.04)
+    peak = color.max(axis=1, keepdims=True)
+    room = 1.0 - _COMPRESSED
+    beyond = np.maximum(peak - _COMPRESSED, 0.0)
+    lower = np.where(beyond > 0.0, 1.0 - room * room / (beyond + room), peak)
+    kept = 1.0 / (_DESATURATION * (peak - lower) + 1.0)
+    return np.asarray(lower + (color * (lower / np.maximum(peak, 1e-12)) - lower) * kept)
 
 
 @cache

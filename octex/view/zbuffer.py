@@ -19,7 +19,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.checks import as_points
 from octex.errors import ArgumentError
 from octex.jit import kernel, new_array, new_zeros, part
-from octex.parallel import cpu_count, ordered_map
+from octex.parallel import cpu_count, ordered_map, sharing
 from octex.view.camera import Camera
 
 Index = int | np.integer[Any]
@@ -89,8 +89,9 @@ def z_buffer(
         return found
     bands = min(cpu_count(), camera.height)
     ends = [camera.height * band // bands for band in range(bands + 1)]
-    for _ in ordered_map(executor, draw, list(pairwise(ends))):
-        pass
+    with sharing(executor) as pool:
+        for _ in ordered_map(pool, draw, list(pairwise(ends))):
+            pass
     return found
 
 

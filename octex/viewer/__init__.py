@@ -3,11 +3,13 @@
 streams     whole numbers as bytes, deflated
 moves       what a page is sent of animations
 maps        what it is sent of the model's own images
+studio      what it is sent of the light that the library draws its own pictures in
 pack        what it is sent of all: levels one after another, the mesh, how that moves; of a set part by part
 changes     what it is sent of a texture that has changed: the cells that it does not have
 page/       the page: plain modules and shaders, as they are served
     elements    its elements by their names
-    data        where they come from: a server, or the page itself
+    kept        what stays when it loads anew: camera and controls
+    data        where its data comes from: a server, or the page itself
     octree      levels as they arrive: words for nodes, planes of values for cells; what is at a point
     patch       the octree as it has changed
     mesh        positions, normals, triangles
@@ -16,11 +18,12 @@ page/       the page: plain modules and shaders, as they are served
     part        a texture and its mesh: what the GPU holds of them
     gpu         programs, and what is drawn with them of all parts; rest positions and values of pixels
     camera      goes around a point; its file for octex's cameras; controls: mouse, touch and keys
+    legend      what the colours of levels and facings stand for
     connection  the line to the server, which tells the version that is shown
     player      which animation is played, at what time
     viewer      what is shown, when it is drawn, and what its controls do
-    shaders/    places: where pixels see the surface rest; walk: the field there, as octex.field has it;
-                light; surface; source; cubes; ways: directions
+    shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
+                octex.field has it; light; colors; surface; source; cubes; ways: directions
 export      one file that has all of that in it
 server      the page, for this machine alone
 """

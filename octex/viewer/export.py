@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 #: Modules in the order in which each knows those before it.
 _NAMES = (
     "elements",
+    "kept",
     "data",
     "octree",
     "patch",
@@ -33,6 +34,7 @@ _NAMES = (
     "motion",
     "camera",
     "controls",
+    "legend",
     "connection",
     "source",
     "part",
@@ -42,7 +44,7 @@ _NAMES = (
     "viewer",
 )
 MODULES = [f"{name}.js" for name in _NAMES]
-SHADERS = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
+SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: Deflate's level for files, which are packed once.

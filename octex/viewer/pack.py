@@ -27,10 +27,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
 from octex.processing.cast import cast
+from octex.source.materials import MaterialSource
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import distinct
@@ -39,6 +40,7 @@ from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
 from octex.viewer.moves import packed_motion
 from octex.viewer.streams import deflated, planes, zigzag
+from octex.viewer.studio import packed_studio
 
 if TYPE_CHECKING:
     from octex.source.motion import Motion
@@ -122,7 +124,8 @@ def packed_page(
     packed.insert(0, pack(first.texture, first.surface, motion=motion, maps=maps, level=level, room=room))
     headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
     streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
-    return Packed({"title": title, "parts": headers}, streams)
+    studio, streams["studio"] = packed_studio()
+    return Packed({"title": title, "studio": studio, "parts": headers}, streams)
 
 
 def pack(
@@ -312,7 +315,7 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
         if level:
             rows = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
             parts += [node_masks[rows], leaf_masks[rows]]
-            parents = np.repeat(above, np.bitwise_count(node_masks[rows] | leaf_masks[rows]))
+            parents = np.repeat(above, bit_counts(node_masks[rows] | leaf_masks[rows]))
         known = np.uint8(level > 0)
         nodes = np.flatnonzero(is_node)
         parts.append(arrays.areas[first:end][nodes] - known * arrays.areas[parents[nodes]])
@@ -371,11 +374,18 @@ def _packed_mesh(
         "triangles": len(faces),
         "bits": bits,
         "posed": is_posed,
+        "coordinates": _has_coordinates(surface),
         "moves": moves,
         "low": low.tolist(),
         "edge": edge,
     }
     return header, b"".join([*parts, planes(back)])
+
+
+def _has_coordinates(surface: Surface) -> bool:
+    """Say whether some of a model has texture coordinates."""
+    source = surface.source
+    return surface.uv is not None or (isinstance(source, MaterialSource) and bool(source.coordinates))
 
 
 def _by_first_use(corners: Int32s) -> tuple[Int32s, Int64s]:

@@ -46,6 +46,8 @@ _FIRST = 20
 _QUICK = 1
 #: Changes that are kept for pages that do not have them yet; those of pages further behind load all anew.
 _MOST_CHANGES = 32
+#: Different refusals that are logged.
+_MOST_REFUSALS = 1000
 
 
 class _State(NamedTuple):
@@ -80,6 +82,7 @@ class Viewer:
         self._motion = motion
         self._lock = threading.RLock()
         self._calls = 0  # of ``changed``
+        self._refused: set[str] = set()
         self._news = threading.Condition()
         self._state = self._read(self._stamp())
         is_alone = surface is not None and len(self._state.parts) == 1
@@ -123,8 +126,10 @@ class Viewer:
             self._server.server_close()
 
     def refuse(self, line: str) -> None:
-        """Log why a request is refused."""
-        self._log(f"refused: {line}")
+        """Log why a request is refused, once for those that are alike; of very many only the first."""
+        if line not in self._refused and len(self._refused) < _MOST_REFUSALS:
+            self._refused.add(line)
+            self._log(f"refused: {line}")
 
     def changed(self) -> None:
         """Read the texture anew and send pages what has changed; may be called from any thread."""

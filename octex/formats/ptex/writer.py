@@ -41,7 +41,7 @@ from octex.formats.ptex.layout import (
     tile_log2,
 )
 from octex.formats.ptex.reduction import colors, halved, multiply, stored
-from octex.parallel import ordered_map
+from octex.parallel import ordered_map, start
 
 #: Blocks of less bytes are encoded as they promise to be smaller, without a try: zlib takes 8 µs for each.
 _TRIED = 512
@@ -84,7 +84,7 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """
     faces, texels = contents.faces, contents.texels
     is_constant = _constant(texels, faces.counts)
-    packing = executor.submit(zlib.compress, packed_faces(faces, is_constant).tobytes(), 9)
+    packing = start(executor, zlib.compress, packed_faces(faces, is_constant).tobytes(), 9)
     levels, constants = _levels(contents, is_constant, executor)
     parts = [level.parts() for level in levels]
     info = np.zeros(len(levels), LEVEL_INFO)

@@ -30,6 +30,7 @@ from octex.errors import ImageError, MissingExtraError
 from octex.files import open_file, read_bytes
 from octex.parallel import cpu_count
 from octex.source.alone import alone
+from octex.source.images import ktx2
 from octex.source.images.openimage import (
     MOST_PER_BYTE,
     check_size,
@@ -49,7 +50,6 @@ FORMATS = (
 # Plain images of 8192 × 8192 take a byte for 30,000 texels in these, as Pillow writes them.
 _DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _MOST_PER_BYTE_DENSEST = 65536
-_KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 # What Pillow logs of damaged files, the errors here say.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
@@ -57,16 +57,16 @@ logging.getLogger("PIL").addHandler(logging.NullHandler())
 def decode_image(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of an image file: uint16 codes, or float32 linear values.
 
-    Floats are what OpenEXR, Radiance HDR, PFM and TIFF images of floats give; they and whatever else Pillow
-    does not keep whole are read by the extra ``images`` (see ``decode_deep``).
+    Floats are what OpenEXR, Radiance HDR, PFM, KTX2 and TIFF images of floats give. What Pillow does not keep
+    whole is read by the extra ``images`` (see ``decode_deep``), and KTX2 by ``decode_ktx2``.
 
     Raises ImageError, with ``name``, for a damaged file, a format that octex does not read, more texels than
     16384 × 16384 or than the file can hold, or one that is not finite; MissingExtraError where the extra is
     needed and not installed.
     """
     try:
-        if data.startswith(_KTX2):
-            return _ktx2_texels(data, name)
+        if data.startswith(ktx2.SIGNATURE):
+            return _finite(ktx2.decode_ktx2(data, name), name)
         with alone():
             warnings.simplefilter("ignore")
             image = deep_format(data) or _open(io.BytesIO(data))
@@ -184,20 +184,6 @@ def _silent_libtiff() -> Iterator[None]:
             yield
         finally:
             set_handler(before)
-
-
-def _ktx2_texels(data: bytes, name: str) -> Texels:
-    """Return the largest image of a KTX2 texture of Basis Universal's codes, ETC1S or UASTC."""
-    try:
-        import opengl_basisu
-    except ImportError:
-        raise MissingExtraError.needed(f"{name}: to decode KTX2 textures", "opengl-basisu", "ktx2") from None
-    texture = opengl_basisu.open(data)
-    check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE_DENSEST)
-    blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
-    if int.from_bytes(data[96:104], "little") > 16 * blocks:  # of the largest image, unpacked
-        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
-    return spread(texture.transcode("rgba8").data)
 
 
 def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:

@@ -10,6 +10,7 @@ import base64
 import binascii
 import hashlib
 import json
+import os
 import reprlib
 import struct
 import urllib.parse
@@ -148,9 +149,9 @@ class Document:
             raise error_class(f"{self.name}: {what} is at {uri}; octex reads files only: download it first")
         folder = self.path.parent
         try:
+            decoded = referred(folder, os.fsdecode(urllib.parse.unquote_to_bytes(uri)))
             exact = referred(folder, uri)  # some exporters leave a percent sign as it is
-            decoded = referred(folder, urllib.parse.unquote(uri))
-            data = read_bytes(exact if exact.is_file() else decoded)
+            data = read_bytes(decoded if decoded.is_file() else exact)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None

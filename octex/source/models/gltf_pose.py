@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int64s
-from octex.errors import ModelError
+from octex.errors import ModelError, ModelWarning
 from octex.source.models.gltf_file import Document
 from octex.source.models.gltf_scene import scene_nodes
 
@@ -130,17 +131,25 @@ def _skinned(positions: Float64s, joints: Float64s, numbers: Int64s, weights: Fl
 def influences(read: Reader, n_joints: int, what: str) -> tuple[Int64s, Float64s]:
     """Return the joints (n, k) that move vertices, and their weights (n, k), whose sums are 1.
 
-    Raises ModelError for weights that do not sum to 1, and joints that are not there.
+    Weights with another sum are normalized, as viewers do, with ModelWarning; where all are 0 the first joint
+    alone moves the vertex. Raises ModelError for weights that are no such numbers, and joints that are not
+    there.
     """
     numbers, weights = _influences(read, what)
     sums = weights.sum(axis=1)
-    bad = ~((np.abs(sums - 1) <= _ROUNDING) & (weights >= 0).all(axis=1))
+    bad = ~((weights >= 0).all(axis=1) & np.isfinite(sums))
     if bad.any():
         first = int(np.argmax(bad))
         raise ModelError(
-            f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which do not sum to 1; "
-            "export it with normalized weights"
+            f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which must be finite and "
+            "not below 0; export it with normalized weights"
         )
+    off = np.count_nonzero(np.abs(sums - 1) > _ROUNDING)
+    if off:
+        text = f"{what}: the weights of {off:,} of {len(sums):,} vertices do not sum to 1; "
+        warnings.warn(text + "octex normalizes them", ModelWarning, stacklevel=2)
+        weights[sums == 0, 0] = 1.0
+        sums[sums == 0] = 1.0
     if not (numbers < n_joints).all():
         first = int(np.argmax((numbers >= n_joints).any(axis=1)))
         raise ModelError(

@@ -1,5 +1,7 @@
 // The camera: it goes around a point that it looks at. Angles are in radians, matrices column after column.
 
+const NEAREST_ZOOM = 1e-3, FARTHEST_ZOOM = 100; // distances, in the model's radius
+const SAME_MODEL = 0.25; // how far the bounds of the same model may be apart, in its radius
 const MOST_TILT = Math.PI / 2 - 0.001;
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -52,9 +54,9 @@ export class Camera {
 
   // Of the whole picture; or of one pixel (column, row, from the upper left) of one that is so wide and high.
   projection(pixel = null, size = null) {
-    const away = this.distance + Math.hypot(...this.target.map((x, n) => x - (this.low[n] + this.high[n]) / 2));
-    const far = away + 1.1 * this.radius;
-    const near = Math.max(this.distance - 2.2 * this.radius, 0.002 * Math.min(this.distance, this.radius));
+    const away = dot(this.backward, this.position.map((x, n) => x - (this.low[n] + this.high[n]) / 2)); // of the middle
+    const near = Math.max(away - 1.1 * this.radius, 0.002 * Math.min(this.distance, this.radius));
+    const far = Math.max(away + 1.1 * this.radius, 2 * near);
     const high = near * Math.tan(this.fov / 2), wide = high * this.aspect;
     let [left, right, bottom, top] = [-wide, wide, -high, high];
     if (pixel) {
@@ -89,7 +91,36 @@ export class Camera {
     this.target = this.target.map((at, n) => at - step * (right * x[n] + up * y[n]));
   }
 
-  zoom(times) {
-    this.distance = Math.min(Math.max(this.distance / times, 1e-3 * this.radius), 100 * this.radius);
+  // The point that a pixel sees so far along the view; by default as far as the point that the camera goes around.
+  pointAt([x, y], [width, height], away = this.distance) {
+    const high = away * Math.tan(this.fov / 2), right = ((2 * x) / width - 1) * high * this.aspect, up = (1 - (2 * y) / height) * high;
+    const [along, above, back] = this.axes, at = this.position;
+    return at.map((p, n) => p + right * along[n] + up * above[n] - away * back[n]);
+  }
+
+  // Come nearer to a point, which stays where it is in the picture.
+  zoom(times, point = this.target) {
+    const before = this.distance;
+    this.distance = Math.min(Math.max(before / times, NEAREST_ZOOM * this.radius), FARTHEST_ZOOM * this.radius);
+    this.target = point.map((p, n) => p + (this.target[n] - p) * (this.distance / before));
+  }
+
+  // Go around a point from now on, and come so near to it that it is seen well.
+  focus(point) {
+    const away = Math.hypot(...this.position.map((p, n) => p - point[n]));
+    this.target = point;
+    this.distance = Math.max(Math.min(away, this.radius), NEAREST_ZOOM * this.radius);
+  }
+
+  // Where it stands, and the bounds of the model that it sees.
+  get state() {
+    const { turn, tilt, target, distance, low, high } = this;
+    return { turn, tilt, target, distance, low, high };
+  }
+
+  // Stand where it stood before, unless that was another model.
+  restore({ low, high, ...place }) {
+    const apart = [...low.map((x, n) => x - this.low[n]), ...high.map((x, n) => x - this.high[n])];
+    if (Math.max(...apart.map(Math.abs)) < SAME_MODEL * this.radius) Object.assign(this, place);
   }
 }

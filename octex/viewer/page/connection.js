@@ -1,20 +1,45 @@
-// The line to the server: said where it is lost, mended by itself; it tells which version of the texture is shown.
+// The line to the server, which tells the version of the texture that is shown. Where it is lost the page says so and
+// tries again, each time after a longer pause.
 
-const RETRY = 3000; // milliseconds until it is tried again, where the browser does not by itself
+import { isServed } from "./data.js";
+
+const FIRST = 1000, MOST = 60000; // milliseconds until it is tried again
 
 export function watch(status, follow) {
-  if (document.getElementById("data-header")) return; // the page is a file
+  if (!isServed) return;
+  let pause = FIRST, waiting = null;
+
   const connect = () => {
     const events = new EventSource("events");
     events.addEventListener("version", (event) => {
+      pause = FIRST;
       status.textContent = "";
       follow(event.data);
     });
     events.addEventListener("changing", (event) => (status.textContent = event.data));
     events.addEventListener("error", () => {
-      status.textContent = "The connection is lost; it is tried again. Is octex view still running?";
-      if (events.readyState === EventSource.CLOSED) setTimeout(connect, RETRY);
+      events.close(); // browsers would try again all the time
+      wait();
     });
   };
+
+  const wait = () => {
+    status.textContent = `The connection is lost; it is tried again in ${pause / 1000} s. Is octex view still running?`;
+    waiting = setTimeout(retry, pause);
+    pause = Math.min(2 * pause, MOST);
+  };
+
+  const retry = async () => {
+    clearTimeout(waiting);
+    waiting = null;
+    const answer = await fetch("style.css", { cache: "no-store" }).catch(() => null);
+    if (!answer) wait();
+    else if (answer.ok) connect();
+    else status.textContent = "octex view was started again and has another address now: open the one that it printed.";
+  };
+
+  document.addEventListener("visibilitychange", () => {
+    if (waiting !== null && !document.hidden) retry();
+  });
   connect();
 }

@@ -1,11 +1,21 @@
-// Mouse, touch and keys on the picture: orbit, pan and zoom. `moved` is called after each change, with whether a
-// pointer is down; `rested` once none is any more.
+// Mouse, touch and keys on the picture: orbit, pan and zoom. `seen` returns the point of the model at a place of the
+// picture, or null. `moved` is called after each change, with whether a pointer is down; `rested` once none is any more.
 
 const STEP = 0.09;
 
-export function control(canvas, camera, moved, rested) {
+export function control(canvas, camera, seen, moved, rested) {
   const pointers = new Map();
   let spread = 0;
+  let anchor = null; // what was last zoomed to, where, and the camera's view after that
+
+  const middle = () => [canvas.clientWidth / 2, canvas.clientHeight / 2];
+  const near = (at) => seen(...at) ?? camera.pointAt(at, [canvas.clientWidth, canvas.clientHeight]);
+
+  const zoomAt = (at, times) => {
+    if (String(anchor?.at) !== String(at) || anchor.view !== String(camera.view)) anchor = { at, point: near(at) };
+    camera.zoom(times, anchor.point);
+    anchor.view = String(camera.view);
+  };
 
   const gap = () => {
     const [a, b] = [...pointers.values()];
@@ -23,10 +33,10 @@ export function control(canvas, camera, moved, rested) {
     const dx = event.clientX - before.x, dy = event.clientY - before.y, height = canvas.clientHeight;
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     if (pointers.size === 2) {
-      const now = gap();
-      if (spread > 0 && now > 0) camera.zoom(now / spread);
-      spread = now;
+      const now = gap(), [a, b] = [...pointers.values()], frame = canvas.getBoundingClientRect();
       camera.pan(dx / height / 2, -dy / height / 2);
+      if (spread > 0 && now > 0) zoomAt([(a.x + b.x) / 2 - frame.left, (a.y + b.y) / 2 - frame.top], now / spread);
+      spread = now;
     } else if (event.buttons & 2 || event.buttons & 4 || event.shiftKey) {
       camera.pan(dx / height, -dy / height);
     } else {
@@ -45,11 +55,13 @@ export function control(canvas, camera, moved, rested) {
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 16 : 1;
-    camera.zoom(Math.exp(-Math.max(-200, Math.min(200, event.deltaY * lines)) * 0.0015));
+    zoomAt([event.offsetX, event.offsetY], Math.exp(-Math.max(-200, Math.min(200, event.deltaY * lines)) * 0.0015));
     moved();
   }, { passive: false });
-  canvas.addEventListener("dblclick", () => {
-    camera.reset();
+  canvas.addEventListener("dblclick", ({ offsetX, offsetY }) => {
+    const point = seen(offsetX, offsetY);
+    if (point) camera.focus(point);
+    else camera.reset();
     moved();
   });
   canvas.addEventListener("keydown", (event) => {
@@ -61,9 +73,9 @@ export function control(canvas, camera, moved, rested) {
       ArrowRight: () => turn(STEP, 0),
       ArrowUp: () => turn(0, STEP),
       ArrowDown: () => turn(0, -STEP),
-      "+": () => camera.zoom(1.1),
-      "=": () => camera.zoom(1.1),
-      "-": () => camera.zoom(1 / 1.1),
+      "+": () => zoomAt(middle(), 1.1),
+      "=": () => zoomAt(middle(), 1.1),
+      "-": () => zoomAt(middle(), 1 / 1.1),
       Home: () => camera.reset(),
       0: () => camera.reset(),
       1: () => camera.reset(0, 0),

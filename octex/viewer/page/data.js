@@ -1,5 +1,7 @@
 // Where the page's data comes from: a server, or the page itself.
 
+import { reload } from "./kept.js";
+
 async function inflated(stream) {
   const unpacked = stream.pipeThrough(new DecompressionStream("deflate-raw"));
   return new Uint8Array(await new Response(unpacked).arrayBuffer());
@@ -9,13 +11,15 @@ function embedded(name) {
   return document.getElementById(`data-${name}`);
 }
 
+export const isServed = !embedded("header"); // else the page is a file
+
 const GONE = 410;
 let place = "data"; // where the streams of the version are that is shown
 
 async function answered(name) {
   const response = await fetch(name, { cache: "no-store" });
   if (response.status === GONE) {
-    location.reload(); // the texture has changed while it came
+    reload(); // the texture has changed while it came
     return new Promise(() => {});
   }
   if (!response.ok) throw new Error(await response.text());

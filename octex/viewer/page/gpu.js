@@ -1,29 +1,40 @@
 // What the GPU holds of a texture and its mesh, and how they are drawn.
 
-import { ROW } from "./octree.js";
+import { ROW, planes } from "./octree.js";
 import { readShaders } from "./data.js";
+import { FACINGS, LEVELS } from "./legend.js";
+import { summed } from "./mesh.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["ways.glsl", "walk.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
+const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 const LANES = "xyzw";
 const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
+  layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
   source: ["surface.vert", ["source.frag"]],
-  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "light.glsl", "surface.frag"]],
+  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
   probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
-  cubes: ["cubes.vert", ["walk.glsl", "light.glsl", "cubes.frag"]],
+  cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
 };
+const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
+// Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
+const OPAQUES = [OPAQUE, 2], TRANSLUCENTS = [CLEAR, OPAQUE], SEEN = [CLEAR, 2], NEAREST = null;
+const MOST_CUBES = 1 << 20;
+const CUBES_BY = { depth: 1, facing: 2 };
+const LIGHT_UNIT = 28, MOTION_UNIT = 30; // of textures; those before are the octree's and the picture's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
 export const readPrograms = () => readShaders(FILES);
 
 export class Gpu {
-  constructor(canvas, shaders, parts) {
+  constructor(canvas, shaders, studio, parts) {
     this.canvas = canvas;
     this.shaders = shaders;
+    this.mostCubes = MOST_CUBES;
+    this.studio = studio; // what the header says of its light, and the stream
     this.parts = parts;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
     if (!this.gl) throw new Error("this browser has no WebGL2");
@@ -40,6 +51,31 @@ export class Gpu {
     this.programs = new Map();
     this.pictures = {};
     for (const part of this.parts) part.build(this.gl);
+    this.light = this.studioLight();
+  }
+
+  // A texture of the studio's numbers, see light.glsl.
+  studioLight() {
+    const { gl } = this, [{ numbers }, bytes] = this.studio, rows = Math.ceil(numbers / ROW), halves = new Uint16Array(ROW * rows);
+    halves.set(summed(planes(bytes, numbers, 0)));
+    const texture = this.parts[0].texture(gl.R16F, rows);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RED, gl.HALF_FLOAT, halves);
+    return texture;
+  }
+
+  setLight(program) {
+    const { gl } = this, [{ tables, reflectances }] = this.studio, [first, height, width] = tables.at(-1);
+    gl.activeTexture(gl.TEXTURE0 + LIGHT_UNIT);
+    gl.bindTexture(gl.TEXTURE_2D, this.light);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(program.at("u_studio"), LIGHT_UNIT);
+    gl.uniform3iv(program.at("u_tables[0]"), tables.flat());
+    gl.uniform2i(program.at("u_reflectances"), first + height * width, reflectances);
+  }
+
+  setColors(program) {
+    this.gl.uniform3fv(program.at("u_levels[0]"), LEVELS.flat());
+    this.gl.uniform3fv(program.at("u_facings[0]"), FACINGS.flat());
   }
 
   // Where the mesh is: at a time of an animation.
@@ -48,9 +84,9 @@ export class Gpu {
     if (!frames.has(animation)) frames.set(animation, part.numbers(motion.animations[animation].texels));
     const { before, after, share } = motion.at(animation, time);
     [part.links, frames.get(animation)].forEach((texture, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.activeTexture(gl.TEXTURE0 + MOTION_UNIT + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(program.at(["u_links", "u_frames"][unit]), unit);
+      gl.uniform1i(program.at(["u_links", "u_frames"][unit]), MOTION_UNIT + unit);
     });
     gl.activeTexture(gl.TEXTURE0);
     gl.uniform2i(program.at("u_frame"), before, after);
@@ -94,7 +130,7 @@ export class Gpu {
 
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, part, look, planes) {
-    if (kind === "places" || kind === "source") look = { moved: look.moved, shown: kind };
+    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, shown: kind };
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh, motion, channels } = part.header;
     const facing = look.facing && kind !== "cubes";
@@ -104,6 +140,7 @@ export class Gpu {
     Object.assign(flags, { TURNS: look.moved && motion?.turns });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
+    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, OVER: kind === "surface" && look.isOver });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
@@ -142,7 +179,8 @@ export class Gpu {
     return Math.max(0, ...known) + 1;
   }
 
-  setTree(program, part, look, planes, places = null) {
+  // Make an octree ready to be looked up, with other textures by their names.
+  setTree(program, part, look, planes, places = {}) {
     const { gl } = this, { octree } = part;
     const bind = (unit, texture, name) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
@@ -151,9 +189,8 @@ export class Gpu {
     };
     bind(0, part.nodes.texture, "u_nodes");
     part.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
-    bind(planes + 1, part.tables.texture, "u_tables");
-    const drawn = ["u_places", "u_ways", "u_source"];
-    places?.forEach((texture, n) => bind(planes + 2 + n, texture, drawn[n]));
+    bind(planes + 1, part.tables.texture, "u_entries");
+    Object.entries(places).forEach(([name, texture], n) => bind(planes + 2 + n, texture, name));
     gl.activeTexture(gl.TEXTURE0);
     const { kept, split } = octree.tables, nCells = octree.cells.at(-1);
     gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
@@ -177,29 +214,40 @@ export class Gpu {
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
+    this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
     else this.drawSurface(look, camera, width, height);
   }
 
-  // Draw where the surface rests that each pixel sees; of one pixel, or of all.
-  drawPlaces(look, camera, target, width, height, pixel = null) {
-    const { gl } = this;
+  // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
+  // surfaces are in front of the opaque ones, which are drawn before them.
+  drawPlaces(look, camera, target, width, height, { pixel = null, alphas = NEAREST } = {}) {
+    const { gl } = this, isOver = alphas === TRANSLUCENTS;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, target.width, target.height);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
-    gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
+    if (isOver) gl.clearBufferiv(gl.STENCIL, 0, [0]);
+    else gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.STENCIL_TEST);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
-    this.parts.forEach((part, number) => {
-      if (!part.mesh) return;
-      gl.stencilFunc(gl.ALWAYS, number + 1, 255);
-      const program = this.program("places", part, look, 0);
+    const draw = (part, isLayered) => {
+      gl.stencilFunc(gl.ALWAYS, this.parts.indexOf(part) + 1, 255);
+      const planes = isLayered ? this.planesFor(part, { ...look, shown: "layers" }) : 0;
+      const program = this.program(isLayered ? "layers" : "places", part, { ...look, shown: "layers" }, planes);
+      if (isLayered) {
+        this.setTree(program, part, look, planes);
+        gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
+        gl.uniform2fv(program.at("u_alphas"), alphas);
+      }
       this.setCamera(program, camera, pixel, [width, height]);
       if (look.moved) this.setMotion(program, part, look.moved);
       gl.bindVertexArray(part.surface);
       gl.drawElements(gl.TRIANGLES, part.mesh.triangles.length, gl.UNSIGNED_INT, 0);
-    });
+    };
+    const isLayered = (part) => alphas !== NEAREST && part.hasAlpha, parts = this.parts.filter((part) => part.mesh);
+    if (!isOver) for (const part of parts) if (!isLayered(part)) draw(part, false);
+    for (const part of parts) if (isLayered(part)) draw(part, true);
     gl.bindVertexArray(null);
     gl.disable(gl.DEPTH_TEST);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.KEEP);
@@ -222,19 +270,42 @@ export class Gpu {
 
   drawSurface(look, camera, width, height) {
     const { gl } = this;
-    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]), drawn = [...places.textures];
+    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
     const picture = this.target("picture", width, height, [gl.RGBA8], places);
-    this.drawPlaces(look, camera, places, width, height);
-    const beside = this.parts.find((part) => this.showsSource(part, look));
-    if (beside) drawn.push(this.drawSource(beside, look, camera, places));
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...BACKGROUND);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.enable(gl.BLEND);
-    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE);
+    this.drawLayer(look, camera, places, picture, OPAQUES);
+    let last = picture;
+    if (this.parts.some((part) => part.mesh && part.hasAlpha)) {
+      last = this.target("blended", width, height, [gl.RGBA8], places);
+      this.copy(picture, last);
+      const behind = { u_behind: picture.textures[0] };
+      this.drawLayer({ ...look, isOver: true }, camera, places, last, TRANSLUCENTS, behind);
+    }
+    this.copy(last, { ...last, buffer: null });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  copy(from, to) {
+    const { gl } = this, { width, height } = from;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, from.buffer);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, to.buffer);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+  }
+
+  // Draw the nearest surface of some alpha, over what is `behind` it.
+  drawLayer(look, camera, places, target, alphas, behind = {}) {
+    const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures, drawn = { u_places, u_ways, ...behind };
+    this.drawPlaces(look, camera, places, width, height, { alphas });
+    const beside = this.parts.find((part) => this.showsSource(part, look));
+    if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     this.drawSeen((part, number) => {
       const planes = this.planesFor(part, look), program = this.program("surface", part, look, planes);
       this.setTree(program, part, look, planes, drawn);
+      this.setLight(program);
+      this.setColors(program);
       gl.uniform1f(program.at("u_divider"), look.divider * width);
       gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
       gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
@@ -243,11 +314,6 @@ export class Gpu {
       gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
       gl.uniform1f(program.at("u_markedEdge"), marked.edge);
     });
-    gl.disable(gl.BLEND);
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, picture.buffer);
-    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
-    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
   // Draw what the model's own images have of what is seen; returns the texture.
@@ -256,7 +322,7 @@ export class Gpu {
     const target = this.target("source", width, height, [gl.SRGB8_ALPHA8], places);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.enable(gl.DEPTH_TEST);
-    gl.depthFunc(gl.LEQUAL);
+    gl.depthFunc(gl.EQUAL);
     const program = this.program("source", part, look, 0);
     this.setCamera(program, camera);
     if (look.moved) this.setMotion(program, part, look.moved);
@@ -268,20 +334,31 @@ export class Gpu {
     return target.textures[0];
   }
 
+  // The deepest level, up to the one that is wanted, whose cubes are no more than are drawn.
+  cubesLevel(look) {
+    const count = (level) => this.parts.reduce((sum, { octree }) => sum + octree.countAt(level), 0);
+    let level = look.level;
+    while (level > 0 && count(level) > this.mostCubes) level--;
+    return level;
+  }
+
   // Cells of a level as cubes: colours, or which of them a pixel sees.
   drawCubes(look, camera, pixel = null, picture = null) {
-    const { gl } = this;
+    const { gl } = this, level = this.cubesLevel(look);
     for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
-      const { origin, size, channels } = part.header, cubes = part.cubesAt(look.level);
+      const { origin, size, channels, flags } = part.header, cubes = part.cubesAt(level);
+      this.makesCubes ||= !cubes.isComplete;
       const channel = part.channel(look.shown === "channel" ? look.channel : "base_color") ?? channels[0];
-      const planes = channel.at[0] + 1, shown = { shown: "channel", channel: channel.name, picked: pixel };
+      const shown = { shown: "channel", channel: channel.name, picked: pixel };
+      const planes = 1 + Math.max(channel.at[0], look.shown === "facing" ? flags[0] : 0);
       const program = this.program("cubes", part, shown, planes);
       this.setTree(program, part, look, planes);
       this.setCamera(program, camera, pixel, picture);
       gl.uniform1ui(program.at("u_part"), number);
       gl.uniform1i(program.at("u_kind"), KINDS[channel.space]);
-      gl.uniform1i(program.at("u_byLevel"), look.shown === "depth" ? 1 : 0);
+      gl.uniform1i(program.at("u_by"), CUBES_BY[look.shown] ?? 0);
+      this.setColors(program);
       gl.uniform3fv(program.at("u_low"), origin);
       gl.uniform1f(program.at("u_edge"), size);
       gl.uniform3fv(program.at("u_camera"), camera.position.map((x, n) => (x - origin[n]) / size));
@@ -295,7 +372,20 @@ export class Gpu {
     return look.cubes || !this.parts.some((part) => part.header.mesh);
   }
 
-  // The cube that a pixel sees: its cell's number, x, y, z and level, and the part's; or null.
+  // How far along the view the surface is that a pixel sees, or the cube; or null.
+  awayAt(look, camera, pixel, [width, height]) {
+    const { gl } = this;
+    if (this.showsCubes(look)) return this.probeCubes(look, camera, pixel, [width, height])?.away ?? null;
+    const target = this.target("probed away", 1, 1, [gl.RGBA32UI, gl.RGBA32UI]), found = new Uint32Array(4);
+    this.drawPlaces({ ...look, asksAway: true }, camera, target, width, height, { pixel, alphas: SEEN });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.readBuffer(gl.COLOR_ATTACHMENT0);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return new Float32Array(found.buffer)[3] || null;
+  }
+
+  // The cube that a pixel sees: its cell's number, x, y, z and level, the part's, and how far away it is; or null.
   probeCubes(look, camera, pixel, size) {
     const { gl } = this, target = this.target("probed cubes", 1, 1, [gl.RGBA32UI, gl.RGBA32UI]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
@@ -304,23 +394,23 @@ export class Gpu {
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
     gl.enable(gl.DEPTH_TEST);
     this.drawCubes(look, camera, pixel, size);
-    const [[x, y, z, level], [cell, part, , isSeen]] = [0, 1].map((number) => {
+    const [[x, y, z, level], [cell, part, away, isSeen]] = [0, 1].map((number) => {
       const found = new Uint32Array(4);
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
       gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
       return found;
     });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return isSeen ? { cell, level, index: [x, y, z], edge: 2 ** -level, part } : null;
+    return isSeen ? { cell, level, index: [x, y, z], edge: 2 ** -level, part, away: new Float32Array(Uint32Array.of(away).buffer)[0] } : null;
   }
 
   // Rest positions, footprints and looked-up values of pixels, the sides that they see and, fourth, the parts'
-  // numbers: of one, or of a whole picture.
+  // numbers: of one that is seen, or of the nearest surface in a whole picture.
   probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
     const { gl } = this, [w, h] = pixel ? [1, 1] : [width, height];
     const two = [gl.RGBA32UI, gl.RGBA32UI], places = this.target("probed places", w, h, two);
     const values = this.target("probed values", w, h, two, places);
-    this.drawPlaces(look, camera, places, width, height, pixel);
+    this.drawPlaces(look, camera, places, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
     const read = (target, number) => {
       const bits = new Uint32Array(4 * w * h);
       gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
@@ -332,7 +422,7 @@ export class Gpu {
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     this.drawSeen((part, number) => {
       const planes = part.planes.length, program = this.program("probe", part, look, planes);
-      this.setTree(program, part, look, planes, places.textures);
+      this.setTree(program, part, look, planes, { u_places: places.textures[0], u_ways: places.textures[1] });
       gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);

@@ -4,7 +4,7 @@ import { planes } from "./octree.js";
 
 export const signed = (number) => (number >>> 1) ^ -(number & 1);
 
-function summed(numbers) {
+export function summed(numbers) {
   const found = new Int32Array(numbers.length);
   for (let n = 0, sum = 0; n < numbers.length; n++) found[n] = sum += signed(numbers[n]);
   return found;

@@ -1,6 +1,7 @@
 // The octree as it arrives, level by level: words for nodes and planes of values for cells. See pack.py.
 
 export const ROW = 4096;
+const PIECE = 2048; // nodes whose cells become cubes at a time
 
 export const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
 
@@ -25,7 +26,7 @@ export class Octree {
     this.words = new Uint32Array(2 * ROW * rowsFor(nNodes));
     this.planes = header.planes.map(() => new Uint8Array(4 * ROW * rowsFor(nRows)));
     this.owners = new Uint32Array(nNodes); // the cell that each node is
-    this.entries = new Uint32Array(2 * ROW * rowsFor(header.kept + header.split[0])); // see u_tables
+    this.entries = new Uint32Array(2 * ROW * rowsFor(header.kept + header.split[0])); // see u_entries
     this.tables = { kept: 0, split: 0 }; // entries that have arrived
     this.nextNode = 1;
     this.nextCell = 1;
@@ -152,35 +153,37 @@ export class Octree {
     return Array.from(this.planes[plane].subarray(4 * cell + slot, 4 * cell + slot + channel.components));
   }
 
-  // How many cells a level has, with the leaves above it.
-  countAt(level) {
-    let count = this.cells[level + 1] - this.cells[level];
-    for (let above = 0; above < level; above++) {
-      count += this.cells[above + 1] - this.cells[above] - (this.nodes[above + 1] - this.nodes[above]);
-    }
-    return count;
+  // Of each level up to one how many cells are leaves, or are taken for such at the last.
+  leavesTo(level) {
+    const { cells, nodes } = this, last = Math.min(level, this.depth);
+    return Array.from({ length: last + 1 }, (_, k) => cells[k + 1] - cells[k] - (k < last ? nodes[k + 1] - nodes[k] : 0));
   }
 
-  // The cells of a level and the leaves above it: x, y, z, level and number of each.
-  cubes(level) {
-    const found = new Uint32Array(5 * this.countAt(level));
-    let count = 0, here = [0, 0, 0];
+  countAt(level) {
+    return this.leavesTo(level).reduce((sum, leaves) => sum + leaves, 0);
+  }
+
+  // Fill in the cells of a level and the leaves above it: x, y, z, level and number of each. Yields how many there
+  // are, piece by piece.
+  *cubes(level, found) {
+    let count = 0, here = new Uint32Array(3);
     const put = (...cell) => found.set(cell, 5 * count++);
     if (level === 0 || this.nodes.at(-1) === 0) put(0, 0, 0, 0, 0);
     for (let depth = 1, node = 0; depth <= level; depth++) {
-      const next = [];
-      for (let n = 0; n < here.length; n += 3, node++) {
+      const next = new Uint32Array(3 * (this.nodes[depth + 1] - this.nodes[depth]));
+      for (let n = 0, at = 0; n < here.length && node < this.nodes.at(-1); n += 3, node++) {
         const nodes = this.words[2 * node], all = (nodes | this.words[2 * node + 1]) & 255;
         for (let octant = 0, number = nodes >>> 8; octant < 8; octant++) {
           if (!((all >> octant) & 1)) continue;
           const place = [0, 1, 2].map((axis) => 2 * here[n + axis] + ((octant >> axis) & 1));
-          if ((nodes >> octant) & 1) next.push(...place);
+          if ((nodes >> octant) & 1) next.set(place, 3 * at++);
           if (depth === level || !((nodes >> octant) & 1)) put(...place, depth, number);
           number++;
         }
+        if (node % PIECE === 0) yield count;
       }
       here = next;
     }
-    return found;
+    yield count;
   }
 }

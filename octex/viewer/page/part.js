@@ -3,6 +3,7 @@
 import { Octree, ROW } from "./octree.js";
 
 const MORE = 1 / 8; // of a texture that has grown: the room that it gets for more
+const PIECES = 20; // milliseconds of a picture in which cells become cubes
 const rowsOf = ({ array, size }) => array.length / (size * ROW);
 
 export class Part {
@@ -32,6 +33,11 @@ export class Part {
       high[n % 3] = Math.max(high[n % 3], x);
     });
     return [low, high];
+  }
+
+  // Whether some of it may be translucent, as far as its data has come.
+  get hasAlpha() {
+    return this.octree.depth >= 0 && this.channel("alpha")?.components === 1;
   }
 
   channel(name) {
@@ -185,24 +191,41 @@ export class Part {
     return made;
   }
 
-  // The cells of a level as cubes.
+  // The cells of a level as cubes: those that are ready, and more of them at each call.
   cubesAt(wanted) {
     const { gl, octree } = this, level = Math.min(wanted, octree.depth, this.deepest);
-    if (this.cubes?.level === level && this.cubes.depth === octree.depth) return this.cubes;
+    if (this.cubes?.level !== level || this.cubes.depth !== octree.depth) this.beginCubes(level);
+    const { cubes } = this, end = performance.now() + PIECES;
+    if (cubes.isComplete) return cubes;
+    const before = cubes.count;
+    while (!cubes.isComplete && performance.now() < end) {
+      const { value, done } = cubes.pieces.next();
+      cubes.isComplete = done;
+      cubes.count = value ?? cubes.count;
+    }
+    gl.bindBuffer(gl.ARRAY_BUFFER, cubes.buffer);
+    gl.bufferSubData(gl.ARRAY_BUFFER, 20 * before, cubes.cells.subarray(5 * before, 5 * cubes.count));
+    if (cubes.isComplete) cubes.cells = null;
+    return cubes;
+  }
+
+  beginCubes(level) {
+    const { gl, octree } = this;
     if (this.cubes) {
       gl.deleteBuffer(this.cubes.buffer);
       gl.deleteVertexArray(this.cubes.array);
     }
-    const cells = octree.cubes(level), array = gl.createVertexArray(), buffer = gl.createBuffer();
+    const cells = new Uint32Array(5 * octree.countAt(level)), array = gl.createVertexArray(), buffer = gl.createBuffer();
     gl.bindVertexArray(array);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, cells, gl.STATIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, cells.byteLength, gl.STATIC_DRAW);
     for (const [place, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
       gl.enableVertexAttribArray(place);
       gl.vertexAttribIPointer(place, components, gl.UNSIGNED_INT, 20, offset);
       gl.vertexAttribDivisor(place, 1);
     }
     gl.bindVertexArray(null);
-    return (this.cubes = { level, depth: octree.depth, array, buffer, count: cells.length / 5 });
+    const pieces = octree.cubes(level, cells);
+    this.cubes = { level, depth: octree.depth, array, buffer, cells, pieces, count: 0, isComplete: false };
   }
 }

@@ -2,10 +2,12 @@
 
 import { Camera } from "./camera.js";
 import { control } from "./controls.js";
-import { readChange, readFile, readHeader, readStream } from "./data.js";
+import { isServed, readChange, readFile, readHeader, readStream } from "./data.js";
 import { Divider } from "./divider.js";
 import { element } from "./elements.js";
 import { Gpu, readPrograms } from "./gpu.js";
+import { keep, kept, reload, restoreControls } from "./kept.js";
+import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
@@ -31,27 +33,31 @@ class Viewer {
   }
 
   async open() {
-    const [header, shaders] = await Promise.all([readHeader(), readPrograms()]);
+    const [header, shaders] = await Promise.all([readHeader(), readPrograms()]), studio = await readStream("studio");
     this.header = header;
     this.version = header.version;
     this.parts = header.parts.map((part) => new Part(part));
-    this.gpu = new Gpu(this.canvas, shaders, this.parts);
+    this.gpu = new Gpu(this.canvas, shaders, [header.studio, studio], this.parts);
     this.camera = new Camera(...this.bounds());
     this.look.level = this.gpu.deepest;
     this.offer();
     this.describe();
     element("panel").open = !matchMedia("(max-width: 720px)").matches;
-    control(this.canvas, this.camera, (isHeld) => this.move(isHeld), () => this.rest());
+    control(this.canvas, this.camera, (x, y) => this.seen(x, y), (isHeld) => this.move(isHeld), () => this.rest());
     this.listen();
     this.gpu.draw(this.look, this.camera, 1, 1);
-    await this.read();
+    const before = isServed ? kept() : null;
+    await this.read(before?.camera);
     this.isComplete = true;
+    keep(this.camera);
+    if (before) restoreControls(before.controls);
+    this.explain();
     this.move();
     this.follow(this.wanted ?? this.version);
   }
 
-  // Read all data, coarse levels of all parts first.
-  async read() {
+  // Read all data, coarse levels of all parts first. `place` is where the camera stood before.
+  async read(place) {
     const { parts } = this;
     const images = parts[0].header.source?.bytes ?? [];
     const all = parts.flatMap(({ header }) => [...header.chunks, header.mesh, header.motion].filter(Boolean));
@@ -72,6 +78,7 @@ class Viewer {
       this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
       this.camera.reset();
     }
+    if (place) this.camera.restore(place);
     const most = Math.max(...parts.map(({ header }) => header.chunks.length));
     for (let n = 0; n < most; n++) {
       for (const [number, part] of parts.entries()) {
@@ -113,7 +120,7 @@ class Viewer {
     try {
       while (this.version !== this.wanted) {
         const change = await readChange(this.version);
-        if (!change) return location.reload();
+        if (!change) return reload();
         const streams = change.parts.map((_, number) => readStream(`change-${number}`));
         for (const [number, bytes] of (await Promise.all(streams)).entries()) {
           const { header, counts } = change.parts[number], part = this.parts[number];
@@ -143,9 +150,10 @@ class Viewer {
     const depth = Math.max(...headers.map((header) => header.depth));
     document.title = `${title} – octex`;
     element("title").textContent = title;
-    const lines = [`${sum(({ leaves }) => leaves)} leaves, depth ${depth}`];
+    const lines = [`${sum(({ leaves }) => leaves)} cells, depth ${depth}`];
     if (headers.length > 1) lines.unshift(`${headers.length} parts`);
-    if (headers.some(({ mesh }) => mesh)) lines.push(`${sum(({ mesh }) => mesh?.triangles ?? 0)} triangles, no texture coordinates`);
+    const meshes = headers.map(({ mesh }) => mesh).filter(Boolean), without = meshes.some(({ coordinates }) => coordinates) ? "" : ", no texture coordinates";
+    if (meshes.length) lines.push(`${sum(({ mesh }) => mesh?.triangles ?? 0)} triangles${without}`);
     const notes = headers.flatMap((header) => header.notes.map((note) => (header.name ? `${header.name}: ${note}` : note)));
     if (gpu.deepest < depth) notes.push(`this GPU's textures hold depth ${gpu.deepest}`);
     element("facts").textContent = [...lines, ...new Set(notes)].join("\n");
@@ -154,19 +162,27 @@ class Viewer {
     if (wasDeepest || look.level > gpu.deepest) look.level = gpu.deepest;
     element("level").value = look.level;
     element("level-text").textContent = `${look.level}`;
+    this.explain();
+  }
+
+  // Say what its colours stand for, and which cubes are too many.
+  explain() {
+    const { look, gpu, parts } = this, drawn = gpu.showsCubes(look) ? gpu.cubesLevel(look) : look.level;
+    tellLegend(parts, { ...look, level: drawn });
+    element("cubes-note").textContent = drawn < look.level ? `Level ${drawn} is drawn: level ${drawn + 1} has too many cubes.` : "";
   }
 
   // Offer what can be shown.
   offer() {
     const headers = this.parts.map((part) => part.header), { look } = this;
     const channels = new Map(headers.flatMap((header) => header.channels).map((channel) => [channel.name, channel]));
-    const choices = [["lit", "in studio light"], ["unlit", "colours as they are"]];
+    const choices = [["lit", "colours in studio light"], ["unlit", "colours without light"]];
     if (!channels.has("base_color")) choices.length = 0;
     for (const name of channels.keys()) choices.push([`channel ${name}`, name.replaceAll("_", " ")]);
     for (const { name, space } of channels.values()) {
-      if (space === "direction") choices.push([`spread ${name}`, `spread of ${name.replaceAll("_", " ")}s`]);
+      if (space === "direction") choices.push([`spread ${name}`, `how much ${name.replaceAll("_", " ")}s in a cell differ`]);
     }
-    choices.push(["depth", "depth of the leaves"], ["facing", "ways that cells face"]);
+    choices.push(["depth", "size of cells (levels)"], ["facing", "directions that cells face"]);
     element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
     if (!channels.has("base_color")) this.choose(choices[0][0]);
     const hasMesh = headers.some(({ mesh }) => mesh);
@@ -198,6 +214,7 @@ class Viewer {
       look.level = Number(at.value);
       element("level-text").textContent = at.value;
     });
+    for (const id of ["shown", "cubes", "level"]) element(id).addEventListener("input", () => this.explain());
     element("controls").addEventListener("submit", (event) => event.preventDefault());
     element("reset").addEventListener("click", () => {
       this.camera.reset();
@@ -288,7 +305,8 @@ class Viewer {
     }
     this.isDrawn = true;
     this.isSharp = isStill;
-    if (!this.isSharp || this.turning) this.again();
+    if (this.gpu.makesCubes) this.move();
+    else if (!this.isSharp || this.turning) this.again();
   }
 
   draw(scale) {
@@ -327,6 +345,13 @@ class Viewer {
     if (!event || !this.isComplete || this.isLost) return this.tell(null);
     const at = [event.offsetX, event.offsetY];
     this.pointing = setTimeout(() => this.tell(this.pick(...at)), 60);
+  }
+
+  // The point of the model that is seen at a place of the picture, in CSS pixels; or null.
+  seen(x, y) {
+    if (!this.isComplete || this.isLost) return null;
+    const size = [this.canvas.clientWidth, this.canvas.clientHeight], away = this.gpu.awayAt(this.look, this.camera, [x, y], size);
+    return away && this.camera.pointAt([x + 0.5, y + 0.5], size, away);
   }
 
   // What lies at a point of the picture, in CSS pixels: the part, the position at rest, the cell, values; or null. Of
@@ -369,7 +394,7 @@ class Viewer {
     }
     if (found) {
       if (found.name) rows.push(["part", found.name]);
-      rows.push(["at rest", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
+      rows.push(["position", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
       rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
       rows.push(["index", found.index.join(", ")]);
       for (const { name, codes, values, range } of found.channels) {

@@ -10,19 +10,19 @@ in vec2 v_face;
 flat in uvec4 v_cell;
 
 layout(location = 0) out uvec4 o_cell;  // x, y, z and level
-layout(location = 1) out uvec4 o_number;  // the cell's, the part's, and 1
+layout(location = 1) out uvec4 o_number;  // the cell's, the part's, bits of how far away it is, and 1
 
 uniform uint u_part;
 
 void main() {
   o_cell = v_cell;
-  o_number = uvec4(v_number, u_part, 0u, 1u);
+  o_number = uvec4(v_number, u_part, floatBitsToUint(1.0 / gl_FragCoord.w), 1u);
 }
 
 #else
 
 uniform int u_kind;
-uniform bool u_byLevel;
+uniform int u_by;  // 0 what is stored, 1 the level, 2 the facings
 
 layout(location = 0) out vec4 o_color;
 
@@ -30,7 +30,10 @@ void main() {
   vec4 stored = texelFetch(CHANNEL_PLANE, ivec2(v_number & ROW, v_number >> 12u), 0);
   vec3 value = CHANNEL_STORED;
   vec3 shown = u_kind == 0 ? toSrgb(value) : value;
-  if (u_byLevel) shown = levelColor(v_level);
+  if (u_by == 1) shown = u_levels[v_level];
+#ifdef FLAGS_PLANE
+  if (u_by == 2) shown = facingColor(uint(texelFetch(FLAGS_PLANE, ivec2(v_number & ROW, v_number >> 12u), 0).FLAGS_PART * 255.0 + 0.5));
+#endif
   float shade = 0.62 + 0.38 * max(dot(v_normal, normalize(vec3(-0.3, 0.6, 0.75))), 0.0);
   vec2 rim = min(v_face, 1.0 - v_face) / max(fwidth(v_face), vec2(1e-6));
   if (min(rim.x, rim.y) < 1.0 && max(fwidth(v_face).x, fwidth(v_face).y) < 0.2) shade *= 0.75;

@@ -1,45 +1,75 @@
-// Studio light around the camera: soft boxes as spherical Gaussians over a floor and a ceiling.
+// Studio light around the camera, and what surfaces reflect of it: as octex.view.reflection has it.
+//
+// u_studio   a texel a number: the studio's tables of light by latitude and longitude, one for each step of
+//            roughness, the last of what white matte surfaces reflect; then A and B of the reflectance A·F₀ + B
 
-struct Box {
-  vec3 from;
-  vec3 light;
-  float sharpness;
-};
+const int STEPS = 8;  // of roughness; one table more is of matte surfaces
+const float PI = 3.14159265;
+const float GRAZING = 1e-3, DARKEST = 0.02;
 
-const Box KEY = Box(vec3(-0.45, 0.65, 0.61), vec3(3.4, 3.3, 3.1), 14.0);
-const Box FILL = Box(vec3(0.88, 0.15, 0.45), vec3(0.9, 0.95, 1.05), 10.0);
-const Box RIM = Box(vec3(0.25, 0.55, -0.80), vec3(2.2, 2.25, 2.4), 18.0);
-const float ABOVE = 0.62, BELOW = 0.20;
+uniform highp sampler2D u_studio;
+uniform ivec3 u_tables[STEPS + 2];  // of each table its first number, height and width
+uniform ivec2 u_reflectances;  // the first number of these, and how many there are along each side
 
-// A box seen in a direction through a lobe as wide as `spread`, as much light as ever.
-vec3 boxIn(Box box, vec3 direction, float spread) {
-  float sharpness = 1.0 / (1.0 / box.sharpness + spread);
-  return box.light * sharpness / box.sharpness * exp(sharpness * (dot(normalize(box.from), direction) - 1.0));
+float numberAt(int n) {
+  return texelFetch(u_studio, ivec2(n & 4095, n >> 12), 0).x;
 }
 
-vec3 studio(vec3 direction, float spread) {
-  float rise = direction.y / sqrt(direction.y * direction.y + 0.05 + spread);
-  vec3 light = vec3(mix(BELOW, ABOVE, 0.5 + 0.5 * rise));
-  return light + boxIn(KEY, direction, spread) + boxIn(FILL, direction, spread) + boxIn(RIM, direction, spread);
+// A table's light in a direction of view space, interpolated between four texels.
+float tableLight(int number, vec3 way) {
+  ivec3 table = u_tables[number];
+  float column = (0.5 - atan(way.x, way.z) / (2.0 * PI)) * float(table.z) - 0.5;
+  float row = (0.5 - asin(clamp(way.y, -1.0, 1.0)) / PI) * float(table.y) - 0.5;
+  row = clamp(row, 0.0, float(table.y - 1));
+  int left = int(floor(column)), top = int(row), below = min(top + 1, table.y - 1);
+  float across = column - float(left), down = row - float(top);
+  ivec2 columns = (ivec2(left, left + 1) + table.z) % table.z;
+  ivec2 rows = table.x + ivec2(top, below) * table.z;
+  float high = mix(numberAt(rows.x + columns.x), numberAt(rows.x + columns.y), across);
+  return mix(high, mix(numberAt(rows.y + columns.x), numberAt(rows.y + columns.y), across), down);
 }
 
-// What a GGX lobe reflects of even light: scale and bias of the colour at normal incidence.
-// (Karis, "Physically Based Shading on Mobile", 2014.)
-vec2 reflectance(float roughness, float cosine) {
-  vec4 r = roughness * vec4(-1.0, -0.0275, -0.572, 0.022) + vec4(1.0, 0.0425, 1.04, -0.04);
-  float a = min(r.x * r.x, exp2(-9.28 * cosine)) * r.x + r.y;
-  return vec2(-1.04, 1.04) * a + r.zw;
+float glossyLight(float roughness, vec3 way) {
+  float level = roughness * float(STEPS);
+  int below = min(int(level), STEPS - 1);
+  return mix(tableLight(below, way), tableLight(below + 1, way), level - float(below));
+}
+
+vec2 reflectance(float cosine, float roughness) {
+  int size = u_reflectances.y;
+  vec2 place = clamp(vec2(cosine, roughness) * float(size) - 0.5, 0.0, float(size - 1));
+  ivec2 at = min(ivec2(place), size - 2);
+  vec2 part = place - vec2(at), found = vec2(0.0);
+  for (int corner = 0; corner < 4; corner++) {
+    ivec2 side = ivec2(corner & 1, corner >> 1);
+    vec2 weights = mix(1.0 - part, part, vec2(side));
+    int n = u_reflectances.x + 2 * ((at.x + side.x) * size + at.y + side.y);
+    found += weights.x * weights.y * vec2(numberAt(n), numberAt(n + 1));
+  }
+  return found;
+}
+
+// The parts that are scattered once and more often, where `first` is along the normal.
+void scatter(vec3 first, float slope, vec3 bias, out vec3 once, out vec3 again) {
+  once = first * slope + bias;
+  vec3 lost = 1.0 - slope - bias, average = first + (1.0 - first) / 21.0;
+  again = once * average / (1.0 - lost * average) * lost;
 }
 
 // Light that a surface sends to the camera: `normal` and `toward` are unit vectors in view space.
 vec3 lit(vec3 color, float metallic, float roughness, float occlusion, vec3 specular, vec3 normal, vec3 toward) {
-  float cosine = max(dot(normal, toward), 1e-3);
-  float alpha = max(roughness * roughness, 0.002);
-  vec3 front = mix(0.04 * specular, color, metallic);
-  vec2 part = reflectance(roughness, cosine);
-  vec3 mirrored = studio(reflect(-toward, normal), 0.5 * alpha * alpha / (0.25 + cosine));
-  vec3 diffuse = studio(normal, 0.5) * color * (1.0 - metallic);
-  return (diffuse * (1.0 - part.x * front - part.y) + mirrored * (front * part.x + part.y)) * occlusion;
+  float cosine = dot(normal, toward);
+  if (cosine < GRAZING) {
+    normal = normalize(normal + (GRAZING - cosine) * toward);
+    cosine = max(dot(normal, toward), GRAZING);
+  }
+  vec2 part = reflectance(cosine, roughness);
+  float glossy = glossyLight(roughness, reflect(-toward, normal)), matte = tableLight(STEPS + 1, normal);
+  vec3 once, again, metal, metalAgain;
+  scatter(specular, part.x, part.y * min(specular / DARKEST, 1.0), once, again);
+  scatter(color, part.x, vec3(part.y), metal, metalAgain);
+  vec3 plain = once * glossy + (again + color * (1.0 - once - again)) * matte;
+  return occlusion * mix(plain, metal * glossy + metalAgain * matte, metallic);
 }
 
 // Compress what is brighter than white and keep the rest as it is. (Khronos PBR Neutral tone mapper.)
@@ -54,27 +84,4 @@ vec3 toneMapped(vec3 color) {
   float lower = 1.0 - d * d / (peak + d - start);
   color *= lower / peak;
   return mix(color, vec3(lower), 1.0 - 1.0 / (desaturation * (peak - lower) + 1.0));
-}
-
-vec3 toSrgb(vec3 light) {
-  light = clamp(light, 0.0, 1.0);
-  return mix(light * 12.92, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, greaterThan(light, vec3(0.0031308)));
-}
-
-// Levels in colours that can be told apart, the root's first.
-vec3 levelColor(uint level) {
-  return 0.5 + 0.45 * cos(6.2832 * (0.381966 * float(level) + vec3(0.0, 0.33, 0.67)));
-}
-
-// The ways that a surface faces, from bits +x −x +y −y +z −z: red, green and blue for the axes, dark for −.
-vec3 facingColor(uint flags) {
-  vec3 color = vec3(0.0);
-  float count = 0.0;
-  for (uint bit = 0u; bit < 6u; bit++) {
-    if ((flags >> bit & 1u) == 0u) continue;
-    vec3 axis = vec3(bit < 2u, bit == 2u || bit == 3u, bit > 3u);
-    color += (bit & 1u) == 0u ? 0.25 + 0.7 * axis : 0.08 + 0.4 * axis;
-    count += 1.0;
-  }
-  return count > 0.0 ? color / count : vec3(0.5);
 }

@@ -6,8 +6,13 @@ in vec3 v_seen;
 in vec3 v_normal;
 in vec3 v_restNormal;
 
-layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side
+layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is
 layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across
+
+#ifdef LAYERED
+uniform bool u_footprints;  // as in surface.frag
+uniform vec2 u_alphas;  // only what has an alpha from the first to below the second is seen
+#endif
 
 // The side of the square that a pixel covers, in root cells; a long one is shortened by half.
 float footprint() {
@@ -40,6 +45,17 @@ void main() {
 #ifdef POSED
   across = carried(tangent(side));
 #endif
-  o_place = floatBitsToUint(vec4(v_rest, footprint()));
+  float width = footprint();
+#ifdef LAYERED
+#ifdef FACING
+  face(side);
+#endif
+  lookUp(v_rest, u_footprints ? width : 0.0);
+  if (g_alpha < u_alphas.x || g_alpha >= u_alphas.y) discard;
+#endif
+#ifdef AWAY
+  width = 1.0 / gl_FragCoord.w;
+#endif
+  o_place = floatBitsToUint(vec4(v_rest, width));
   o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
 }

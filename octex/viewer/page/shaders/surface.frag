@@ -50,6 +50,9 @@ vec3 beside(vec3 looked, ivec2 at) {
 #else
 #define beside(looked, at) looked
 #endif
+#ifdef OVER
+uniform sampler2D u_behind;  // the picture of what is behind, with nothing translucent in it
+#endif
 #ifndef CHANNEL
 #define CHANNEL vec3(0.5)
 #endif
@@ -57,13 +60,13 @@ vec3 beside(vec3 looked, ivec2 at) {
 #define EMISSIVE vec3(0.0)
 #endif
 #ifndef SPECULAR
-#define SPECULAR vec3(1.0)
+#define SPECULAR vec3(0.04)
 #endif
 #ifndef METALLIC
 #define METALLIC 0.0
 #endif
 #ifndef ROUGHNESS
-#define ROUGHNESS 0.6
+#define ROUGHNESS 1.0
 #endif
 #ifndef OCCLUSION
 #define OCCLUSION 1.0
@@ -116,7 +119,7 @@ void main() {
   shown = vec3(1.0 - min(length(2.0 * CHANNEL - 1.0), 1.0));
 #else
   uvec3 cell = leafAt(place.xyz, u_depth);
-  shown = levelColor(cell.y);
+  shown = u_levels[cell.y];
 #ifdef SHOWS_FACING
   ivec2 texel = ivec2(cell.x & ROW, cell.x >> 12u);
   shown = facingColor(uint(texelFetch(FLAGS_PLANE, texel, 0).FLAGS_PART * 255.0 + 0.5));
@@ -127,7 +130,10 @@ void main() {
   if (u_markedEdge > 0.0 && all(greaterThanEqual(inside, vec3(0.0))) && all(lessThanEqual(inside, vec3(1.0)))) {
     shown = mix(shown, vec3(1.0, 0.85, 0.1), 0.45);
   }
-  o_color = vec4(shown, g_alpha);
+#ifdef OVER
+  shown = toSrgb(mix(toLight(texelFetch(u_behind, at, 0).rgb), toLight(shown), g_alpha));
+#endif
+  o_color = vec4(shown, 1.0);
 }
 
 #endif

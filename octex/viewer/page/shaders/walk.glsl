@@ -26,7 +26,7 @@ uniform int u_depth;  // the deepest level that is looked up
 uniform int u_filter;
 uniform bool u_leafRoot;  // the root is a leaf
 #if defined(SPLIT) || defined(KEPT)
-uniform usampler2D u_tables;  // a texel an entry: a cell, and the first of its rows
+uniform usampler2D u_entries;  // a texel an entry: a cell, and the first of its rows
 uniform uvec3 u_split;  // of split cells: the first entry, how many, the row of planes that their rows begin at
 uniform uvec3 u_kept;  // of nodes with kept coefficients likewise
 #endif
@@ -85,7 +85,7 @@ uint tableRow(uint cell, uint first, uint count) {
   while (low + 1u < high) {
     uint middle = (low + high) >> 1u;
     g_fetches++;
-    if (texelFetch(u_tables, ivec2(first + middle & ROW, first + middle >> 12u), 0).x <= cell) low = middle;
+    if (texelFetch(u_entries, ivec2(first + middle & ROW, first + middle >> 12u), 0).x <= cell) low = middle;
     else high = middle;
   }
   return low;
@@ -117,7 +117,7 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
   vec3 shares = max(seen - (most - 0.2), 0.0) * vec3(greaterThan(seen, vec3(0.0)));
   shares /= shares.x + shares.y + shares.z;
   uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
-  uint first = u_split.z + texelFetch(u_tables, ivec2(entry & ROW, entry >> 12u), 0).y;
+  uint first = u_split.z + texelFetch(u_entries, ivec2(entry & ROW, entry >> 12u), 0).y;
   for (uint axis = 0u; axis < 3u; axis++) {
     uint below = (1u << (2u * axis + g_away[axis])) - 1u;
     if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);

@@ -1,0 +1,154 @@
+"""KTX2 textures (KTX File Format 2.0, Khronos) of plain texels, or in Basis Universal's codes.
+
+The largest mip is read. Whether its texels are sRGB or data the use says, as of other images, not vkFormat.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from contextlib import suppress
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octex.errors import ImageError, MissingExtraError
+from octex.source.images.openimage import check_size, spread
+from octex.source.images.pyramid import Texels
+
+SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
+#: zstd packs 128 kB of equal bytes, so many texels of one lane, into four.
+_MOST_PER_BYTE = 65536
+
+
+class _Format(NamedTuple):
+    dtype: str
+    lanes: str  # in the order in which they are stored
+
+
+#: The values of VkFormat that are read: UNORM and SRGB of 8 bits, UNORM of 16, and SFLOAT.
+_FORMATS = {
+    **dict.fromkeys((9, 15), _Format("u1", "r")),
+    **dict.fromkeys((16, 22), _Format("u1", "rg")),
+    **dict.fromkeys((23, 29), _Format("u1", "rgb")),
+    **dict.fromkeys((30, 36), _Format("u1", "bgr")),
+    **dict.fromkeys((37, 43), _Format("u1", "rgba")),
+    **dict.fromkeys((44, 50), _Format("u1", "bgra")),
+    **{70 + 7 * n: _Format("<u2", "rgba"[: n + 1]) for n in range(4)},
+    **{76 + 7 * n: _Format("<f2", "rgba"[: n + 1]) for n in range(4)},
+    **{100 + 3 * n: _Format("<f4", "rgba"[: n + 1]) for n in range(4)},
+}  # fmt: skip
+_PLAIN, _ZSTD, _ZLIB = 0, 2, 3  # schemes of supercompression
+
+
+class _Header(NamedTuple):
+    """The head of a file, up to where its largest level is."""
+
+    vk_format: int
+    type_size: int
+    width: int
+    height: int
+    depth: int
+    layers: int
+    faces: int
+    levels: int
+    scheme: int
+    description: int  # where the data format descriptor is
+    description_bytes: int
+    entries: int  # where the pairs of keys and values are
+    entries_bytes: int
+    shared: int
+    shared_bytes: int
+    level: int  # where the largest level is
+    packed_bytes: int
+    unpacked_bytes: int
+
+
+def decode_ktx2(data: bytes, name: str) -> Texels:
+    """Return the texels (height, width, 4) of the largest image of a KTX2 texture.
+
+    Of plain texels, lanes that the file lacks are 0, alpha is 1; ``KTXswizzle`` and ``KTXorientation`` are
+    followed. Raises ImageError for a damaged file, texels in blocks, colours multiplied by alpha, and plain
+    texels of several images; MissingExtraError where codes need the extra ``ktx2``.
+    """
+    header = _Header(*struct.unpack_from("<13I5Q", data, len(SIGNATURE)))
+    if header.vk_format == 0:
+        return _universal(data, name, header)
+    if header.vk_format not in _FORMATS:
+        raise ImageError(
+            f"{name} has vkFormat {header.vk_format}, which octex does not read; save it as R8G8B8A8, or in "
+            "Basis Universal's codes"
+        )
+    if max(header.depth, 1) * max(header.layers, 1) * header.faces != 1:
+        raise ImageError(f"{name} is a volume, an array or a cube of images; save the one that you mean")
+    if any(byte & 1 for byte in data[header.description + 15 : header.description + 16]):
+        raise ImageError(f"{name} has colours multiplied by alpha; save it without (straight alpha)")
+    width, height = header.width, max(header.height, 1)
+    check_size(width, height, len(data), name, _MOST_PER_BYTE)
+    dtype, lanes = _FORMATS[header.vk_format]
+    size = width * height * len(lanes) * np.dtype(dtype).itemsize
+    texels = _unpacked(data[header.level : header.level + header.packed_bytes], header, size, name)
+    if size == 0 or len(texels) != size:
+        raise ImageError(
+            f"{name} is damaged: {width} × {height} texels of vkFormat {header.vk_format} take {size} bytes, "
+            "and it has others; save it again"
+        )
+    metadata = _metadata(data[header.entries : header.entries + header.entries_bytes])
+    orientation = metadata.get(b"KTXorientation", b"rd")
+    values = np.frombuffer(texels, dtype).reshape(height, width, len(lanes))
+    values = values[:: -1 if orientation[1:2] == b"u" else 1, :: -1 if orientation[:1] == b"l" else 1]
+    one = np.iinfo(dtype).max if values.dtype.kind == "u" else 1
+    every = np.zeros((height, width, 4), dtype)
+    for place, lane in enumerate(metadata.get(b"KTXswizzle", b"rgba").decode("ascii")[:4]):
+        every[..., place] = values[..., lanes.index(lane)] if lane in lanes else one * (lane in "1a")
+    return spread(every)
+
+
+def _unpacked(data: bytes, header: _Header, size: int, name: str) -> bytes:
+    """Return what was packed, at most a byte more than ``size``; nothing of what is cut off."""
+    if header.scheme == _PLAIN:
+        return data
+    if header.scheme not in (_ZLIB, _ZSTD):
+        raise ImageError(
+            f"{name} has texels of vkFormat {header.vk_format} packed by scheme {header.scheme}, which octex "
+            "does not read; pack them by zstd"
+        )
+    unpacker = zlib.decompressobj() if header.scheme == _ZLIB else _zstd(name).ZstdDecompressor()
+    unpacked: bytes = unpacker.decompress(data, size + 1)
+    return unpacked if unpacker.eof else b""
+
+
+def _zstd(name: str) -> Any:
+    """Return Python's module of zstd, or what stands in for it before Python 3.14."""
+    for module in ("compression.zstd", "backports.zstd"):
+        with suppress(ImportError):
+            return import_module(module)
+    raise MissingExtraError.needed(f"{name}: to unpack zstd's texels", "backports.zstd", "ktx2")
+
+
+def _metadata(data: bytes) -> dict[bytes, bytes]:
+    """Return the values of keys, without the zero at their ends."""
+    found = {}
+    at = 0
+    while at + 4 <= len(data):
+        (length,) = struct.unpack_from("<I", data, at)
+        key, _, value = data[at + 4 : at + 4 + length].partition(b"\0")
+        found[key] = value.rstrip(b"\0")
+        at += 4 + length + -length % 4
+    return found
+
+
+def _universal(data: bytes, name: str, header: _Header) -> Texels:
+    """Return the texels of Basis Universal's codes, ETC1S or UASTC."""
+    try:
+        import opengl_basisu
+    except ImportError:
+        what = f"{name}: to decode KTX2 textures of Basis Universal's codes"
+        raise MissingExtraError.needed(what, "opengl-basisu", "ktx2") from None
+    texture = opengl_basisu.open(data)
+    check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE)
+    blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
+    if header.unpacked_bytes > 16 * blocks:  # of the largest image
+        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
+    return spread(texture.transcode("rgba8").data)
