@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
 from octex.field.taps import AT_ONCE, Taps, end_of, scale
-from octex.jit import decoded, fused_kernel, inlined, kernel, new_array, part, prefetch
+from octex.jit import decoded, fused_kernel, inlined, kernel, new_array, new_zeros, part, prefetch
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -247,16 +247,17 @@ class Sums(NamedTuple):
     slopes: Float64s  # (points, components, 3) or (0, components, 3)
     total_slopes: Float64s  # (points, 3) or (0, 3)
 
-    @classmethod
-    def of(cls, points: int, components: int, gradient: bool) -> Sums:
-        """Return zeros."""
-        n = points if gradient else 0
-        return cls(
-            np.zeros((points, components)),
-            np.zeros(points),
-            np.zeros((n, components, 3)),
-            np.zeros((n, 3)),
-        )
+
+@kernel
+def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
+    """Return zeros for the components of answers."""
+    n, components = points if gradient else 0, answers.shape[1]
+    return Sums(
+        new_zeros((points, components), np.float64),
+        new_zeros(points, np.float64),
+        new_zeros((n, components, 3), np.float64),
+        new_zeros((n, 3), np.float64),
+    )
 
 
 @inlined

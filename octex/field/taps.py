@@ -82,15 +82,6 @@ class Taps(NamedTuple):
     ends: Int64s  # (points,)   to its end
     covers: Float32s  # (points,)
 
-    def with_room(self, used: int, room: int) -> Taps:
-        """Return the same taps, of which so many are used, with room for as many in all."""
-        if room <= self.rows.size:
-            return self
-        larger = new_taps(0, 2 * room, self.slopes.shape[0] > 0)
-        for new, old in zip(larger[:3], self[:3], strict=True):
-            new[: min(used, len(old))] = old[:used]
-        return larger._replace(starts=self.starts, ends=self.ends, covers=self.covers)
-
 
 @kernel
 def new_taps(points: int, room: int, gradient: bool) -> Taps:

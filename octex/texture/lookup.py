@@ -13,7 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Float32s, Int32s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
-from octex.field.footprints import Footprints, long_footprints, round_footprints
+from octex.field.footprints import ROUND, Footprints, long_footprints
 from octex.field.lookups import Query
 from octex.field.splines import FILTERS
 from octex.parallel import ordered_map, workers
@@ -154,9 +154,12 @@ class Lens(NamedTuple):
         if "dPdx" in given:
             derivatives = given["dPdx"], given["dPdy"]
             footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
-        elif self.has_footprints(given):
-            widths = given["width"].astype(np.float64) if "width" in given else np.zeros(len(given["points"]))
-            footprints = round_footprints(widths + self.blur, self.sharpness)
+        elif "width" in given:
+            widths = given["width"].astype(np.float64) + self.blur
+            footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
+        elif self.blur > 0:
+            widths = np.full(len(given["points"]), float(self.blur))
+            footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
         normals = given.get("normals")
         if normals is not None:
             most = np.finfo(np.float32).max
@@ -349,7 +352,11 @@ class Answers:
             slopes[name] = *shapes[name], 3
         #: The channels, each once.
         self.channels = list(shapes)
-        out, out_gradients = pair_of(out) if gradient else (out, None)
+        out_gradients = None
+        if gradient and out is not None:
+            if not isinstance(out, (tuple, list)) or len(out) != 2:
+                raise ArgumentError("out must be a pair, for values and for gradients")
+            out, out_gradients = out
         values = answers_for(shapes, out, is_single)
         gradients = answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
         #: The values of each channel, then the gradients of each.
@@ -386,15 +393,6 @@ def answers_for(
         if not array.flags.carray:
             raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
     return {channel: out[channel] for channel in shapes}
-
-
-def pair_of(out: Any) -> tuple[Any, Any]:
-    """Return the two parts of ``out`` for values and gradients, or Nones. Raises ArgumentError."""
-    if out is None:
-        return None, None
-    if not isinstance(out, (tuple, list)) or len(out) != 2:
-        raise ArgumentError("out must be a pair, for values and for gradients")
-    return out[0], out[1]
 
 
 def check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:

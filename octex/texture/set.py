@@ -194,7 +194,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         if out is not None:
             check_apart(given.values(), answers.arrays)
         look_ups = {
-            part: texture._block_lookup(answers.channels, lens, normalize)
+            part: partial(texture._sampled, answers.channels, lens, normalize)
             for part, texture in self._ready_for(given, answers.channels, lens)
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
