@@ -9,7 +9,7 @@ that answer there and sum to OFF: beside looks that lie on the surface they coun
 
 Between source and sink, averages weigh by the roots of their areas. A *split* cell has a row of values for
 each way that the surface in it faces (paper 3.5.2): a lookup that knows its normal takes the rows that face
-the normal, and cells that face away weigh nothing; one that does not leaves split cells with opposite
+it, and cells that face away weigh nothing (`facings`); one that does not leaves split cells with opposite
 facings, a front and a back, to the next finer level. Where a texture has alpha, other channels weigh by it
 (`sinks.weigh_by_alpha`).
 """

@@ -11,11 +11,12 @@ from octex.field.facings import Facings, see, view_along
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
 from octex.field.sinks import Flat, value_of
+from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, weigh_by_area
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, Walk, follow
-from octex.jit import inlined, popcount, step
+from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
@@ -103,7 +104,7 @@ def _tiled(
                 rows[dx + 2 * dy + 4 * dz] = 8 * row
     n = 0
     total = np.float32(0.0)
-    last = np.int64(arrays.flags.size - 1)
+    last = arrays.flags.size - 1
     along, codes = scratch.along, scratch.codes
     for dz in range(side):
         for dy in range(side):
@@ -112,14 +113,11 @@ def _tiled(
             tile = 2 * (dy >= next_j) + 4 * (dz >= next_k)
             for dx in range(side):
                 code = np.int64(codes[0, dx] | code_yz)
-                octant = np.uint64(rows[tile + (dx >= next_i)] + (code >> 8))
-                bit = np.uint64(code & 63)
-                mask = tiles.masks[octant]
-                is_stored = int((mask >> bit) & np.uint64(1))
-                below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+                octant = rows[tile + (dx >= next_i)] + (code >> 8)
+                cell, is_stored = look_in(tiles, int(octant), int(code))
                 weight = along[0, dx] * of_yz
                 at = np.uint64(n)  # without a branch, which could not be foretold
-                scratch.taps.rows[at] = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
+                scratch.taps.rows[at] = min(cell, last)
                 scratch.taps.weights[at] = weight
                 total += weight * np.float32(is_stored)
                 n += is_stored
@@ -282,12 +280,9 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         i, j, k = fixed(x) >> shift, fixed(y) >> shift, fixed(z) >> shift
         row = tile_row(tiles, i >> 3, j >> 3, k >> 3)
         code = code_in_tile(np.int32(i & 7), np.int32(j & 7), np.int32(k & 7))
-        octant, bit = np.uint64(8 * row + np.int64(code >> 8)), np.uint64(code & 63)
-        mask = tiles.masks[octant]
-        if (mask >> bit) & np.uint64(1) != np.uint64(0):
-            below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-            number = int(tiles.firsts[octant]) + popcount(below)
-            return value_of(flat, min(number, arrays.flags.size - 1), arrays.components)
+        cell, is_stored = look_in(tiles, 8 * row + int(code >> 8), int(code))
+        if is_stored:
+            return value_of(flat, min(cell, arrays.flags.size - 1), arrays.components)
     cell, _ = nearest_cell(_tree_of(arrays), x, y, z, scratch.search)
     return value_of(flat, cell, arrays.components)
 
