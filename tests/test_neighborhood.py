@@ -74,7 +74,7 @@ def taps(
     """All points' taps, in blocks with room for the taps of at least one point."""
     walk = walk or new_walk()
     n = len(points)
-    found = taps_of.Taps.of(n, room, gradient)
+    found = taps_of.new_taps(n, room, gradient)
     which, code = np.arange(n), FILTERS.index(filter)
     parts = []
     done = 0

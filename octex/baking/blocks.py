@@ -13,16 +13,17 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
+from octex.field.facings import Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.field.footprints import long_footprints, spread
 from octex.field.sinks import Codes
-from octex.field.splines import QUADRATIC
-from octex.field.taps import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, view_of
+from octex.field.splines import QUADRATIC, single_quadratic_weights
+from octex.field.taps import AREA_WEIGHTS
 from octex.field.tiles import Tiles, tile_row
-from octex.jit import decoded, inlined, kernel, popcount, spline_box, trailing_zeros
+from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
 from octex.texture.blend import stored
-from octex.texture.lens import ANISOTROPY
-from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.texture.lookup import ANISOTROPY
+from octex.tree.layout import SPLIT
 from octex.tree.placement import Placement
 
 #: Most cells of a block, stored or not; and how many that are stored are decoded at once, with alpha and
@@ -199,7 +200,7 @@ def _list(
             group += 1
             continue
         view = view_of(normals, triangle)
-        parts_of(parts, *view[:3])
+        parts_of(parts, view)
         while texel < last:
             if n_blocks >= room.blocks.shape[0] or n_cells + _VOLUME > room.places.size:
                 return group, texel, n_blocks, n_cells, n_rows
@@ -252,14 +253,12 @@ def _list(
                                 room.weights[n_rows] = weight
                                 n_rows += 1
                             else:
-                                own, known = int(facings.rows[at]), np.uint64(flags & np.uint8(FACING_FLAGS))
+                                first = first_row + int(facings.rows[at])
                                 for axis in range(3):
                                     share = p if axis == 0 else q if axis == 1 else r
                                     if share > np.float32(0.0):
-                                        side = 2 * axis + (view[3] >> axis & 1)
-                                        below = (one << np.uint64(side)) - one
                                         room.cells[n_rows] = n_cells
-                                        room.rows[n_rows] = first_row + own + popcount(known & below)
+                                        room.rows[n_rows] = row_of(first, flags, axis, view[3])
                                         room.weights[n_rows] = share * weight
                                         n_rows += 1
                             n_cells += 1
@@ -309,10 +308,7 @@ def _weights_of(x: float, cells: float) -> tuple[int, tuple[np.float32, np.float
     """Return the lowest of the three cells around a coordinate, and their weights."""
     x = min(max(x, 0.0), 1.0) * cells
     cell = min(np.floor(x), cells - 1.0)
-    half, one = np.float32(0.5), np.float32(1.0)
-    t = np.float32(x - cell)
-    low, high = half * (one - t) * (one - t), half * t * t
-    return int(cell) - 1, (low, one - low - high, high)
+    return int(cell) - 1, single_quadratic_weights(np.float32(x - cell))
 
 
 @kernel

@@ -3,9 +3,9 @@
 A lookup goes through this room from left to right, a block of points at a time; `taps` is what is passed on.
 
     lookups        sources                  stages                    sinks
-    what is asked  which cells, and how     areas, facings, what      blend channels,
-    of points      much each weighs         mixes (`taps`), alpha     add levels up,
-                                            (`sinks`)                 list taps
+    what is asked  which cells, and how     areas, what mixes         blend channels,
+    of points      much each weighs         (`taps`), `facings`,      add levels up,
+                                            alpha (`sinks`)           list taps
 
     footprints     field: chooses by tree; off the surface it goes to coarser levels
     probe          ├── tiles · sources          where all leaves have one depth
@@ -17,7 +17,8 @@ A lookup goes through this room from left to right, a block of points at a time;
 
 splines        filters, and their weights along an axis
 footprints     what is averaged around a point: looks at coarser levels that add up to it
-taps           the rows that a lookup blends; areas and facings, which change their weights
+taps           the rows that a lookup blends; areas and mixed facings, which change their weights
+facings        what faces a normal, and the rows of split cells that do
 sinks          what is made of taps: values blended, looks added up, taps listed
 tiles          cells found by a bit test, for many points at once
 sources        taps by tiles, by each filter

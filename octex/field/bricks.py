@@ -52,6 +52,7 @@ from octex.jit import (
     trailing_zeros,
     weighted_cube,
 )
+from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree
 from octex.tree.order import AHEAD, Order, cell_of, end_of_cell, sort_by_digit
@@ -221,25 +222,19 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, 
     n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
     to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
     below, n_cells = 2 * side - 2, arrays.flags.size
-    one, byte = np.uint64(1), np.uint64(0xFF)
+    one = np.uint64(1)
     for _ in range(n_nodes):
         listed = inner[above]
         above += one
         keeps, node = listed & 1, listed >> 16
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
         inside = _inside(x, y, z, side - 1)
-        group = np.uint64(min(node >> 3, groups.shape[0] - 1))
-        shift = np.uint64(8 * (node & 7))
-        nodes = groups[group, 0]
-        nodes_inside = nodes >> shift & inside
+        nodes, stored, first_node, first_cell = children(groups, node)
+        nodes_inside = nodes & inside
         if stop and nodes_inside != 0:
             return False
-        stored, firsts = nodes | groups[group, 1], groups[group, 2]
-        before = (one << shift) - one
-        first_cell = int(np.int64(firsts >> np.uint64(32))) + popcount(stored & before)
         prefetch(values, first_cell)
-        stored = stored >> shift & byte
-        left = stored & ~(nodes >> shift) & inside
+        left = stored & ~nodes & inside
         while left != 0:
             octant = trailing_zeros(left)
             row = first_cell + popcount(stored & ((left & (~left + one)) - one))
@@ -249,8 +244,6 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, 
             to_over += one
         if nodes_inside == 0:
             continue
-        first_node = int(np.int64(firsts & np.uint64(0xFFFFFFFF))) + popcount(nodes & before)
-        nodes = nodes >> shift & byte
         left = nodes_inside
         while left != 0:
             octant = trailing_zeros(left)

@@ -13,21 +13,19 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.bricks import Tree
+from octex.field.facings import MOST_ROWS, Facings, face, facings_of
 from octex.field.neighborhood import walked_taps
 from octex.field.sinks import list_taps
 from octex.field.sources import SOURCES
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
-    MOST_ROWS,
     MOST_TILED,
     OFF,
     Ahead,
-    Facings,
     Taps,
-    face,
-    facings_of,
     hold_outside,
+    new_taps,
     place_points,
 )
 from octex.field.tiled import Search
@@ -71,6 +69,7 @@ class Field:
 
     def __init__(self, tree: Octree, root: Field | None = None) -> None:
         self.tree = tree
+        self.depth, self.n_cells, self.n_leaves = tree.max_depth, tree.n_cells, tree.n_leaves
         self._root = ref(
             root or self
         )  # of a level, the field that it is of; it keeps its levels, not they it
@@ -86,7 +85,7 @@ class Field:
 
     def level(self, level: int) -> Field:
         """Return the field over the averages of a level, whose cells have the same numbers."""
-        if level >= self.tree.max_depth:
+        if level >= self.depth:
             return self
         root = self._root() or self
         with root._lock:
@@ -141,7 +140,7 @@ class Field:
             tiles = self.painted[0]
         return tiles
 
-    @property
+    @built_once
     def finer(self) -> tuple[Tiles, ...]:
         """Return the tiles that are searched for what `tiles_for` a filter do not answer; most have none."""
         return self.painted[1:] if self.tiles is None and self.painted else ()
@@ -238,16 +237,24 @@ class Field:
             yield taps if normals is None else self.facing(taps, normals[begin : begin + BLOCK], self)
 
     def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
-        """Return what faces the normals (points, 3) of taps, which change: see `taps.face`.
+        """Return what faces the normals (points, 3) of taps, which change: see `facings.face`.
 
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """
-        first_kept = whole.tree.n_cells
+        first_kept = whole.n_cells
         end = int(taps.ends.max(initial=0))
-        if self.facings.rows.size:
-            taps = taps.with_room(end, (1 + MOST_ROWS) * end)
+        if self.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+            taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
         face(taps, self.facings, first_kept, first_kept + whole.tree.kept.cells.size, normals, _NOTHING)
         return taps
+
+
+def _with_room(taps: Taps, used: int, room: int) -> Taps:
+    """Return the same taps, of which so many are used, with room for as many in all."""
+    larger = new_taps(0, 2 * room, taps.slopes.shape[0] > 0)
+    for new, old in zip(larger[:3], taps[:3], strict=True):
+        new[: min(used, len(old))] = old[:used]
+    return larger._replace(starts=taps.starts, ends=taps.ends, covers=taps.covers)
 
 
 class Finder:
@@ -280,54 +287,58 @@ class Finder:
 
         ``rows`` are what will be read of the cells next: they are asked for.
         """
-        taps = self._find(places, Ahead(rows, _NOTHING[:0], _NONE, _NONE))
-        if self._gradient:
-            hold_outside(taps, places)
-        return taps
-
-    def _find(self, places: Float64s, ahead: Ahead) -> Taps:
         n = len(places)
         tiles = self.field.tiles_for(self.filter)
-        most = MOST_TILED[self.filter] * n + 8 if tiles is not None else _WALKED * n + MOST_TAPS
+        most = MOST_TAPS + n * (_WALKED if tiles is None else MOST_TILED[self.filter])
         if self._taps is None or self._taps.starts.size < n:
-            self._taps = Taps.of(n, most, self._gradient)
+            self._taps = new_taps(n, most, self._gradient)
             self._all, self._next = np.arange(n), np.arange(1, n + 1)
             self._empty, self._rim = np.empty(n, np.int64), np.empty(n, np.int64)
         taps = self._taps
         if taps.starts.size > n:
             taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
-        if tiles is None:
-            if self.filter == NEAREST:
-                return self._nearest(places, taps)
-            return self._walked(places, taps, 0, self._all[:n])
-        source = SOURCES[self.filter]
-        empty, rim = self._empty, self._rim
+        which, end, n_rim = self._all[:n], 0, n
+        if tiles is not None:
+            taps, end, n_rim = self._tiled(places, taps, which, rows)
+            which = self._rim[:n_rim]
+        if tiles is None and self.filter == NEAREST:
+            taps = self._nearest(places, taps)
+        elif n_rim:
+            taps = self._walked(places, taps, end, which)
+        if self._gradient:
+            hold_outside(taps, places)
+        return taps
+
+    def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
+        """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
+        source, ahead = SOURCES[self.filter], Ahead(rows, _NOTHING[:0], _NONE, _NONE)
         end = n_rim = 0
-        which, last = self._all[:n], self.field.tree.n_cells - 1
+        last = self.field.n_cells - 1
         for number, above in enumerate(self.field.searched(self.filter)):
-            taps = taps.with_room(end, end + MOST_TILED[self.filter] * which.size + 8)
+            room = end + MOST_TILED[self.filter] * which.size + 8
+            if room > taps.rows.size:
+                taps = _with_room(taps, end, room)
             end, n_empty, more = source(
                 *(above, places if number == 0 else places[which], which, number > 0, last),
-                *(taps, end, empty, rim[n_rim:], ahead),
+                *(taps, end, self._empty, self._rim[n_rim:], ahead),
             )
             n_rim += more
-            which = empty[:n_empty].copy()
+            which = self._empty[:n_empty].copy()
             if not n_empty:
                 break
-        return self._walked(places, taps, end, rim[:n_rim])
+        return taps, end, n_rim
 
     def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Walk to the taps of some points."""
-        if not which.size:
-            return taps
         if self._walk is None:
             self._walk = new_walk()
         tree = self.field.tree
         done = 0
         while done < which.size:
-            taps = taps.with_room(end, end + MOST_TAPS)
+            if end + MOST_TAPS > taps.rows.size:
+                taps = _with_room(taps, end, end + MOST_TAPS)
             done, end = walked_taps(
-                *(tree.arrays, tree.kept.cells, self._whole.tree.n_cells, places, which, done),
+                *(tree.arrays, tree.kept.cells, self._whole.n_cells, places, which, done),
                 *(self.filter, not self._adds, self._walk, taps, end),
             )
         return taps

@@ -70,9 +70,8 @@ class Probes(NamedTuple):
         return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
 
 
-def round_footprints(widths: Float64s, sharpness: float) -> Footprints:
-    """Return footprints as wide as long."""
-    return Footprints(widths, np.empty(0), np.empty((0, 3)), np.empty((0, 3)), sharpness)
+#: What all footprints that are as wide as long have in common.
+ROUND = Footprints(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), 0.0)
 
 
 def long_footprints(
@@ -381,11 +380,8 @@ def _alike(
     for first in range(0, len(points), room):
         run = slice(first, min(first + room, len(points)))
         n = run.stop - first
-        yield (
-            run,
-            {
-                lower - 1 + k: Probes(points[run], owners[:n], np.full(n, share, np.float32))
-                for k, share in enumerate(shares)
-                if share != 0.0
-            },
-        )
+        looks: dict[int, Probes] = {}
+        for above, share in enumerate(shares, lower - 1):
+            if share != 0.0:
+                looks[above] = Probes(points[run], owners[:n], np.full(n, share, np.float32))
+        yield run, looks

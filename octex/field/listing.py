@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
 from octex.field.field import Field
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, spread
-from octex.field.lookups import ChannelRows, Lookup, Query, coarse_to_fine, pass_on
+from octex.field.lookups import ChannelRows, Lookup, Query, pass_on
 from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Taps, place_points
@@ -101,7 +101,7 @@ class _Listing(Lookup):
         is_finite = np.isfinite(points).all(axis=1)
         if not is_finite.all():
             return _join_parts(counts, rows, weights), int(np.argmin(is_finite))
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        depth, code = self._field.depth, FILTERS.index(self._query.filter)
         for run, by_level in spread(points, footprints, self._placement.size, depth, code):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
@@ -134,7 +134,7 @@ class _Listing(Lookup):
 
     def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
         """List what is read at each level."""
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        depth, code = self._field.depth, FILTERS.index(self._query.filter)
         found: dict[int, list[Reads]] = {}
         if self._query.footprints is None:
             for begin in range(0, len(points), BLOCK):
@@ -155,7 +155,7 @@ class _Listing(Lookup):
 
     def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
         """List the cells that hold points that are looked at, at each level, whatever is stored."""
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        depth, code = self._field.depth, FILTERS.index(self._query.filter)
         places = np.empty((len(points), 3))
         fault = place_points(Positions.of(points), *self._placement, places)
         if fault >= 0:
@@ -178,12 +178,15 @@ class _Listing(Lookup):
     def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
         """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
         normals = None if self._query.normals is None else self._query.normals[run]
-        for level, looks in coarse_to_fine(by_level, self._field.tree.max_depth):
-            left, owners = np.zeros(len(looks.points), np.float32), looks.owners
+        for level in range(self._field.depth + 1):
+            if level not in by_level:
+                continue
+            looks = by_level[level]
+            here, owners = self._field.level(level), looks.owners
+            left = np.zeros(len(looks.points) if self._mixed(here).size else 0, np.float32)
             for begin in range(0, len(looks.points), BLOCK):
                 some = slice(begin, begin + BLOCK)
                 facing = None if normals is None else normals[owners[some]]
-                here = self._field.level(level)
                 taps, _ = self.weighed_taps(here, looks.points[some], facing, (left[some], NO_SLOPES))
                 yield level, taps, owners[some], looks.shares[some]
             pass_on(by_level, level, looks, left)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from itertools import repeat
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -11,17 +12,18 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
+from octex.field.facings import Facings
 from octex.field.field import Field, Finder
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, weigh_by_alpha
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import BLOCK, Facings, Taps, leave_mixed, place_points, weigh_by_area
+from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_area
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
-from octex.tree.search import Positions, singles_and_doubles
+from octex.tree.search import Positions
 
 #: Points for which it is worth while to sort them.
 _LEAST_SORTED = 64
@@ -31,10 +33,18 @@ _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
+_NO_DOUBLES = np.empty((0, 3))
 _NO_NUMBERS = np.empty(0, np.int64)
+_NO_OWNERS = np.empty(0, np.int32)
+_NO_SHARES = np.empty(0, np.float32)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
+
+
+#: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
+Left = tuple[Float32s, Float32s]
+_NO_LEFT: Left = _NO_SHARES, NO_SLOPES
 
 
 class Query(NamedTuple):
@@ -92,13 +102,18 @@ def look_up(
     return max(each.at(points) for each in alone)
 
 
+def _positions(points: Floats) -> Positions:
+    """Return rest positions (n, 3) as kernels take them, like `Positions.of`."""
+    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(_NO_VECTORS, points)
+
+
 class PlainLookup:
     """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
 
     def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
         self._before = placement.origin, placement.size, _NO_VECTORS, channel
         self._search = search
-        self._components = channel.codes.components
+        self._components = channel.codes.values.shape[1]
 
     def at(self, points: Floats) -> Float32s | None:
         """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
@@ -108,7 +123,8 @@ class PlainLookup:
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
         lost = np.empty((2, n), np.int64)
-        given = *singles_and_doubles(points), _NO_NUMBERS, *self._before
+        singles, doubles = (points, _NO_DOUBLES) if points.itemsize == 4 else (_NO_VECTORS, points)
+        given = singles, doubles, _NO_NUMBERS, *self._before
         found = look_up_tiled(self._search, *given, answer, _NO_GRADIENTS, lost)
         return answer if found == _ALL_FOUND else None
 
@@ -146,6 +162,12 @@ class Lookup:
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
         self._places = np.empty((0, 3))
+        #: The numbers of channels; alpha itself comes first: then it weighs all others.
+        is_alpha = list(map(attrgetter("is_alpha"), channels))
+        self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
+        values = (alpha or channels[self._numbers[0]]).codes.values
+        #: The first values that are read, as bytes, to be asked for ahead.
+        self._rows: Uint8s = values.view(np.uint8).reshape(len(values), -1)
         self._channel: Weighed | None = None
         if len(channels) == 1:
             own, weighing = channels[0], None if channels[0].is_alpha else alpha
@@ -153,17 +175,6 @@ class Lookup:
             is_alike = own.codes.values.dtype == other.codes.values.dtype
             if own.space is other.space is None and is_alike:  # else many pairs of types would be compiled
                 self._channel = Weighed(own.codes, other.codes, weighing is not None)
-
-    @cached_property
-    def _numbers(self) -> list[int]:
-        """The numbers of channels; alpha itself comes first: then it weighs all others."""
-        return sorted(range(len(self._channels)), key=lambda number: not self._channels[number].is_alpha)
-
-    @cached_property
-    def _rows(self) -> Uint8s:
-        """The first values that are read, as bytes, to be asked for ahead."""
-        values = (self._alpha or self._channels[self._numbers[0]]).codes.values
-        return values.view(np.uint8).reshape(len(values), -1)
 
     @property
     def is_tiled(self) -> bool:
@@ -198,7 +209,7 @@ class Lookup:
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = place_points(Positions.of(points), *self._placement, places)
+        fault = place_points(_positions(points), *self._placement, places)
         if fault >= 0:
             return fault
         asked = Asked(places, order_of(places), results, missed)
@@ -211,37 +222,25 @@ class Lookup:
 
     def tiled(self, points: Floats) -> int:
         """Look up the leaves by tiles."""
-        assert self._channel is not None
-        channel, (answer,), normals = self._channel, self._answers, self._query.normals
-        gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
-
-        facing = _NO_VECTORS if normals is None else normals
-
-        def look_up_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
-            given = *singles_and_doubles(points), which, *self._placement, facing
-            return look_up_tiled(search, *given, channel, answer, gradients, lost)
-
-        rim, fault = self._search_tiles(self._field, len(points), look_up_some)
+        looks = Probes(points, _NO_OWNERS, _NO_SHARES)
+        rim, fault = self._by_tiles(self._field, looks, self._query.normals, None, _NO_LEFT)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
         return fault
 
-    def _search_tiles(
-        self,
-        here: Field,
-        count: int,
-        look_up_some: Callable[[Search, Int64s, Int64s], tuple[int, int, int]],
+    def _by_tiles(
+        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sums | None, left: Left
     ) -> tuple[Int64s, int]:
-        """Look points up by a level's tiles, and those that they do not have by coarser ones.
+        """Look up by a level's tiles, and what these do not have by coarser ones.
 
-        ``look_up_some`` takes the numbers of some points, or none for all, and lists what is lost, like
-        `look_up_tiled`. Returns the points for the walk, and the first that is not finite or −1.
+        Returns the looks for the walk, and the first that is not finite or −1.
         """
+        count, facing = len(looks.points), _NO_VECTORS if normals is None else normals
         which = _NO_NUMBERS
         rims = []
         for search in self._searches(here):
             lost = np.empty((2, which.size if search.is_off else count), np.int64)
-            n_empty, n_rim, fault = look_up_some(search, which, lost)
+            n_empty, n_rim, fault = self._search(search, looks, which, facing, sums, left, lost)
             if fault >= 0:
                 return _NO_NUMBERS, fault
             if n_rim:
@@ -252,9 +251,42 @@ class Lookup:
         rim = np.concatenate(rims) if rims else _NO_NUMBERS
         for tiles in here.finer if rim.size else ():
             lost = np.empty((2, rim.size), np.int64)
-            n_empty, n_rim, _ = look_up_some(self._search_by(here, tiles, False), rim, lost)
+            search = self._search_by(here, tiles, False)
+            n_empty, n_rim, _ = self._search(search, looks, rim, facing, sums, left, lost)
             rim = np.concatenate([lost[0, :n_empty], lost[1, :n_rim]])
         return rim, -1
+
+    def _search(
+        self,
+        search: Search,
+        looks: Probes,
+        which: Int64s,
+        facing: Float32s,
+        sums: Sums | None,
+        left: Left,
+        lost: Int64s,
+    ) -> tuple[int, int, int]:
+        """Look up some looks, or all if ``which`` is empty, and list what is lost: see `look_up_tiled`.
+
+        They are added to ``sums`` if there are any.
+        """
+        assert self._channel is not None
+        channel, place = self._channel, self._placement
+        if sums is None:
+            gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
+            given = *_positions(looks.points), which, *place, facing
+            return look_up_tiled(search, *given, channel, self._answers[0], gradients, lost)
+        some, parts = looks, left[0]
+        if which.size:
+            some, parts = looks.of(which), np.zeros_like(parts[: which.size])
+        shown = *place, facing, some.owners, some.shares, parts
+        counts = add_tiled(search, _positions(some.points), *shown, channel.codes, sums, lost)
+        if not which.size:
+            return *counts, -1
+        left[0][which[: parts.size]] = parts
+        for numbers, count in zip(lost, counts, strict=True):
+            numbers[:count] = which[numbers[:count]]
+        return *counts, -1
 
     def _searches(self, here: Field) -> Iterator[Search]:
         """Yield how a level's field is searched by tiles, its own and then coarser ones."""
@@ -269,19 +301,16 @@ class Lookup:
 
     def _search_by(self, here: Field, tiles: Tiles, is_off: bool) -> Search:
         """Return how a level's field is searched by some tiles."""
-        field, tree, faces = self._field, here.tree, self._query.normals is not None
-        areas = mixed = _NO_BYTES
+        field, faces = self._field, self._query.normals is not None
+        areas, mixed = _NO_BYTES, self._mixed(here)
         if here is not field:
-            areas = field.areas_of_averages(tree.max_depth)[: tree.n_cells]
-        if not faces and self._mixes(here):
-            assert self._query.mixed is not None
-            mixed = self._query.mixed(tree.max_depth)
+            areas = field.areas_of_averages(here.depth)[: here.n_cells]
         facings = here.facings if faces else _NO_FACINGS
-        first_kept = field.tree.n_cells
+        first_kept = field.n_cells
         first_row = first_kept + field.tree.kept.cells.size
         weighing = areas, facings, faces, first_kept, first_row, mixed
         filter_code = FILTERS.index(self._query.filter)
-        return Search(filter_code, tiles, tree.n_cells - 1, is_off, *weighing)
+        return Search(filter_code, tiles, here.n_cells - 1, is_off, *weighing)
 
     def leaves(self, points: Floats) -> int:
         """Look up the leaves, in any tree."""
@@ -294,8 +323,7 @@ class Lookup:
             taps, fault = self.weighed_taps(self._field, points[rows], normals)
             if fault >= 0:
                 return begin + fault
-            for number, channel in self.each_weighed(taps, is_asked, always=False):
-                used, codes = _as_read(taps, channel)
+            for number, used, codes in self.each_weighed(taps, is_asked, always=False):
                 results = self._answers[number][rows]
                 blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
                 if self._gradients:
@@ -308,86 +336,60 @@ class Lookup:
         is_finite = np.isfinite(points)
         if not is_finite.all():
             return int(np.argmin(is_finite)) // 3
-        depth, code = self._field.tree.max_depth, FILTERS.index(self._query.filter)
+        depth, code = self._field.depth, FILTERS.index(self._query.filter)
         task = points, self._query.footprints, self._placement.size, depth, code
+        gradient = bool(self._gradients)
         for run, by_level in spread(*task):
-            bare = self._add_looks(run, by_level)
-            if bare.size:
+            n_points = run.stop - run.start
+            sums = list(map(new_sums, repeat(n_points), self._answers, repeat(gradient)))
+            if gradient:
+                for level, looks in by_level.items():
+                    by_level[level] = looks._replace(slopes=np.zeros((looks.shares.size, 3), np.float32))
+            normals = None if self._query.normals is None else self._query.normals[run]
+            for level in range(self._field.depth + 1):
+                if level in by_level:
+                    here, looks = self._field.level(level), by_level[level]
+                    count = len(looks.points) if self._mixed(here).size else 0
+                    left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
+                    rim: Int64s | None = None
+                    if self.adds_tiled(here):
+                        rim, _ = self._by_tiles(here, looks, normals, sums[0], left)
+                    if rim is None or rim.size:
+                        self._add_by_taps(here, looks, rim, normals, sums, left)
+                    pass_on(by_level, level, looks, *left)
+            bare = np.zeros(n_points, np.bool_)
+            for number, channel in enumerate(self._channels):
+                gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
+                divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
+                if self._alpha is not None and not channel.is_alpha:
+                    bare |= sums[number].totals == 0.0
+            if bare.any():
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
-                self._look_again(points, run.start + bare, numbers, None, Lookup.footprints)
+                rows = run.start + np.flatnonzero(bare)
+                self._look_again(points, rows, numbers, None, Lookup.footprints)
         return -1
 
-    def _add_looks(self, run: slice, by_level: dict[int, Probes]) -> Int64s:
-        """Add the looks of a run of points up, and write what they show.
-
-        Returns the points whose looks are all of alpha zero.
-        """
-        n_points = run.stop - run.start
-        gradient = bool(self._gradients)
-        sums = [Sums.of(n_points, channel.codes.components, gradient) for channel in self._channels]
-        if gradient:
-            for level, looks in by_level.items():
-                by_level[level] = looks._replace(slopes=np.zeros((looks.shares.size, 3), np.float32))
-        normals = None if self._query.normals is None else self._query.normals[run]
-        for level, looks in coarse_to_fine(by_level, self._field.tree.max_depth):
-            here = self._field.level(level)
-            add = self._add_by_tiles if self.adds_tiled(here) else self._add_by_taps
-            pass_on(by_level, level, looks, *add(here, looks, normals, sums))
-        bare = np.zeros(n_points, np.bool_)
-        for number, channel in enumerate(self._channels):
-            gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
-            divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
-            if self._alpha is not None and not channel.is_alpha:
-                bare |= sums[number].totals == 0.0
-        return np.flatnonzero(bare)
-
     def _add_by_taps(
-        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
-    ) -> tuple[Float32s, Float32s]:
-        """Add looks at a level up, in any tree; see `_room_for_left` for what is returned."""
-        left, slopes = self._room_for_left(here, looks)
-        for begin in range(0, len(looks.points), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            owners = looks.owners[rows]
+        self,
+        here: Field,
+        looks: Probes,
+        which: Int64s | None,
+        normals: Float32s | None,
+        sums: Sequence[Sums],
+        left: Left,
+    ) -> None:
+        """Add looks at a level up, or some of them, in any tree."""
+        for begin in range(0, len(looks.points) if which is None else which.size, BLOCK):
+            run = slice(begin, begin + BLOCK)
+            rows = run if which is None else which[run]
+            owners, slopes = looks.owners[rows], looks.slopes[rows] if self._gradients else looks.slopes
             facing = None if normals is None else normals[owners]
-            taps, _ = self.weighed_taps(here, looks.points[rows], facing, (left[rows], slopes[rows]))
-            for number, channel in self.each_weighed(taps, False, always=True):
-                used, codes = _as_read(taps, channel)
-                add_up(used, codes, False, owners, looks.shares[rows], looks.slopes[rows], sums[number])
-        return left, slopes
-
-    def _add_by_tiles(
-        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums]
-    ) -> tuple[Float32s, Float32s]:
-        """Add looks at a level up by tiles; see `_room_for_left` for what is returned."""
-        codes, (left, slopes) = self._channels[0].codes, self._room_for_left(here, looks)
-        facing = _NO_VECTORS if normals is None else normals
-
-        def add_some(search: Search, which: Int64s, lost: Int64s) -> tuple[int, int, int]:
-            some, rest = (looks.of(which), left[: which.size]) if which.size else (looks, left)
-            given = Positions.of(some.points), *self._placement, facing, some.owners, some.shares
-            parts = np.zeros_like(rest) if which.size else rest
-            counts = add_tiled(search, *given, parts, codes, sums[0], lost)
-            if which.size:
-                left[which[: parts.size]] = parts
-                for numbers, count in zip(lost, counts, strict=True):
-                    numbers[:count] = which[numbers[:count]]
-            return *counts, -1
-
-        rim, _ = self._search_tiles(here, len(looks.points), add_some)
-        if rim.size:
-            part, _ = self._add_by_taps(here, looks.of(rim), normals, sums)
-            if part.size:
-                left[rim] = part
-        return left, slopes
-
-    def _room_for_left(self, here: Field, looks: Probes) -> tuple[Float32s, Float32s]:
-        """Return room for the part of each look that mixes facings, and for its derivatives if wanted.
-
-        There is none where nothing can mix.
-        """
-        count = len(looks.points) if self._query.normals is None and self._mixes(here) else 0
-        return np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
+            parts = left[0][rows] if left[0].size else left[0], left[1][rows] if left[1].size else left[1]
+            taps, _ = self.weighed_taps(here, looks.points[rows], facing, parts)
+            for number, used, codes in self.each_weighed(taps, False, always=True):
+                add_up(used, codes, False, owners, looks.shares[rows], slopes, sums[number])
+            if which is not None and left[0].size:
+                left[0][rows] = parts[0]
 
     def _look_again(
         self,
@@ -414,7 +416,7 @@ class Lookup:
         here: Field,
         points: Floats,
         normals: Float32s | None,
-        left: tuple[Float32s, Float32s] | None = None,
+        left: Left = _NO_LEFT,
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
 
@@ -423,45 +425,49 @@ class Lookup:
         if len(self._places) < len(points):
             self._places = np.empty((len(points), 3))
         places = self._places[: len(points)]
-        fault = place_points(Positions.of(points), *self._placement, places)
-        if here.tree.max_depth not in self._finders:
-            self._finders[here.tree.max_depth] = Finder(
+        fault = place_points(_positions(points), *self._placement, places)
+        if here.depth not in self._finders:
+            self._finders[here.depth] = Finder(
                 *(here, self._query.filter),
                 gradient=bool(self._gradients),
                 whole=self._field,
                 adds=self._query.footprints is not None,
             )
-        taps = self._finders[here.tree.max_depth].find(places, self._rows)
+        taps = self._finders[here.depth].find(places, self._rows)
         field = self._field
         if here is not field:
-            weigh_by_area(taps, field.areas_of_averages(here.tree.max_depth)[: here.tree.n_cells])
+            weigh_by_area(taps, field.areas_of_averages(here.depth)[: here.n_cells])
         if normals is not None:
             taps = here.facing(taps, normals, field)
-        elif left is not None and self._mixes(here):
-            assert self._query.mixed is not None
-            leave_mixed(taps, self._query.mixed(here.tree.max_depth), *left)
+        elif left[0].size:
+            leave_mixed(taps, self._mixed(here), *left)
         return taps, fault
 
-    def _mixes(self, here: Field) -> bool:
-        """Say whether a level's averages may mix opposite facings."""
-        return here is not self._field and self._query.mixed is not None and here.tree.split.cells.size > 0
+    def _mixed(self, here: Field) -> Uint8s:
+        """Mark the cells of a level that mix opposite facings; none where nothing can, or with normals."""
+        query = self._query
+        if here is self._field or query.mixed is None or query.normals is not None:
+            return _NO_BYTES
+        return query.mixed(here.depth) if here.tree.split.cells.size else _NO_BYTES
 
-    def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, ChannelRows]]:
-        """Yield the channels by number, those that are not alpha after their taps weigh by it."""
+    def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:
+        """Yield the channels by number, and their taps and codes; alpha weighs those that are not alpha."""
         alpha, is_covered = self._alpha, False
         for number in self._numbers:
             channel = self._channels[number]
             if alpha is not None and not channel.is_alpha and not is_covered:
-                used, codes = _as_read(taps, alpha)
-                weigh_by_alpha(used, codes, is_asked, always)
+                weighing = (taps, alpha.codes) if alpha.space is None else _as_read(taps, alpha)
+                weigh_by_alpha(*weighing, is_asked, always)
                 is_covered = True
-            yield number, channel
+            used, codes = taps, channel.codes
+            if channel.space is not None:
+                used, codes = _as_read(taps, channel)
+            yield number, used, codes
 
 
 def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
     """Return taps and codes as sinks take them: float32 numbers decoded, a row for each tap."""
-    if channel.space is None:
-        return taps, channel.codes
+    assert channel.space is not None
     end = int(taps.ends.max(initial=0))
     values, kept_values, split_values, _ = channel.codes
     rows = taps.rows[:end].astype(np.int64)
@@ -470,13 +476,6 @@ def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
     found[beyond] = np.concatenate([kept_values, split_values])[rows[beyond] - len(values)]
     decoded, none = decode(found, channel.space), found[:0]
     return taps._replace(rows=np.arange(end, dtype=np.uint32)), Codes(decoded, none, none, _NO_TABLE)
-
-
-def coarse_to_fine(by_level: dict[int, Probes], depth: int) -> Iterator[tuple[int, Probes]]:
-    """Yield the levels that have looks, coarse before fine; looks may be added below the latest."""
-    for level in range(depth + 1):
-        if level in by_level:
-            yield level, by_level[level]
 
 
 def pass_on(

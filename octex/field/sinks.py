@@ -12,6 +12,9 @@ from octex.jit import decoded, fused_kernel, inlined, kernel, part, prefetch
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
+#: Four components under weights, and the weight of all.
+Five = tuple[float, float, float, float, float]
+NO_FIVE = 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 class Codes(NamedTuple):
@@ -69,55 +72,63 @@ def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
 
 
 @inlined
-def _components_at(values: ChannelValues, table: Floats, at: int, components: int) -> Four:
-    a = np.float64(decoded(table, values[np.uint64(at)]))
+def _rows_with(flat: Flat, row: int, components: int) -> tuple[ChannelValues, np.uint64]:
+    """Return the values among which a row is, and where it begins there."""
+    if row < flat.first_kept:
+        return flat.values, np.uint64(row * components)
+    if row < flat.first_row:
+        return flat.kept, np.uint64((row - flat.first_kept) * components)
+    row = min(row - flat.first_row, flat.split.size // components - 1)
+    return flat.split, np.uint64(row * components)
+
+
+@inlined
+def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: int) -> Four:
+    """Return the decoded components from a place of some values on, and zeros after them."""
+    a = np.float64(decoded(table, values[at]))
     b = c = d = 0.0
     if components > 1:
-        b = np.float64(decoded(table, values[np.uint64(at + 1)]))
+        b = np.float64(decoded(table, values[at + np.uint64(1)]))
     if components > 2:
-        c = np.float64(decoded(table, values[np.uint64(at + 2)]))
+        c = np.float64(decoded(table, values[at + np.uint64(2)]))
     if components > 3:
-        d = np.float64(decoded(table, values[np.uint64(at + 3)]))
+        d = np.float64(decoded(table, values[at + np.uint64(3)]))
     return a, b, c, d
 
 
 @inlined
-def _value(flat: Flat, number: np.uint32, components: int) -> Four:
+def value_of(flat: Flat, row: int, components: int) -> Four:
     """Return the decoded components of a row."""
-    row = int(number)
-    if row < flat.first_kept:
-        return _components_at(flat.values, flat.table, row * components, components)
-    if row < flat.first_row:
-        return _components_at(flat.kept, flat.table, (row - flat.first_kept) * components, components)
-    row = min(row - flat.first_row, flat.split.size // components - 1)
-    return _components_at(flat.split, flat.table, row * components, components)
+    values, at = _rows_with(flat, row, components)
+    return value_at(values, flat.table, at, components)
 
 
 @inlined
-def _sum(taps: Taps, n: int, flat: Flat, components: int) -> tuple[float, float, float, float, float]:
+def with_row(five: Five, flat: Flat, row: int, weight: np.float32, components: int) -> Five:
+    """Add a row times a weight to four components, and the weight to the fifth."""
+    factor = np.float64(weight)
+    a, b, c, d = value_of(flat, row, components)
+    return (
+        five[0] + factor * a,
+        five[1] + factor * b,
+        five[2] + factor * c,
+        five[3] + factor * d,
+        five[4] + factor,
+    )
+
+
+@inlined
+def _sum(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     """Return Σ w·v of up to four components, and Σ w."""
-    a = b = c = d = total = 0.0
+    five = NO_FIVE
     for tap in range(taps.starts[n], taps.ends[n]):
-        weight = np.float64(taps.weights[np.uint64(tap)])
-        row = np.int64(taps.rows[np.uint64(tap)])
-        total += weight
-        if row < flat.first_kept:
-            at = np.uint64(row * components)
-            a += weight * np.float64(decoded(flat.table, flat.values[at]))
-            if components > 1:
-                b += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(1)]))
-            if components > 2:
-                c += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(2)]))
-            if components > 3:
-                d += weight * np.float64(decoded(flat.table, flat.values[at + np.uint64(3)]))
-        else:
-            p, q, r, s = _value(flat, taps.rows[np.uint64(tap)], components)
-            a, b, c, d = a + weight * p, b + weight * q, c + weight * r, d + weight * s
-    return a, b, c, d, total
+        row, weight = int(taps.rows[np.uint64(tap)]), taps.weights[np.uint64(tap)]
+        five = with_row(five, flat, row, weight, components)
+    return five
 
 
 @inlined
-def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> tuple[float, float, float, float, float]:
+def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     if components == 3:
         return _sum(taps, n, flat, 3)
     if components == 1:
@@ -144,7 +155,7 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
     for n in range(rows.size):
-        a, b, c, d = _value(flat, rows[np.uint64(n)], components)
+        a, b, c, d = value_of(flat, int(rows[np.uint64(n)]), components)
         _put_value(flat_results, n * components, components, a, b, c, d)
 
 
@@ -162,7 +173,7 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
             _ask(taps, begin, end, codes)
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
-                a, b, c, d = _value(flat, taps.rows[taps.starts[n]], components)
+                a, b, c, d = value_of(flat, int(taps.rows[taps.starts[n]]), components)
                 _put_value(flat_results, n * components, components, a, b, c, d)
                 continue
             a, b, c, d, total = _sum_any(taps, n, flat, components)
@@ -181,7 +192,7 @@ def _sum_slopes(
         at = np.uint64(tap)
         x, y = np.float64(taps.slopes[at, 0]), np.float64(taps.slopes[at, 1])
         z = np.float64(taps.slopes[at, 2])
-        p, q, r, s = _value(flat, taps.rows[at], components)
+        p, q, r, s = value_of(flat, int(taps.rows[at]), components)
         ox, oy, oz = ox + x, oy + y, oz + z
         p -= mean[0]
         ax, ay, az = ax + x * p, ay + y * p, az + z * p
@@ -221,7 +232,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
         for tap in range(taps.starts[n], taps.ends[n]):
             total += np.float64(taps.weights[np.uint64(tap)])
         factor = scale / total if total > 0.0 else 0.0
-        mean = _components_at(flat_results, flat.table, n * components, components)
+        mean = value_at(flat_results, flat.table, np.uint64(n * components), components)
         slopes = _sum_any_slopes(taps, n, flat, components, mean)
         for component in range(components):
             for axis in range(3):
@@ -236,16 +247,30 @@ class Sums(NamedTuple):
     slopes: Float64s  # (points, components, 3) or (0, components, 3)
     total_slopes: Float64s  # (points, 3) or (0, 3)
 
-    @classmethod
-    def of(cls, points: int, components: int, gradient: bool) -> Sums:
-        """Return zeros."""
-        n = points if gradient else 0
-        return cls(
-            np.zeros((points, components)),
-            np.zeros(points),
-            np.zeros((n, components, 3)),
-            np.zeros((n, 3)),
-        )
+
+@kernel
+def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
+    """Return zeros for the components of answers."""
+    n, components = points if gradient else 0, answers.shape[1]
+    return Sums(
+        np.zeros((points, components), np.float64),
+        np.zeros(points, np.float64),
+        np.zeros((n, components, 3), np.float64),
+        np.zeros((n, 3), np.float64),
+    )
+
+
+@inlined
+def add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components: int) -> None:
+    """Add a sum times a factor to those of a point."""
+    sums.values[owner, 0] += factor * five[0]
+    if components > 1:
+        sums.values[owner, 1] += factor * five[1]
+    if components > 2:
+        sums.values[owner, 2] += factor * five[2]
+    if components > 3:
+        sums.values[owner, 3] += factor * five[3]
+    sums.totals[owner] += factor * five[4]
 
 
 @fused_kernel
@@ -269,26 +294,18 @@ def add_up(
         if not is_asked:
             _ask(taps, begin, end, codes)
         for n in range(begin, end):
-            a, b, c, d, total = _sum_any(taps, n, flat, components)
+            five = _sum_any(taps, n, flat, components)
             owner = np.uint64(owners[np.uint64(n)])
             share = np.float64(shares[np.uint64(n)])
-            sums.values[owner, 0] += share * a
-            if components > 1:
-                sums.values[owner, 1] += share * b
-            if components > 2:
-                sums.values[owner, 2] += share * c
-            if components > 3:
-                sums.values[owner, 3] += share * d
-            sums.totals[owner] += share * total
+            add_to(sums, owner, share, five, components)
             if gradient:
                 slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
-                added = a, b, c, d
                 for axis in range(3):
                     share_slope = np.float64(share_slopes[n, axis])
-                    sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * total
+                    sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * five[4]
                     for component in range(components):
                         sums.slopes[owner, component, axis] += (
-                            share * slopes[component][axis] + share_slope * added[component]
+                            share * slopes[component][axis] + share_slope * five[component]
                         )
 
 
@@ -318,11 +335,7 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
     if not is_asked:
         _ask(taps, 0, taps.starts.size, alpha)
     for tap in range(end):
-        row = np.int64(taps.rows[np.uint64(tap)])
-        if row < flat.first_kept:
-            part = np.float32(decoded(flat.table, flat.values[np.uint64(row)]))
-        else:
-            part = np.float32(_value(flat, taps.rows[np.uint64(tap)], 1)[0])
+        part = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
         parts[np.uint64(tap)] = part
         least = min(least, part)
     for n in range(taps.starts.size if not always and least <= np.float32(0.0) else 0):

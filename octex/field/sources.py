@@ -38,7 +38,7 @@ def rounded_cell(x: float, depth: int) -> np.int32:
 
 
 @inlined
-def _look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
+def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
     """Return the number that a cell of an octant has if it is stored, and whether it is."""
     bit = np.uint64(code & 63)
     mask = tiles.masks[np.uint64(octant)]
@@ -78,7 +78,7 @@ def nearest_rows(
         for n in range(count):
             code = np.int64(codes[np.uint64(n)])
             octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
-            cell, is_stored = _look_in(tiles, int(octant), int(code))
+            cell, is_stored = look_in(tiles, int(octant), int(code))
             ask_for(ahead, int(cell))
             found[np.uint64(begin + n)] = min(cell, last)
             empty[np.uint64(n_empty)] = begin + n
@@ -176,7 +176,7 @@ def linear_taps(
                 tap_at = at + np.uint64(tap * GROUP)
                 octant = np.int64(octants[tap_at])
                 octant = np.int64(near.octants[np.uint64(slot + (octant >> 3))]) + (octant & 7)
-                cell, is_stored = _look_in(tiles, int(octant), int(bits[tap_at]))
+                cell, is_stored = look_in(tiles, int(octant), int(bits[tap_at]))
                 weight = (r if tap & 1 else one - r) * (
                     (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
                 )

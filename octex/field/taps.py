@@ -9,22 +9,21 @@ that answer there and sum to OFF: beside looks that lie on the surface they coun
 
 Between source and sink, averages weigh by the roots of their areas. A *split* cell has a row of values for
 each way that the surface in it faces (paper 3.5.2): a lookup that knows its normal takes the rows that face
-the normal, and cells that face away weigh nothing; one that does not leaves split cells with opposite
+it, and cells that face away weigh nothing (`facings`); one that does not leaves split cells with opposite
 facings, a front and a back, to the next finer level. Where a texture has alpha, other channels weigh by it
 (`sinks.weigh_by_alpha`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
-from octex.jit import decoded, inlined, kernel, popcount, prefetch, trailing_zeros
+from octex.jit import decoded, inlined, kernel, popcount, prefetch
 from octex.tree.areas import AREAS
-from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
-from octex.tree.octree import Octree
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS
 from octex.tree.search import Origin, Positions, position
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
@@ -47,21 +46,6 @@ LEAST = np.float32(1e-24)
 #: truth.
 AREA_WEIGHTS = np.sqrt(AREAS).astype(np.float32)
 AREA_WEIGHTS[0] = 1.0
-
-#: Cosine between the normal and one of a cell's facings from which on the cell counts in full. A surface is
-#: flagged with the axis nearest to its normal, so that they are never more than 54.7° apart (cosine 0.577):
-#: what belongs to the surface looked at is never weakened.
-_FULL = np.float32(0.5)
-#: Difference of cosines, to the facing nearest to the normal, within which others of a split cell count too.
-_NEAR = np.float32(0.2)
-#: Weight of what faces away: decides only where nothing else is there, as behind double-sided materials.
-AWAY = np.float32(1e-6)
-
-#: Most taps that stand for one: a facing of each axis.
-MOST_ROWS = 3
-
-#: So many rows lie in the processor's second cache, and need not be asked for.
-NEAR_ROWS = 1 << 16
 
 
 class Ahead(NamedTuple):
@@ -98,26 +82,18 @@ class Taps(NamedTuple):
     ends: Int64s  # (points,)   to its end
     covers: Float32s  # (points,)
 
-    @classmethod
-    def of(cls, points: int, room: int, gradient: bool) -> Taps:
-        """Return room for the taps of so many points."""
-        return cls(
-            np.empty(room, np.uint32),
-            np.empty(room, np.float32),
-            np.empty((room if gradient else 0, 3), np.float32),
-            np.empty(points, np.int64),
-            np.empty(points, np.int64),
-            np.empty(points, np.float32),
-        )
 
-    def with_room(self, used: int, room: int) -> Taps:
-        """Return the same taps, of which so many are used, with room for as many in all."""
-        if room <= self.rows.size:
-            return self
-        larger = Taps.of(0, 2 * room, self.slopes.shape[0] > 0)
-        for new, old in zip(larger[:3], self[:3], strict=True):
-            new[: min(used, len(old))] = old[:used]
-        return larger._replace(starts=self.starts, ends=self.ends, covers=self.covers)
+@kernel
+def new_taps(points: int, room: int, gradient: bool) -> Taps:
+    """Return room for the taps of so many points."""
+    return Taps(
+        np.empty(room, np.uint32),
+        np.empty(room, np.float32),
+        np.empty((room if gradient else 0, 3), np.float32),
+        np.zeros(points, np.int64),
+        np.zeros(points, np.int64),
+        np.zeros(points, np.float32),
+    )
 
 
 @inlined
@@ -232,34 +208,6 @@ def place_points(points: Positions, origin: Origin, size: float, places: Float64
     return -1
 
 
-class Facings(NamedTuple):
-    """Which ways the cells of a tree face, and where the rows of its split cells are."""
-
-    flags: Uint8s  # (cells,)
-    rows: Uint32s  # (cells,)   a split cell's first row in the split table; or (0,) if that is empty
-    kept: Uint32s  # (kept nodes,)   the cells whose coefficients are kept: they face as these do
-
-
-def facings_of(tree: Octree) -> Facings:
-    """Index the split cells of a tree.
-
-    Only where they are is the index written to: the rest of it takes no memory.
-    """
-    cells, facings, areas = tree.split
-    rows = np.zeros(tree.n_cells if areas.size else 0, np.uint32)
-    _index_split(cells, facings, rows)
-    return Facings(tree.arrays.flags, rows, tree.kept.cells)
-
-
-@kernel
-def _index_split(cells: Uint32s, facings: Uint8s, rows: Uint32s) -> None:
-    row = 0
-    for n in range(cells.size):
-        if np.int64(cells[n]) < rows.size:
-            rows[cells[n]] = row
-        row += popcount(np.uint64(facings[n] & np.uint8(FACING_FLAGS)))
-
-
 @kernel
 def spreads_of(
     table: Floats, values: ChannelValues, facings: Uint8s, first_row: int, spreads: Float32s
@@ -349,214 +297,3 @@ def leave_mixed(taps: Taps, mixed: Uint8s, left: Float32s, slopes: Float32s) -> 
             inverse = np.float32(1.0) / total if gone > zero else zero
             slopes[n, 0], slopes[n, 1] = (x - share * of_x) * inverse, (y - share * of_y) * inverse
             slopes[n, 2] = (z - share * of_z) * inverse
-
-
-def _directions() -> Uint8s:
-    """Say which of the three facings that can see a normal a cell has, by the normal's signs and the flags.
-
-    [signs · 64 + flags]: a bit for each axis; 8 for a cell without facings.
-    """
-    table = np.zeros((8, 64), np.uint8)
-    for signs in range(8):
-        for flags in range(64):
-            bits = [flags >> (2 * axis + (signs >> axis & 1)) & 1 for axis in range(3)]
-            table[signs, flags] = bits[0] | bits[1] << 1 | bits[2] << 2 if flags else 8
-    return table.reshape(-1)
-
-
-DIRECTIONS = _directions()
-
-
-@inlined
-def ramp(cosine: np.float32) -> np.float32:
-    """Rise from 0 to 1 between no and the full cosine, without a bend."""
-    t = min(cosine / _FULL, np.float32(1.0))
-    return t * t * (np.float32(3.0) - np.float32(2.0) * t)
-
-
-@inlined
-def unit_of(normals: Float32s, n: int) -> tuple[np.float32, np.float32, np.float32, int]:
-    """Return the sizes of a normal's cosines with the axes, and their signs as bits."""
-    x, y, z = normals[n, 0], normals[n, 1], normals[n, 2]
-    signs = int(x < 0) | int(y < 0) << 1 | int(z < 0) << 2
-    x, y, z = abs(x), abs(y), abs(z)
-    largest = max(x, max(y, z))
-    if largest > np.float32(0.0):  # before anything is squared
-        x, y, z = x / largest, y / largest, z / largest
-        length = np.sqrt(x * x + y * y + z * z)
-        x, y, z = x / length, y / length, z / length
-    return x, y, z, signs
-
-
-@inlined
-def parts_of(parts: Float32s, x: np.float32, y: np.float32, z: np.float32) -> None:
-    """Write what cells weigh (9,) by `direction_of` them, for the sizes of a normal's cosines."""
-    x, y, z = ramp(x) + AWAY, ramp(y) + AWAY, ramp(z) + AWAY
-    parts[0], parts[8] = AWAY, np.float32(1.0) + AWAY
-    parts[1], parts[2], parts[3], parts[4] = x, y, max(x, y), z
-    parts[5], parts[6], parts[7] = max(x, z), max(y, z), max(x, max(y, z))
-
-
-@inlined
-def direction_of(signs: int, flags: np.uint8) -> np.uint8:
-    """Return which facings of a cell can see a normal whose signs are known: see `_directions`."""
-    return DIRECTIONS[np.uint64(64 * signs) + np.uint64(flags & np.uint8(FACING_FLAGS))]  # type: ignore[no-any-return]
-
-
-@inlined
-def _flags_of(facings: Facings, first_kept: int, row: np.uint32) -> np.uint8:
-    """Return the flags of a tap's cell; a kept coefficient's cell is the node that keeps it."""
-    cell, flags = np.int64(row), np.uint8(0)
-    if cell < facings.flags.size:
-        flags = facings.flags[np.uint64(cell)]
-    elif facings.kept.size > 0 and cell >= first_kept:
-        flags = facings.flags[facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)]]
-    return flags
-
-
-@kernel
-def face(
-    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, split: Uint8s
-) -> None:
-    """Let what faces away from the normals (points, 3) weigh next to nothing.
-
-    Points with split cells get their taps anew, after all others, where there must be room for MOST_ROWS
-    times those that there are. ``first_kept`` and ``first_row`` are what the first kept
-    coefficient and the first row of the split table are counted as; rows of that, as bytes, are asked for.
-    """
-    end = end_of(taps)
-    parts = np.zeros(9, np.float32)
-    shares, wanted = np.zeros((8, 3), np.float32), np.zeros(8, np.uint8)
-    mixed = np.zeros(AT_ONCE, np.int64)
-    for begin in range(0, taps.starts.size, AT_ONCE):
-        n_mixed = 0
-        for n in range(begin, min(begin + AT_ONCE, taps.starts.size)):
-            x, y, z, signs = unit_of(normals, n)
-            parts_of(parts, x, y, z)
-            seen = np.uint8(0)
-            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-                flags = _flags_of(facings, first_kept, taps.rows[np.uint64(tap)])
-                seen |= flags
-                scale(taps, int(tap), parts[np.uint64(direction_of(signs, flags))])
-            mixed[np.uint64(n_mixed)] = n
-            n_mixed += int(seen >= np.uint8(SPLIT))
-        if facings.rows.size == 0:
-            continue
-        for m in range(n_mixed if facings.rows.size > NEAR_ROWS else 0):
-            for tap in range(taps.starts[mixed[m]], taps.ends[mixed[m]]):
-                prefetch(facings.rows, int(taps.rows[tap]))
-        for m in range(n_mixed):
-            rows = shares, wanted, split
-            end = _take_rows(taps, int(mixed[m]), end, facings, first_kept, first_row, normals, *rows)
-
-
-@inlined
-def _take_rows(
-    taps: Taps,
-    n: int,
-    end: int,
-    facings: Facings,
-    first_kept: int,
-    first_row: int,
-    normals: Float32s,
-    shares: Float32s,
-    wanted: Uint8s,
-    split: Uint8s,
-) -> int:
-    """Write the taps of a point anew, from ``end`` on: those of split cells as the rows that face the normal.
-
-    ``shares`` (8, 3) and ``wanted`` (8,) are room for the shares of rows by the bits of `DIRECTIONS`, and
-    for which of them there are.
-    """
-    gradient = taps.slopes.shape[0] > 0
-    none, one, bit = np.float32(0.0), np.uint64(1), np.uint8(1)
-    x, y, z, signs = unit_of(normals, n)
-    known = np.uint8(1)  # what faces away is left as it is
-    wanted[0] = 0
-    start = end
-    for tap in range(taps.starts[n], taps.ends[n]):
-        row, weight = taps.rows[np.uint64(tap)], taps.weights[np.uint64(tap)]
-        flags = _flags_of(facings, first_kept, row)
-        bits = direction_of(signs, flags)
-        left = np.uint8(0)
-        if flags & np.uint8(SPLIT) != 0 and bits < np.uint8(8):
-            if known >> bits & bit == 0:
-                known |= bit << bits
-                a, b, c = x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none
-                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = shares_of(a, b, c)
-                wanted[bits] = int(a > none) | int(b > none) << 1 | int(c > none) << 2
-            left = wanted[np.uint64(bits)]
-        if left == 0:
-            taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = row, weight
-            if gradient:
-                for each in range(3):
-                    taps.slopes[end, each] = taps.slopes[tap, each]
-            end += 1
-            continue
-        cell = np.int64(row)
-        if cell >= facings.rows.size:
-            cell = np.int64(facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)])
-        first = np.int64(facings.rows[np.uint64(cell)])
-        while left != 0:
-            axis = trailing_zeros(np.uint64(left))
-            left &= left - bit
-            share = shares[np.uint64(bits), np.uint64(axis)]
-            below = (one << np.uint64(2 * axis + (signs >> axis & 1))) - one
-            own = first + popcount(np.uint64(flags) & below)
-            prefetch(split, int(own))
-            taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = first_row + own, share * weight
-            if gradient:
-                for each in range(3):
-                    taps.slopes[end, each] = share * taps.slopes[tap, each]
-            end += 1
-    taps.starts[n], taps.ends[n] = start, end
-    return end
-
-
-@inlined
-def shares_of(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, np.float32, np.float32]:
-    """Share a split cell out among its rows, by the cosines of those that face the normal; 0 for no row."""
-    none = np.float32(0.0)
-    if ramp(max(x, max(y, z))) == none:
-        return none, none, none
-    least = max(x, max(y, z)) - _NEAR
-    x = max(x - least, none) if x > none else none
-    y = max(y - least, none) if y > none else none
-    z = max(z - least, none) if z > none else none
-    total = x + y + z
-    if total > max(x, max(y, z)):
-        return x / total, y / total, z / total
-    one = np.float32(1.0)  # one alone
-    return one if x > none else none, one if y > none else none, one if z > none else none
-
-
-#: The sizes of a normal's cosines with the axes, and their signs as bits.
-View: TypeAlias = tuple[np.float32, np.float32, np.float32, int]
-
-
-@inlined
-def view_of(normals: Float32s, n: int) -> View:
-    """Return how ``face_cell`` takes normal ``n`` of some (m, 3)."""
-    return unit_of(normals, n)
-
-
-@inlined
-def face_cell(flags: np.uint8, view: View) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return what ``face`` multiplies the weight of a cell by, and what ``take_rows`` gives its rows.
-
-    These are the shares of the rows of x, y and z that face the normal; all 0 where the cell has none, or is
-    taken as a whole.
-    """
-    x, y, z, signs = view
-    none = np.float32(0.0)
-    bits = direction_of(signs, flags)
-    if bits >= np.uint8(8):
-        return np.float32(1.0) + AWAY, none, none, none
-    x = x if bits & np.uint8(1) else none
-    y = y if bits & np.uint8(2) else none
-    z = z if bits & np.uint8(4) else none
-    part = ramp(max(x, max(y, z)))
-    if flags & np.uint8(SPLIT) == 0 or part == none:
-        return part + AWAY, none, none, none
-    a, b, c = shares_of(x, y, z)
-    return part + AWAY, a, b, c

@@ -2,8 +2,6 @@
 
 What is done at once is done a step of points at a time: the memory that a source has asked for is still near
 when stages and sinks read it. In 2 M cells that takes a third less time than blocks of thousands of points.
-Looks without alpha and gradients are weighed as they are blended, by areas, by what mixes facings or by what
-faces a normal: taps are neither written anew nor read again.
 """
 
 from __future__ import annotations
@@ -13,244 +11,23 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
-from octex.field.sinks import Codes, Flat, Sums, blend, blend_slopes, divide, flat_of, take, weigh_by_alpha
+from octex.field.facings import MOST_ROWS, Facings, add_facing, face
+from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, take, weigh_by_alpha
 from octex.field.sources import linear_taps, nearest_rows, nearest_taps, quadratic_taps
 from octex.field.splines import LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
-    AREA_WEIGHTS,
-    AT_ONCE,
-    MOST_ROWS,
     MOST_TILED,
-    NEAR_ROWS,
-    OFF,
     Ahead,
-    Facings,
     Taps,
-    direction_of,
-    face,
     hold_outside,
-    parts_of,
+    leave_mixed,
+    new_taps,
     place_points,
-    shares_of,
-    unit_of,
+    weigh_by_area,
 )
 from octex.field.tiles import Tiles
-from octex.jit import (
-    bytes_of,
-    decoded,
-    fused_part,
-    inlined,
-    kernel,
-    part,
-    popcount,
-    prefetch,
-    trailing_zeros,
-)
-from octex.tree.layout import SPLIT
+from octex.jit import bytes_of, inlined, kernel, part
 from octex.tree.search import Origin, Positions, count_of, position
-
-Five = tuple[float, float, float, float, float]
-
-
-@inlined
-def _with_row(five: Five, flat: Flat, of_split: bool, row: int, weight: np.float32, components: int) -> Five:
-    """Add a row times a weight to four components, and the weight to the fifth."""
-    a, b, c, d, total = five
-    factor, at, table = np.float64(weight), np.uint64(row * components), flat.table
-    values = flat.split if of_split else flat.values
-    a += factor * np.float64(decoded(table, values[at]))
-    if components > 1:
-        b += factor * np.float64(decoded(table, values[at + np.uint64(1)]))
-    if components > 2:
-        c += factor * np.float64(decoded(table, values[at + np.uint64(2)]))
-    if components > 3:
-        d += factor * np.float64(decoded(table, values[at + np.uint64(3)]))
-    return a, b, c, d, total + factor
-
-
-@inlined
-def _sum_averages(
-    taps: Taps, n: int, areas: Uint8s, mixed: Uint8s, is_mixed: bool, flat: Flat, components: int
-) -> tuple[Five, float]:
-    """Sum the averages of a point up but for those that mix facings; return also the weight of all."""
-    five, total = (0.0, 0.0, 0.0, 0.0, 0.0), 0.0
-    for tap in range(taps.starts[n], taps.ends[n]):
-        row = np.uint64(taps.rows[np.uint64(tap)])
-        weight = taps.weights[np.uint64(tap)]
-        if areas.size > 0:
-            weight *= AREA_WEIGHTS[np.uint64(areas[row])]
-        total += np.float64(weight)
-        if is_mixed:
-            weight *= np.float32(np.uint8(1) - mixed[row])
-        five = _with_row(five, flat, False, int(row), weight, components)
-    return five, total
-
-
-@inlined
-def _ask_for_split(taps: Taps, begin: int, end: int, facings: Facings, codes: Codes, split: Uint8s) -> None:
-    """Ask for the rows of the split cells of a group of points, and note which points have any."""
-    for n in range(begin, end):
-        seen = np.uint8(0)
-        for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-            seen |= facings.flags[np.uint64(taps.rows[np.uint64(tap)])]
-        split[np.uint64(n - begin)] = seen & np.uint8(SPLIT)
-    for n in range(begin, end if facings.rows.size > NEAR_ROWS else begin):
-        if split[np.uint64(n - begin)] != 0:
-            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-                prefetch(facings.rows, int(taps.rows[np.uint64(tap)]))
-    for n in range(begin, end):
-        if split[np.uint64(n - begin)] != 0:
-            for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-                row = np.uint64(taps.rows[np.uint64(tap)])
-                if facings.flags[row] >= np.uint8(SPLIT):
-                    prefetch(codes.split_values, int(facings.rows[row]))
-
-
-@inlined
-def _sum_facing(
-    taps: Taps,
-    n: int,
-    areas: Uint8s,
-    facings: Facings,
-    normals: Float32s,
-    parts: Float32s,
-    shares: Float32s,
-    wanted: Uint8s,
-    is_split: bool,
-    flat: Flat,
-    components: int,
-) -> Five:
-    """Sum up what faces the normal of a point: see `taps.face`."""
-    x, y, z, signs = unit_of(normals, n)
-    parts_of(parts, x, y, z)
-    none, one = np.float32(0.0), np.uint64(1)
-    known = np.uint8(1)
-    last = flat.split.size // components - 1
-    five = (0.0, 0.0, 0.0, 0.0, 0.0)
-    for tap in range(taps.starts[n], taps.ends[n]):
-        row = np.uint64(taps.rows[np.uint64(tap)])
-        flags = facings.flags[row]
-        bits = direction_of(signs, flags)
-        weight = taps.weights[np.uint64(tap)] * parts[np.uint64(bits)]
-        if areas.size > 0:
-            weight *= AREA_WEIGHTS[np.uint64(areas[row])]
-        left = np.uint8(0)
-        if is_split and flags >= np.uint8(SPLIT) and bits < np.uint8(8):
-            if known >> bits & np.uint8(1) == 0:
-                known |= np.uint8(1) << bits
-                a, b, c = x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none
-                shares[bits, 0], shares[bits, 1], shares[bits, 2] = a, b, c = shares_of(a, b, c)
-                wanted[bits] = int(a > none) | int(b > none) << 1 | int(c > none) << 2
-            left = wanted[np.uint64(bits)]
-        if left == 0:
-            five = _with_row(five, flat, False, int(row), weight, components)
-            continue
-        first = np.int64(facings.rows[row])
-        while left != 0:
-            axis = trailing_zeros(np.uint64(left))
-            left &= left - np.uint8(1)
-            below = (one << np.uint64(2 * axis + (signs >> axis & 1))) - one
-            own = min(int(first) + popcount(np.uint64(flags) & below), last)
-            share = weight * shares[np.uint64(bits), np.uint64(axis)]
-            five = _with_row(five, flat, True, own, share, components)
-    return five
-
-
-@inlined
-def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components: int) -> None:
-    sums.values[owner, 0] += factor * five[0]
-    if components > 1:
-        sums.values[owner, 1] += factor * five[1]
-    if components > 2:
-        sums.values[owner, 2] += factor * five[2]
-    if components > 3:
-        sums.values[owner, 3] += factor * five[3]
-    sums.totals[owner] += factor * five[4]
-
-
-@fused_part
-def add_averages(
-    taps: Taps,
-    areas: Uint8s,
-    mixed: Uint8s,
-    codes: Codes,
-    owners: Int32s,
-    shares: Float32s,
-    left: Float32s,
-    sums: Sums,
-) -> None:
-    """Add the averages that looks show, times their shares, to the sums of the points that own them.
-
-    The taps are cells, which weigh by their ``areas`` if there are any. Those in ``mixed``, (cells,) or (0,),
-    weigh nothing, and ``left`` (looks,) takes the part of the weight that is taken away.
-    """
-    flat, components = flat_of(codes), codes.values.shape[1]
-    is_mixed = mixed.size > 0
-    for n in range(taps.starts.size):
-        if components == 3:
-            if is_mixed:
-                five, total = _sum_averages(taps, n, areas, mixed, True, flat, 3)
-            else:
-                five, total = _sum_averages(taps, n, areas, mixed, False, flat, 3)
-        else:
-            five, total = _sum_averages(taps, n, areas, mixed, is_mixed, flat, components)
-        at = np.uint64(n)
-        factor = np.float64(shares[at])
-        if is_mixed:
-            left[at] = (total - five[4]) / total if total > five[4] else 0.0
-        if areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
-            factor *= np.float64(OFF) / total
-        _add_to(sums, np.uint64(owners[at]), factor, five, components)
-
-
-@fused_part
-def add_facing(
-    taps: Taps,
-    areas: Uint8s,
-    facings: Facings,
-    normals: Float32s,
-    codes: Codes,
-    owners: Int32s,
-    shares: Float32s,
-    sums: Sums,
-) -> None:
-    """Add what faces the normals (looks, 3), times the looks' shares, to the sums of who owns them.
-
-    The taps are cells, which weigh by their ``areas`` if there are any.
-    """
-    flat, components = flat_of(codes), codes.values.shape[1]
-    parts, of_rows = np.zeros(9, np.float32), np.zeros((8, 3), np.float32)
-    wanted, split = np.zeros(9, np.uint8), np.zeros(AT_ONCE, np.uint8)
-    for begin in range(0, taps.starts.size, AT_ONCE):
-        end = min(begin + AT_ONCE, taps.starts.size)
-        if facings.rows.size > 0:
-            _ask_for_split(taps, begin, end, facings, codes, split)
-        for n in range(begin, end):
-            room = normals, parts, of_rows, wanted
-            if components == 3:
-                if split[np.uint64(n - begin)] != 0:
-                    five = _sum_facing(taps, n, areas, facings, *room, True, flat, 3)
-                else:
-                    five = _sum_facing(taps, n, areas, facings, *room, False, flat, 3)
-            else:
-                is_split = split[np.uint64(n - begin)] != 0
-                five = _sum_facing(taps, n, areas, facings, *room, is_split, flat, components)
-            at = np.uint64(n)
-            factor = np.float64(shares[at])
-            if areas.size > 0 and taps.covers[at] == np.float32(0.0):
-                factor *= _to_off(taps, n, areas)
-            _add_to(sums, np.uint64(owners[at]), factor, five, components)
-
-
-@inlined
-def _to_off(taps: Taps, n: int, areas: Uint8s) -> float:
-    """Return what makes the weights of a point off the surface, by areas, sum to OFF."""
-    total = 0.0
-    for tap in range(taps.starts[n], taps.ends[n]):
-        row = np.uint64(taps.rows[np.uint64(tap)])
-        total += np.float64(taps.weights[np.uint64(tap)] * AREA_WEIGHTS[np.uint64(areas[row])])
-    return np.float64(OFF) / total if total > 0.0 else 1.0
-
 
 #: Points taken from source to sink at once.
 _STEP = 256
@@ -265,7 +42,7 @@ class Search(NamedTuple):
     is_off: bool  # points are off the surface, as deeper tiles have none of their cells
     areas: Uint8s  # (cells,) or (0,)   see `taps.weigh_by_area`
     facings: Facings
-    faces: bool  # there are normals, see `taps.face`
+    faces: bool  # there are normals, see `facings.face`
     first_kept: int
     first_row: int
     mixed: Uint8s  # (cells,) or (0,)   see `taps.leave_mixed`
@@ -285,18 +62,10 @@ def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tu
     room = points * MOST_TILED[search.filter_code] + 8
     if is_split:
         room *= 1 + MOST_ROWS
-    taps = Taps(
-        np.empty(room, np.uint32),
-        np.empty(room, np.float32),
-        np.empty((room if gradient else 0, 3), np.float32),
-        np.zeros(points, np.int64),
-        np.zeros(points, np.int64),
-        np.zeros(points, np.float32),
-    )
     numbers = np.empty(points, np.int64)
     for n in range(points):
         numbers[n] = n
-    return taps, np.empty((points, 3), np.float64), numbers
+    return new_taps(points, room, gradient), np.empty((points, 3), np.float64), numbers
 
 
 @part
@@ -393,7 +162,7 @@ def look_up_tiled(
                 hold_outside(taps, here)
             if is_seen:
                 sums.values[:], sums.totals[:] = 0.0, 0.0
-                add_facing(taps, search.areas, search.facings, facing, channel.codes, owners, shares, sums)
+                add_facing(taps, search.facings, facing, channel.codes, owners, shares, sums)
                 mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
                 divide(mean, 1.0, values, slopes)
             else:
@@ -449,14 +218,18 @@ def add_tiled(
         task = each[:count], search.is_off, search.last, taps, 0, empty, rim, ahead
         _, more, rest = quadratic_taps(search.tiles, here, *task)
         looks = codes, owners[begin:end], shares[begin:end]
+        if search.areas.size > 0:
+            weigh_by_area(taps, search.areas)
         if search.faces:
             for n in range(count):
                 owner = np.uint64(owners[begin + n])
                 for axis in range(3):
                     facing[n, axis] = normals[owner, axis]
-            add_facing(taps, search.areas, search.facings, facing[:count], *looks, sums)
+            add_facing(taps, search.facings, facing[:count], *looks, sums)
         else:
-            add_averages(taps, search.areas, search.mixed, *looks, left[begin:end], sums)
+            if search.mixed.size > 0:
+                leave_mixed(taps, search.mixed, left[begin:end], taps.slopes)
+            add_up(taps, codes, True, owners[begin:end], shares[begin:end], taps.slopes, sums)
         n_empty += _number(each[:0], begin, empty, more)
         n_rim += _number(each[:0], begin, rim, rest)
     return n_empty, n_rim

@@ -27,6 +27,7 @@ from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
 from octex.jit import inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
+from octex.tree.children import children
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
 
@@ -170,38 +171,26 @@ def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
     return memory[start : start + size].view(dtype)
 
 
-@inlined
-def _children(groups: Uint64s, node: int, of_cells: bool) -> tuple[np.uint64, int]:
-    """Say which children of a node are stored, and the first one; or likewise of those that are nodes."""
-    group = min(max(node >> 3, 0), groups.shape[0] - 1)
-    shift = np.uint64(8 * (node & 7))
-    mask = groups[group, 0]
-    first = groups[group, 2] & np.uint64(0xFFFFFFFF)
-    if of_cells:
-        mask |= groups[group, 1]
-        first = groups[group, 2] >> np.uint64(32)
-    below = mask & ((np.uint64(1) << shift) - np.uint64(1))
-    return (mask >> shift) & np.uint64(0xFF), int(np.int64(first)) + popcount(below)
-
-
 @kernel
 def _fill_tiles(
     groups: Uint64s, first_node: int, of_cells: bool, offset: int, masks: Uint64s, firsts: Uint32s
 ) -> None:
     """Fill in the tiles below consecutive nodes: of cells, or of nodes, whose rows are ``offset`` higher."""
     for row in range(masks.size >> 3):
-        octants, child = _children(groups, first_node + row, False)
+        octants, _, child, _ = children(groups, first_node + row)
         for octant in range(8):
             if (octants >> np.uint64(octant)) & np.uint64(1) == np.uint64(0):
                 continue
-            nodes, grandchild = _children(groups, child, False)
+            nodes, _, grandchild, _ = children(groups, child)
             child += 1
             mask = np.uint64(0)
             first = 0
             for n in range(8):
                 if (nodes >> np.uint64(n)) & np.uint64(1) == np.uint64(0):
                     continue
-                stored, number = _children(groups, grandchild, of_cells)
+                stored, cells, number, first_cell = children(groups, grandchild)
+                if of_cells:
+                    stored, number = cells, first_cell
                 grandchild += 1
                 if mask == np.uint64(0):
                     first = number

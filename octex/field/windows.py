@@ -25,6 +25,7 @@ import numpy as np
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR, refine, send_up
 from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 
 BYTE = np.uint64(0xFF)
@@ -202,18 +203,10 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
             bits &= bits - np.uint64(1)
             slot = _slot(parents, above, 64 * word + place)
             node = walk.first_nodes[level - 1, 8 * word + (place >> 3)] + _rank(above_nodes, place)
-            group = min(node >> 3, groups.shape[0] - 1)
-            in_group = 8 * (node & 7)
-            below = _below(in_group)
-            group_nodes = groups[group, 0]
-            group_cells = group_nodes | groups[group, 1]
-            firsts = groups[group, 2]
-            first_node, first_cell = firsts & np.uint64(0xFFFFFFFF), firsts >> np.uint64(32)
-            walk.first_nodes[level, slot] = int(np.int64(first_node)) + popcount(group_nodes & below)
-            walk.first_cells[level, slot] = int(np.int64(first_cell)) + popcount(group_cells & below)
+            child_nodes, child_cells, first_node, first_cell = children(groups, int(node))
+            walk.first_nodes[level, slot], walk.first_cells[level, slot] = first_node, first_cell
             at = np.uint64(8 * (slot & 7))
-            child_nodes = (group_nodes >> np.uint64(in_group) & BYTE) << at
-            child_cells = (group_cells >> np.uint64(in_group) & BYTE) << at
+            child_nodes, child_cells = child_nodes << at, child_cells << at
             if parents == 2:
                 all_real |= BYTE << at
                 all_nodes |= child_nodes

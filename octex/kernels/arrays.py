@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int32s, Int64s, Uint32s, Uint64s
+from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
 from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
 from octex.field.tiles import Tiles
-from octex.kernels.layout import LookupArrays, Values
+from octex.kernels.layout import LookupArrays
 from octex.texture.blend import NO_TABLE, facing_spreads, stored
 from octex.texture.channel import Channel
-from octex.texture.lens import BLEED_THRESHOLD
+from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import MAX_DEPTH
 
@@ -49,26 +49,35 @@ def arrays_of(
         field.facings.rows,
         *tiles,
         *_values(known),
-        *(_no_values() if alpha is None else _values(alpha)),
+        *(_NO_VALUES if alpha is None else _values(alpha)),
         known.format.components,
         spreads,
         threshold,
     )
 
 
-def _values(channel: Channel) -> Values:
+class _Values(NamedTuple):
+    """Values of cells, of kept nodes and of split cells' facings, flattened; and their table."""
+
+    cells: Array
+    kept: Array
+    split: Array
+    table: Array
+
+
+_NONE = locked(np.empty(0, np.uint8))
+_NO_VALUES = _Values(_NONE, _NONE, _NONE, locked(np.empty(0, np.float64)))
+
+
+def _values(channel: Channel) -> _Values:
+    """Return a channel's values."""
     codes, space, _ = stored(channel)
     cells, kept, split, table = codes
     if space is not None:
         cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
-    return Values(
+    return _Values(
         locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
     )
-
-
-def _no_values() -> Values:
-    none = locked(np.empty(0, np.uint8))
-    return Values(none, none, none, locked(np.empty(0, np.float64)))
 
 
 class _JoinedTiles(NamedTuple):

@@ -7,21 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.taps import MOST_ROWS
+from octex.field.facings import MOST_ROWS, Sight, new_sight
+from octex.field.taps import Taps, new_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.search import Scratch as Search
 from octex.tree.search import new_scratch as new_search
-
-
-class Values(NamedTuple):
-    """A channel's values by row, flattened: cells, kept nodes, split cells' facings."""
-
-    cells: Array
-    kept: Array
-    split: Array
-    table: Array  # what codes stand for; empty for float32
 
 
 class LookupArrays(NamedTuple):
@@ -60,13 +52,11 @@ class Scratch(NamedTuple):
 
     walk: Walk
     search: Search
-    rows: Uint32s  # (4 · MOST_TAPS,)   the taps of one look, and these as they face a normal
-    weights: Float32s  # (4 · MOST_TAPS,)
-    slopes: Float32s  # (0, 3)
+    taps: Taps  # of one look, and these as they face a normal
+    sight: Sight
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
     codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
     along: Float32s  # (3, 3)   and their weights
-    parts: Float32s  # (9,)   what cells weigh by the ways that they face; see `field.taps`
     sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
 
 
@@ -77,12 +67,10 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
     return Scratch(
         new_walk(),
         new_search(tree),
-        np.empty((1 + MOST_ROWS) * MOST_TAPS, np.uint32),
-        np.empty((1 + MOST_ROWS) * MOST_TAPS, np.float32),
-        np.empty((0, 3), np.float32),
+        new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
+        new_sight(),
         np.empty(8, np.int64),
         np.empty((3, 3), np.int32),
         np.empty((3, 3), np.float32),
-        np.ones(9, np.float32),
         np.empty(10, np.float64),
     )

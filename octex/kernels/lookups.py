@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Float32s, Uint32s
+from octex.field.facings import Facings, see, view_along
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
+from octex.field.sinks import Flat, value_of
+from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
-from octex.field.taps import AREA_WEIGHTS, LEAST, OFF, direction_of, parts_of, ramp, shares_of
+from octex.field.taps import LEAST, OFF, weigh_by_area
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, Walk, follow
-from octex.jit import decoded, inlined, popcount, public_inlined, step
-from octex.kernels.layout import LookupArrays, Scratch, Values
+from octex.jit import inlined, public_inlined, step
+from octex.kernels.layout import LookupArrays, Scratch
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
 
@@ -101,7 +104,7 @@ def _tiled(
                 rows[dx + 2 * dy + 4 * dz] = 8 * row
     n = 0
     total = np.float32(0.0)
-    last = np.int64(arrays.flags.size - 1)
+    last = arrays.flags.size - 1
     along, codes = scratch.along, scratch.codes
     for dz in range(side):
         for dy in range(side):
@@ -110,15 +113,12 @@ def _tiled(
             tile = 2 * (dy >= next_j) + 4 * (dz >= next_k)
             for dx in range(side):
                 code = np.int64(codes[0, dx] | code_yz)
-                octant = np.uint64(rows[tile + (dx >= next_i)] + (code >> 8))
-                bit = np.uint64(code & 63)
-                mask = tiles.masks[octant]
-                is_stored = int((mask >> bit) & np.uint64(1))
-                below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+                octant = rows[tile + (dx >= next_i)] + (code >> 8)
+                cell, is_stored = look_in(tiles, int(octant), int(code))
                 weight = along[0, dx] * of_yz
                 at = np.uint64(n)  # without a branch, which could not be foretold
-                scratch.rows[at] = min(np.int64(tiles.firsts[octant]) + popcount(below), last)
-                scratch.weights[at] = weight
+                scratch.taps.rows[at] = min(cell, last)
+                scratch.taps.weights[at] = weight
                 total += weight * np.float32(is_stored)
                 n += is_stored
     return n, total
@@ -176,7 +176,7 @@ def _find(
         here -= 1
     n, cover = _walked(
         _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
-        scratch.walk, scratch.rows, scratch.weights, scratch.slopes,
+        scratch.walk, *scratch.taps[:3],
     )  # fmt: skip
     return n, cover == 0.0
 
@@ -184,19 +184,7 @@ def _find(
 @inlined
 def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
     for tap in range(n):
-        scratch.weights[tap] *= np.float32(factor)
-
-
-@inlined
-def _weigh_by_area(arrays: LookupArrays, n: int, is_off: bool, scratch: Scratch) -> None:
-    total = 0.0
-    for tap in range(n):
-        row = np.int64(scratch.rows[tap])
-        if row < arrays.areas.size:
-            scratch.weights[tap] *= AREA_WEIGHTS[arrays.areas[row]]
-        total += np.float64(scratch.weights[tap])
-    if is_off and total > 0.0:
-        _scale(scratch, n, OFF / total)
+        scratch.taps.weights[tap] *= np.float32(factor)
 
 
 @inlined
@@ -204,9 +192,9 @@ def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> 
     """Let cells that mix opposite facings weigh nothing; return the part of the weight that is taken away."""
     first, total, gone = arrays.level_cells[level], 0.0, 0.0
     for tap in range(n):
-        weight = np.float64(scratch.weights[tap])
+        weight = np.float64(scratch.taps.weights[tap])
         total += weight
-        cell = np.int64(scratch.rows[tap])
+        cell = np.int64(scratch.taps.rows[tap])
         if cell < first or cell >= arrays.facings.size:
             continue
         flags = arrays.flags[cell]
@@ -215,7 +203,7 @@ def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> 
         row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
         if arrays.spreads[row] >= arrays.threshold:
             gone += weight
-            scratch.weights[tap] = np.float32(0.0)
+            scratch.taps.weights[tap] = np.float32(0.0)
     return gone / total if total > 0.0 else 0.0
 
 
@@ -225,45 +213,31 @@ def _tree_of(arrays: LookupArrays) -> TreeArrays:
 
 
 @inlined
-def _values_of(arrays: LookupArrays) -> Values:
-    return Values(arrays.values, arrays.kept_values, arrays.split_values, arrays.table)
+def _flat(arrays: LookupArrays) -> Flat:
+    """Return the channel's values."""
+    first_kept = arrays.flags.size
+    values = arrays.values, arrays.kept_values, arrays.split_values, arrays.table
+    return Flat(*values, first_kept, first_kept + arrays.kept.size)
 
 
 @inlined
-def _value(values: Values, components: int, row: int) -> Color:
-    """Decode a row: four components, those that are not there as zeros."""
-    at = row * components
-    array = values.cells
-    if at >= array.size:
-        at -= array.size
-        array = values.kept
-        if at >= array.size:
-            at -= array.size
-            array = values.split
-            at = min(at, array.size - components)
-    a = np.float64(decoded(values.table, array[np.uint64(at)]))
-    b = c = d = 0.0
-    if components > 1:
-        b = np.float64(decoded(values.table, array[np.uint64(at + 1)]))
-    if components > 2:
-        c = np.float64(decoded(values.table, array[np.uint64(at + 2)]))
-    if components > 3:
-        d = np.float64(decoded(values.table, array[np.uint64(at + 3)]))
-    return a, b, c, d
+def _alpha(arrays: LookupArrays) -> Flat:
+    first_kept = arrays.flags.size
+    values = arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table
+    return Flat(*values, first_kept, first_kept + arrays.kept.size)
 
 
 @inlined
 def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scratch) -> None:
     """Add the blend of some taps to the sums."""
-    sums, values = scratch.sums, _values_of(arrays)
-    alpha = Values(arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table)
+    sums, flat, alpha = scratch.sums, _flat(arrays), _alpha(arrays)
     for tap in range(begin, end):
-        weight, row = share * np.float64(scratch.weights[tap]), int(scratch.rows[tap])
-        a, b, c, d = _value(values, arrays.components, row)
+        weight, row = share * np.float64(scratch.taps.weights[tap]), int(scratch.taps.rows[tap])
+        a, b, c, d = value_of(flat, row, arrays.components)
         sums[5], sums[6], sums[7] = sums[5] + weight * a, sums[6] + weight * b, sums[7] + weight * c
         sums[8], sums[9] = sums[8] + weight * d, sums[9] + weight
         if arrays.alpha.size > 0:
-            weight *= _value(alpha, 1, row)[0]
+            weight *= value_of(alpha, row, 1)[0]
             sums[0], sums[1], sums[2] = sums[0] + weight * a, sums[1] + weight * b, sums[2] + weight * c
             sums[3], sums[4] = sums[3] + weight * d, sums[4] + weight
 
@@ -277,49 +251,6 @@ def _mean(scratch: Scratch) -> Color:
         return sums[0] * inverse, sums[1] * inverse, sums[2] * inverse, sums[3] * inverse
     inverse = 1.0 / sums[9] if sums[9] != 0.0 else 0.0
     return sums[5] * inverse, sums[6] * inverse, sums[7] * inverse, sums[8] * inverse
-
-
-@inlined
-def _face(
-    arrays: LookupArrays,
-    n: int,
-    normal: tuple[np.float32, np.float32, np.float32],
-    signs: int,
-    scratch: Scratch,
-) -> int:
-    """Write taps anew after the n that there are, as they face a normal; return their end. See `taps.face`.
-
-    ``normal`` has the sizes of its cosines with the axes, ``signs`` their signs as bits.
-    """
-    none = np.float32(0.0)
-    rows, weights = scratch.rows, scratch.weights
-    n_cells = np.int64(arrays.flags.size)
-    first_facing = n_cells + arrays.kept.size
-    end = n
-    for tap in range(n):
-        row = np.int64(rows[tap])
-        cell = row
-        if row >= n_cells and arrays.kept.size > 0:
-            cell = np.int64(arrays.kept[min(int(row - n_cells), arrays.kept.size - 1)])
-        flags = arrays.flags[cell]
-        bits = int(direction_of(signs, flags))
-        rows[end], weights[end] = row, weights[tap] * scratch.parts[bits]
-        is_split = arrays.facings.size > 0 and flags & np.uint8(SPLIT) != 0 and bits > 0 and bits < 8
-        a = normal[0] if bits & 1 else none
-        b = normal[1] if bits & 2 else none
-        c = normal[2] if bits & 4 else none
-        if not is_split or ramp(max(a, max(b, c))) == none:
-            end += 1
-            continue
-        shares, weight = shares_of(a, b, c), weights[end]
-        first = first_facing + np.int64(arrays.facings[cell])
-        for axis in range(3):
-            if shares[axis] > none:
-                below = (np.uint64(1) << np.uint64(2 * axis + (signs >> axis & 1))) - np.uint64(1)
-                rows[end] = first + popcount(np.uint64(flags) & below)
-                weights[end] = weight * shares[axis]
-                end += 1
-    return end
 
 
 @inlined
@@ -341,7 +272,7 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
-    values = _values_of(arrays)
+    flat = _flat(arrays)
     depth = arrays.level_cells.size - 2
     if arrays.tile_levels[depth, 0] >= 0:
         tiles = _tiles_of(arrays, depth)
@@ -349,14 +280,11 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         i, j, k = fixed(x) >> shift, fixed(y) >> shift, fixed(z) >> shift
         row = tile_row(tiles, i >> 3, j >> 3, k >> 3)
         code = code_in_tile(np.int32(i & 7), np.int32(j & 7), np.int32(k & 7))
-        octant, bit = np.uint64(8 * row + np.int64(code >> 8)), np.uint64(code & 63)
-        mask = tiles.masks[octant]
-        if (mask >> bit) & np.uint64(1) != np.uint64(0):
-            below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-            number = int(tiles.firsts[octant]) + popcount(below)
-            return _value(values, arrays.components, min(number, arrays.flags.size - 1))
+        cell, is_stored = look_in(tiles, 8 * row + int(code >> 8), int(code))
+        if is_stored:
+            return value_of(flat, min(cell, arrays.flags.size - 1), arrays.components)
     cell, _ = nearest_cell(_tree_of(arrays), x, y, z, scratch.search)
-    return _value(values, arrays.components, cell)
+    return value_of(flat, cell, arrays.components)
 
 
 @public_inlined
@@ -382,17 +310,9 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     """
     _clear(scratch)
     x, y, z = _placed(arrays, point)
-    p, q, r = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
-    signs = int(p < 0) | int(q < 0) << 1 | int(r < 0) << 2
-    p, q, r = abs(p), abs(q), abs(r)
-    largest = max(p, max(q, r))
-    is_facing = largest > 0.0
-    cosines = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    if is_facing:
-        p, q, r = p / largest, q / largest, r / largest
-        length = np.sqrt(p * p + q * q + r * r)
-        cosines = np.float32(p / length), np.float32(q / length), np.float32(r / length)
-        parts_of(scratch.parts, cosines[0], cosines[1], cosines[2])
+    view = view_along(np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2]))
+    is_facing = max(view[0], max(view[1], view[2])) > np.float32(0.0)
+    flat, facings = _flat(arrays), Facings(arrays.flags, arrays.facings, arrays.kept)
     depth = arrays.level_cells.size - 2
     level, upper = _level_of(width, arrays.place[3], depth)
     share, passed = 1.0 - upper, 0.0
@@ -400,11 +320,15 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
         left = 0.0
         if share > 0.0:
             n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
+            scratch.taps.ends[0] = n
             if level < depth:
-                _weigh_by_area(arrays, n, is_off, scratch)
+                scratch.taps.covers[0] = np.float32(0.0 if is_off else 1.0)
+                weigh_by_area(scratch.taps, arrays.areas)
             begin, end = 0, n
             if is_facing:
-                begin, end = n, _face(arrays, n, cosines, signs, scratch)
+                rows = facings, flat.first_kept, flat.first_row
+                is_split = facings.rows.size > 0
+                begin, (end, _) = n, see(scratch.taps, 0, n, *rows, view, scratch.sight, is_split, flat, 0)
             elif level < depth and arrays.spreads.size > 0:
                 left = _leave_mixed(arrays, level, n, scratch)
             _add(arrays, begin, end, share, scratch)

@@ -1,7 +1,7 @@
 """The octree texture: what everything else meets.
 
 channel     a named array of values, one a cell
-lookup      points looked up in blocks, on any threads, answers written where the caller wants them
+lookup      how points are looked up: options, checked; blocks, on any threads; where answers go
 blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
 spans       which bytes of a file lookups read

@@ -1,21 +1,36 @@
-"""Points looked up in blocks: on any threads, and answers where the caller wants them."""
+"""How points are looked up: what users ask for, checked; in blocks, on any threads; and where answers go."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.arrays import Array, Float32s, Int32s
-from octex.checks import as_choice
+from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
+from octex.field.footprints import ROUND, Footprints, long_footprints
+from octex.field.lookups import Query
+from octex.field.splines import FILTERS
 from octex.parallel import ordered_map, workers
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
+
+#: Difference of a front and a back, of 1, that footprints without normals may mix.
+BLEED_THRESHOLD = 1 / 32
+
+#: How much longer than wide a footprint may be, if nobody says.
+ANISOTROPY = 16.0
+
+#: Most that a footprint may be longer than wide.
+MOST_ANISOTROPY = 256.0
+
+_MOST_BLUR = float(np.finfo(np.float64).max)
 
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
@@ -31,6 +46,125 @@ _SORTED = 1 << 19
 #: Fewer points of a block are looked up as they come.
 _LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
+
+
+class LookupOptions(TypedDict, total=False):
+    """How points are looked at: see `OctreeTexture.sample`."""
+
+    width: npt.ArrayLike | None
+    normals: npt.ArrayLike | None
+    dPdx: npt.ArrayLike | None
+    dPdy: npt.ArrayLike | None
+    anisotropy: float
+    blur: float
+    sharpness: float
+    bleed_threshold: float
+    normalize: bool
+    threads: int | None
+    executor: Executor | None
+
+
+class SurfacePoints(Protocol):
+    """Points of a surface, as ``Surface.scatter`` returns them; or a record of hits of one's own."""
+
+    @property
+    def rest(self) -> npt.ArrayLike:
+        """Rest positions (n, 3). Beside them are normals there: ``rest_normals``, else ``normals``."""
+
+
+def placed(
+    points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
+) -> tuple[Array, npt.ArrayLike | None]:
+    """Return rest positions (n, 3), and normals: those that are given, else those that points come with.
+
+    Raises ArgumentError for what are no positions.
+    """
+    if not hasattr(points, "rest"):
+        return as_point_rows(points), normals
+    if normals is None:
+        normals = getattr(points, "rest_normals", getattr(points, "normals", None))
+    return as_point_rows(points.rest, "points' rest"), normals
+
+
+class Lens(NamedTuple):
+    """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
+
+    filter: str
+    anisotropy: float = ANISOTROPY
+    blur: float = 0.0
+    sharpness: float = 0.0
+    bleed_threshold: float = BLEED_THRESHOLD
+
+    def given(
+        self,
+        points: npt.ArrayLike | SurfacePoints,
+        *,
+        normals: npt.ArrayLike | None,
+        gradient: bool = False,
+        **more: npt.ArrayLike | None,
+    ) -> dict[str, Array]:
+        """Return what is given of points, a row for each. Raises ArgumentError for what does not fit."""
+        places, normals = placed(points, normals)
+        given = {"points": places}
+        as_choice(self.filter, FILTERS, "filter")
+        if gradient and self.filter == "nearest":
+            raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
+        as_number(self.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
+        as_number(self.blur, "blur", 0.0, _MOST_BLUR)
+        as_number(self.sharpness, "sharpness", 0.0, 1.0)
+        as_number(self.bleed_threshold, "bleed_threshold", 0.0, np.inf)
+        n = len(places)
+        for name, array in (("normals", normals), *more.items()):
+            if array is None:
+                continue
+            if name == "width":
+                width = as_array(array)
+                if width.dtype.kind not in "fiu" or width.shape not in ((), (n,)):
+                    found = f"{width.dtype} {width.shape}"
+                    raise ArgumentError(f"width must be a real number or (n,) of them, not {found}")
+                given[name] = np.broadcast_to(width, (n,))
+            else:
+                given[name] = as_point_rows(array, name)
+                if len(given[name]) != n:
+                    raise ArgumentError(
+                        f"{name} must have a row for each of {n} points, not {len(given[name])}"
+                    )
+        if ("dPdx" in given) != ("dPdy" in given):
+            raise ArgumentError("dPdx and dPdy are given together or not at all")
+        if "width" in given and "dPdx" in given:
+            raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
+        if self.sharpness > 0 and not self.has_footprints(given):
+            raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
+        if self.anisotropy != ANISOTROPY and "dPdx" not in given:
+            raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
+        if self.bleed_threshold != BLEED_THRESHOLD and ("normals" in given or not self.has_footprints(given)):
+            raise ArgumentError(
+                "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
+                "and dPdy, or blur, and no normals"
+            )
+        return given
+
+    def has_footprints(self, given: Given) -> bool:
+        """Say whether points are looked up with footprints."""
+        return "width" in given or "dPdx" in given or self.blur > 0
+
+    def query(self, given: Given) -> Query:
+        """Return what is asked of a block of points, whose arrays are as kernels take them."""
+        footprints: Footprints | None = None
+        if "dPdx" in given:
+            derivatives = given["dPdx"], given["dPdy"]
+            footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
+        elif "width" in given:
+            widths = given["width"].astype(np.float64) + self.blur
+            footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
+        elif self.blur > 0:
+            widths = np.full(len(given["points"]), float(self.blur))
+            footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
+        normals = given.get("normals")
+        if normals is not None:
+            most = np.finfo(np.float32).max
+            normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
+        return Query(self.filter, footprints, normals)
 
 
 class _Fault(NamedTuple):
@@ -78,9 +212,10 @@ def in_blocks(
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
-    if _is_one_block(given, threads, executor):
+    if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
         fault, _ = _checked_block(look_up, _Block(given, answers))
-        _check(fault, 0, given)
+        if fault is not None:
+            _refuse(fault, 0, given)
         return
     for begin, found in each_block(given, answers, look_up, threads, executor):
         for answer, rows in zip(answers, found, strict=True):
@@ -96,21 +231,12 @@ def each_block(
 
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
-    if _is_one_block(given, threads, executor):
-        fault, found = _checked_block(look_up, _Block(given, list(answers)))
-        _check(fault, 0, given)
-        yield 0, found
-        return
     blocks = _Blocks(given, answers)
     with workers(threads, executor, len(blocks)) as pool:
         for number, (fault, found) in enumerate(ordered_map(pool, partial(_checked_block, look_up), blocks)):
-            _check(fault, number * BLOCK, given)
+            if fault is not None:
+                _refuse(fault, number * BLOCK, given)
             yield number * BLOCK, found
-
-
-def _is_one_block(given: Given, threads: int | None, executor: Executor | None) -> bool:
-    """Say whether there is nothing to hand over."""
-    return threads is None and executor is None and 0 < len(given["points"]) <= BLOCK
 
 
 def in_space(
@@ -173,18 +299,18 @@ def _put_back(found: list[Array], numbers: Int32s, answers: list[Array]) -> None
         put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
 
 
-def _check(fault: _Fault | None, begin: int, given: Given) -> None:
+def _refuse(fault: _Fault, begin: int, given: Given) -> None:
     """Raise ArgumentError for a fault in the block that begins at a row."""
-    if fault is not None:
-        name, row = fault.name, begin + fault.row
-        kind = "finite and not below zero" if name == "width" else "finite"
-        raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
+    name, row = fault.name, begin + fault.row
+    kind = "finite and not below zero" if name == "width" else "finite"
+    raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
 
 def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
     given, answers = block
-    taken = {name: _as_kernels_take_it(array) for name, array in given.items()}
-    for name, array in taken.items() if len(taken) > 1 else ():
+    taken: dict[str, Array] = {}
+    for name, array in given.items():
+        taken[name] = array = _as_kernels_take_it(array)
         if name == "points":  # looked at as they are placed
             continue
         sound = np.isfinite(array)
@@ -217,35 +343,28 @@ class Answers:
         gradient: bool,
         out: Any,
     ) -> None:
-        self._single = isinstance(channel, str)
-        names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
-        for name in names:
+        is_single = isinstance(channel, str)
+        shapes: dict[str, tuple[int, ...]] = {}
+        slopes: dict[str, tuple[int, ...]] = {}
+        for name in channel if isinstance(channel, (list, tuple)) else (channel,):
             as_choice(name, components, "channel")
-        shapes: dict[str, tuple[int, ...]] = {name: (count, components[name]) for name in names}
-        self._gradients: dict[str, Float32s] | None = None
-        if gradient:
-            out, out_gradients = pair_of(out)
-            slopes = {name: (*shape, 3) for name, shape in shapes.items()}
-            self._gradients = answers_for(slopes, out_gradients, self._single, "the gradients' out")
-        self._values = answers_for(shapes, out, self._single)
-
-    @property
-    def channels(self) -> list[str]:
-        """The channels, each once."""
-        return list(self._values)
-
-    @property
-    def arrays(self) -> list[Array]:
-        """The values of each channel, then the gradients of each."""
-        return [*self._values.values(), *(self._gradients or {}).values()]
-
-    @property
-    def returned(self) -> Any:
-        """What `OctreeTexture.sample` returns."""
-        if self._single:
-            values, *gradients = self.arrays
-            return (values, *gradients) if gradients else values
-        return self._values if self._gradients is None else (self._values, self._gradients)
+            shapes[name] = count, components[name]
+            slopes[name] = *shapes[name], 3
+        #: The channels, each once.
+        self.channels = list(shapes)
+        out_gradients = None
+        if gradient and out is not None:
+            if not isinstance(out, (tuple, list)) or len(out) != 2:
+                raise ArgumentError("out must be a pair, for values and for gradients")
+            out, out_gradients = out
+        values = answers_for(shapes, out, is_single)
+        gradients = answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
+        #: The values of each channel, then the gradients of each.
+        self.arrays: list[Array] = [*values.values(), *gradients.values()]
+        #: What `OctreeTexture.sample` returns.
+        self.returned: Any = (values, gradients) if gradient else values
+        if is_single:
+            self.returned = tuple(self.arrays) if gradient else self.arrays[0]
 
 
 def answers_for(
@@ -256,7 +375,10 @@ def answers_for(
     ``out`` is one array if ``single``, else a dict of them. Raises ArgumentError.
     """
     if out is None:
-        return {channel: np.empty(shape, np.float32) for channel, shape in shapes.items()}
+        new: dict[str, Float32s] = {}
+        for channel, shape in shapes.items():
+            new[channel] = np.empty(shape, np.float32)
+        return new
     if single:
         out = dict.fromkeys(shapes, out)
     elif not isinstance(out, Mapping) or set(out) != set(shapes):
@@ -271,15 +393,6 @@ def answers_for(
         if not array.flags.carray:
             raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
     return {channel: out[channel] for channel in shapes}
-
-
-def pair_of(out: Any) -> tuple[Any, Any]:
-    """Return the two parts of ``out`` for values and gradients, or Nones. Raises ArgumentError."""
-    if out is None:
-        return None, None
-    if not isinstance(out, (tuple, list)) or len(out) != 2:
-        raise ArgumentError("out must be a pair, for values and for gradients")
-    return out[0], out[1]
 
 
 def check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:

@@ -20,8 +20,7 @@ from octex.field.tiles import can_be_tiled
 from octex.texture.channel import Channel
 from octex.texture.elsewhere import Archive, Elsewhere, RenderFile
 from octex.texture.file import File, taken
-from octex.texture.lens import Lens, placed
-from octex.texture.lookup import Given
+from octex.texture.lookup import Given, Lens, placed
 from octex.texture.spans import cells_of, nodes_read
 from octex.texture.texture import OctreeTexture
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays

@@ -17,8 +17,19 @@ from octex.arrays import Array, Bools, Float32s, Int64s
 from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
-from octex.texture.lookup import Answers, Given, LookUp, check_apart, in_blocks
+from octex.texture.lookup import (
+    ANISOTROPY,
+    BLEED_THRESHOLD,
+    Answers,
+    Given,
+    Lens,
+    LookUp,
+    LookupOptions,
+    SurfacePoints,
+    check_apart,
+    in_blocks,
+    placed,
+)
 from octex.texture.texture import OctreeTexture, as_metadata, open_texture
 
 #: So many parts are named where a set is shown.
@@ -183,7 +194,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         if out is not None:
             check_apart(given.values(), answers.arrays)
         look_ups = {
-            part: texture._block_lookup(answers.channels, lens, normalize)
+            part: partial(texture._sampled, answers.channels, lens, normalize)
             for part, texture in self._ready_for(given, answers.channels, lens)
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)

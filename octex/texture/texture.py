@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from functools import partial
 from types import MappingProxyType
@@ -37,16 +37,21 @@ from octex.files import is_address
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, taken, written
-from octex.texture.lens import ANISOTROPY, BLEED_THRESHOLD, Lens, LookupOptions, SurfacePoints, placed
 from octex.texture.lookup import (
+    ANISOTROPY,
+    BLEED_THRESHOLD,
     Answers,
     Given,
+    Lens,
     LookUp,
+    LookupOptions,
+    SurfacePoints,
     block_in_space,
     check_apart,
     each_block,
     in_blocks,
     in_space,
+    placed,
 )
 from octex.texture.spans import Rows, Spans, add_reads, cells_of, nodes_read
 from octex.tree.octree import Octree
@@ -275,15 +280,16 @@ class OctreeTexture:
         answers = Answers(self._components, channel, len(given["points"]), gradient, out)
         if out is not None:
             check_apart(given.values(), answers.arrays)
-        self._read_for(len(given["points"]))
-        look_up_block = self._block_lookup(answers.channels, lens, normalize)
+        if self._file is not None:
+            self._read_for(len(given["points"]))
+        look_up_block: LookUp = partial(self._sampled, answers.channels, lens, normalize)
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
-        is_of_leaves = given.keys() <= {"points", "normals"}
-        if is_of_leaves and self._field.tiles is None:
+        is_crowded = given.keys() <= {"points", "normals"} and self._field.tiles is None
+        if is_crowded:
             self._field.prepare(FILTERS.index(filter))
-        if self.tree.n_leaves >= _MANY_LEAVES or (is_of_leaves and self._field.tiles is None):
+        if self._field.n_leaves >= _MANY_LEAVES or is_crowded:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
@@ -304,9 +310,9 @@ class OctreeTexture:
         if key not in self._known_plain:
             if channel not in self.channels or filter not in FILTERS:
                 return None
-            read = self._as_read(channel), self._alpha()
+            (read,), alpha = self._read(channel)
             is_direction = self.channels[channel].format.space == "direction"  # made unit vectors
-            plain = None if is_direction else plain_lookup(self._field, self.placement, filter, *read)
+            plain = None if is_direction else plain_lookup(self._field, self.placement, filter, read, alpha)
             self._known_plain[key] = plain
         known = self._known_plain[key]
         if known is None:
@@ -328,21 +334,22 @@ class OctreeTexture:
         self._read_for(count)
         return self
 
-    def _block_lookup(self, names: Sequence[str], lens: Lens, normalize: bool) -> LookUp:
-        """Return how a block of points is looked up: what `lookup.in_blocks` takes."""
-        return partial(self._sampled, list(names), lens, normalize)
-
     def _sampled(
         self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
     ) -> int:
-        """Look up a block: its values in ``answers``, then, if they are wanted, as many gradients."""
-        channels = [self.channels[name] for name in names]
+        """Look up a block: what `lookup.in_blocks` takes.
+
+        Its values are written to ``answers``, and then, if they are wanted, as many gradients.
+        """
+        if not names:
+            return -1
+        channels = list(map(self.channels.__getitem__, names))
         values, gradients = answers[: len(channels)], answers[len(channels) :]
-        read = [self._as_read(name) for name in names]
-        task, alpha = (self._field, self.placement, given["points"]), self._alpha()
+        read, alpha = self._read(*names)
+        task = self._field, self.placement, given["points"]
         fault = -1
-        if len(channels) == 1 or not self._is_ruled(lens, given):
-            query = self._query(lens, given, names[0] if names else "")
+        query = self._query(lens, given, names[0])
+        if len(channels) == 1 or query.mixed is None:
             fault = look_up(*task, query, read, alpha, values, gradients)
         else:  # each channel mixes facings in cells of its own
             for n, name in enumerate(names):
@@ -354,26 +361,22 @@ class OctreeTexture:
                     make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
         return fault
 
-    def _is_ruled(self, lens: Lens, given: Given) -> bool:
-        """Say whether cells are left to finer levels by what is stored of a channel (paper 3.5.2)."""
-        return "normals" not in given and lens.has_footprints(given) and self.tree.split.cells.size > 0
-
     def _query(self, lens: Lens, given: Given, name: str) -> Query:
         """Return what is asked of a block of points of a channel."""
         query = lens.query(given)
-        if self._is_ruled(lens, given):
+        if query.footprints is not None and query.normals is None and self.tree.split.cells.size:
             query = query._replace(mixed=partial(self._mixed, self.channels[name], lens.bleed_threshold))
         return query
 
-    def _alpha(self) -> ChannelRows | None:
-        """Return the channel that others weigh by, if there is one."""
-        alpha = self._as_read("alpha") if "alpha" in self.channels else None
-        return alpha if alpha and alpha.is_alpha else None
-
-    def _as_read(self, name: str) -> ChannelRows:
-        if name not in self._known_stored:
-            self._known_stored[name] = stored(self.channels[name])
-        return self._known_stored[name]
+    def _read(self, *names: str) -> tuple[list[ChannelRows], ChannelRows | None]:
+        """Return channels as lookups read them, and that which others weigh by, if there is one."""
+        found: list[ChannelRows] = []
+        for name in (*names, "alpha") if "alpha" in self.channels else names:
+            if name not in self._known_stored:
+                self._known_stored[name] = stored(self.channels[name])
+            found.append(self._known_stored[name])
+        alpha = found.pop() if len(found) > len(names) else None
+        return found, alpha if alpha and alpha.is_alpha else None
 
     def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
         key = channel.format.name, level
@@ -433,8 +436,8 @@ class OctreeTexture:
     def _listed(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
         """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
         query = self._query(lens, given, name)
-        task = self._field, self.placement, given["points"], query, self._as_read(name), self._alpha()
-        taps, fault = list_blends(*task)
+        (read,), alpha = self._read(name)
+        taps, fault = list_blends(self._field, self.placement, given["points"], query, read, alpha)
         answers += taps
         return fault
 
@@ -526,7 +529,7 @@ class OctreeTexture:
     def _read_of(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:
         """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
         query = self._query(lens, given, name)
-        task = self._field, self.placement, given["points"], query, self._as_read(name)
+        task = self._field, self.placement, given["points"], query, self._read(name)[0][0]
         found, fault = reads_of(*task, cells_alone=cells_alone)
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
         return fault
@@ -535,11 +538,12 @@ class OctreeTexture:
         self, spans: Rows, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
     ) -> None:
         """Add the bytes of the file that lookups read, but for what says which cells there are."""
-        alpha = [] if self._alpha() is None else [self.channels["alpha"]]
+        alpha = [] if self._read()[1] is None else [self.channels["alpha"]]
         for name, levels in reads.items():
             rows = {level: read.rows for level, read in levels.items()}
             task = spans, self.tree, [self.channels[name], *alpha], rows
-            add_reads(*task, by_facing="normals" in given, is_ruled=self._is_ruled(lens, given))
+            by_facing = "normals" in given
+            add_reads(*task, by_facing=by_facing, is_ruled=not by_facing and lens.has_footprints(given))
 
     def contains(
         self,

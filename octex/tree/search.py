@@ -13,6 +13,7 @@ import numpy as np
 
 from octex.arrays import Bools, Floats, Int64s
 from octex.jit import inlined, kernel, popcount
+from octex.tree.children import children
 from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
 
@@ -65,18 +66,15 @@ def fixed(coordinate: float) -> int:
 @inlined
 def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
     """Cell and node number of a node's child: cell −1 if there is none, node −1 if it is a leaf."""
-    group = min(node >> 3, arrays.groups.shape[0] - 1)
-    nodes = arrays.groups[group, 0]
-    cells = nodes | arrays.groups[group, 1]
-    first = arrays.groups[group, 2]
-    bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
+    nodes, cells, first_node, first_cell = children(arrays.groups, node)
+    bit = np.uint64(1) << np.uint64(octant)
     if cells & bit == 0:
         return -1, -1
     below = bit - np.uint64(1)
-    cell = min(int(np.int64(first >> np.uint64(32))) + popcount(cells & below), arrays.flags.size - 1)
+    cell = min(first_cell + popcount(cells & below), arrays.flags.size - 1)
     if nodes & bit == 0:
         return cell, -1
-    return cell, int(np.int64(first & np.uint64(0xFFFFFFFF))) + popcount(nodes & below)
+    return cell, first_node + popcount(nodes & below)
 
 
 @inlined
