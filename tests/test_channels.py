@@ -6,7 +6,6 @@ import importlib
 import inspect
 import math
 import os
-import pickle
 import pkgutil
 import subprocess
 import sys
@@ -272,18 +271,15 @@ def test_a_kernel_compiles_without_a_cache_where_there_is_no_folder_for_one(
 
 
 @needs_jit
-def test_a_cache_whose_types_are_gone_is_written_anew(tmp_path: Path) -> None:
+def test_code_whose_types_are_gone_is_compiled_anew(tmp_path: Path) -> None:
     call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
     options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
     assert subprocess.run(call, **options, check=True).stdout == b"7\n"
-    (kept,) = tmp_path.rglob("octex.jit.instructions.low_bits-*.nbc")
-    with kept.open("rb") as file:
-        head = pickle.dumps(pickle.load(file))
-    kept.write_bytes(head + b"coctex.a_module_that_was\nIts_type\n.")
+    (kept,) = tmp_path.rglob("*instructions.low_bits-*.nbc")
+    gone = kept.read_bytes()[:32] + b"coctex.a_module_that_was\nIts_type\n."
+    kept.write_bytes(gone)
     assert subprocess.run(call, **options, check=True).stdout == b"7\n"
-    with kept.open("rb") as file:
-        assert pickle.dumps(pickle.load(file)) == head
-        assert pickle.load(file)
+    assert kept.read_bytes() != gone
 
 
 # --- parallel
