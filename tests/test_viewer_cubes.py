@@ -72,7 +72,8 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
     page = opened(browser, file_url(path), (760, 300))
     page.check("#cubes")
     assert page.locator("#cubes-note").inner_text() == ""
-    page.evaluate("(most) => { viewer.gpu.mostCubes = most; viewer.explain(); }", texture.tree.n_leaves - 1)
+    fewer = "(most) => { viewer.gpu.mostCubes = most; viewer.explain(); viewer.move(); }"
+    page.evaluate(fewer, texture.tree.n_leaves - 1)
     note = "Level 6 is drawn: level 7 has too many cubes."
     assert page.locator("#cubes-note").text_content() == note
     middle = "viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2)"
