@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.errors import ArgumentError
-from octex.nearest.distances import boxes_over, gap
+from octex.nearest.distances import gap, mesh_of
 from octex.source import parts
 from octex.source.parts import Overlap, Unchecked, parts_of
 from octex.source.surface import Surface
@@ -164,20 +164,20 @@ def test_triangles_are_as_far_apart_as_points_on_them(seed: int, lift: float) ->
     if seed % 7 == 0:
         a[:] = a[0]  # a point
     b[:, seed % 3] += lift
-    found = gap(boxes_over(a[None]), boxes_over(b[None]), 10.0)
+    found = gap(mesh_of(a[None]), mesh_of(b[None]), 10.0)
     bound, slack = distance(a, b, 12)
     assert bound - slack <= found <= bound + 1e-12
-    assert gap(boxes_over(b[None]), boxes_over(a[None]), 10.0) == pytest.approx(found, abs=1e-12)
+    assert gap(mesh_of(b[None]), mesh_of(a[None]), 10.0) == pytest.approx(found, abs=1e-12)
 
 
 def test_triangles_that_pierce_each_other_are_not_apart() -> None:
     flat = np.array([[[-1.0, -1, 0], [2, -1, 0], [-1, 2, 0]]])
     spike = np.array([[[0.0, 0, -1], [0.1, 0, 1], [0, 0.1, 1]]])
-    assert gap(boxes_over(flat), boxes_over(spike), 1.0) == 0.0
-    assert gap(boxes_over(spike), boxes_over(flat), 0.0) == 0.0
+    assert gap(mesh_of(flat), mesh_of(spike), 1.0) == 0.0
+    assert gap(mesh_of(spike), mesh_of(flat), 0.0) == 0.0
     spike[..., 2] += 1.25
-    assert gap(boxes_over(flat), boxes_over(spike), 0.2) == math.inf
-    assert gap(boxes_over(flat), boxes_over(spike), 0.3) == pytest.approx(0.25)
+    assert gap(mesh_of(flat), mesh_of(spike), 0.2) == math.inf
+    assert gap(mesh_of(flat), mesh_of(spike), 0.3) == pytest.approx(0.25)
 
 
 @needs_jit

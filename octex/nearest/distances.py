@@ -8,86 +8,79 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.jit import inlined, kernel, new_array, part
-from octex.nearest.boxes import morton_order
+from octex.jit import inlined, kernel, part, trailing_zeros
+from octex.nearest.boxes import Boxes, begin, boxes_of, local, morton_order, new_search, next_node, reach
 
 
-class Boxes(NamedTuple):
-    """Triangles in the leaves of a complete binary tree of boxes.
-
-    Box k holds the boxes 2k and 2k + 1; the root is box 1, the last half are the triangles'.
-    """
+class Mesh(NamedTuple):
+    """Triangles and a tree of boxes over them."""
 
     corners: Float64s  # (m, 3, 3)   along a Morton curve
-    low: Float64s  # (2·leaves, 3)   infinite where there is no triangle
-    high: Float64s
+    boxes: Boxes
 
 
-def boxes_over(corners: Float64s) -> Boxes:
+def mesh_of(corners: Float64s) -> Mesh:
     """Build the tree over triangles (m, 3, 3)."""
     corners = np.ascontiguousarray(corners[morton_order(corners.mean(axis=1))])
-    leaves = 1 << (len(corners) - 1).bit_length()
-    low = np.full((2 * leaves, 3), np.inf)
-    high = -low
-    low[leaves : leaves + len(corners)] = corners.min(axis=1)
-    high[leaves : leaves + len(corners)] = corners.max(axis=1)
-    first = leaves
-    while first > 1:
-        low[first // 2 : first] = low[first : 2 * first].reshape(-1, 2, 3).min(axis=1)
-        high[first // 2 : first] = high[first : 2 * first].reshape(-1, 2, 3).max(axis=1)
-        first //= 2
-    return Boxes(corners, low, high)
+    return Mesh(corners, boxes_of(corners.min(axis=1), corners.max(axis=1)))
 
 
-def gap(a: Boxes, b: Boxes, most: float) -> float:
+def gap(a: Mesh, b: Mesh, most: float) -> float:
     """Return the smallest distance between two meshes, 0 where they cross; infinite above ``most``."""
     few, many = (a, b) if len(a.corners) <= len(b.corners) else (b, a)
     count = len(few.corners)
     stride = max(round(0.618 * count), 1)
     while math.gcd(stride, count) > 1:
         stride += 1
-    return float(_gap(few.corners, many.corners, many.low, many.high, most, stride))
+    return float(_gap(few.corners, many, most, stride))
 
 
 @kernel
-def _gap(few: Float64s, many: Float64s, low: Float64s, high: Float64s, most: float, stride: int) -> float:
-    leaves = low.shape[0] // 2
-    stack = new_array(64, np.int64)
+def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
+    search = new_search()
     best = most * most
     found = False
     for number in range(few.shape[0]):
         i = number * stride % few.shape[0]  # all over the mesh: so a small gap is known early
-        stack[0] = 1
-        size = 1
-        while size > 0:
-            size -= 1
-            node = stack[size]
-            if _box_distance(few, i, low, high, node) > best:
-                continue
-            if node >= leaves:
-                distance = _triangle_distance(few, i, many, node - leaves)
+        # Boxes are asked for around the ball that holds the triangle.
+        (x0, x1), (y0, y1), (z0, z1) = _extent(few, i, 0), _extent(few, i, 1), _extent(few, i, 2)
+        radius = 0.5 * np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
+        x, y, z, slack = local(many.boxes, 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
+        bound = reach(best, slack + radius)
+        waiting = begin(many.boxes, search)
+        while waiting > 0:
+            node, near, waiting = next_node(
+                many.boxes, search, waiting, 0, np.float32(x), np.float32(y), np.float32(z), bound
+            )
+            while near != np.uint64(0):
+                j = node * 8 + trailing_zeros(near)
+                near &= near - np.uint64(1)
+                if _box_distance(few, i, many.corners, j) > best:
+                    continue
+                distance = _triangle_distance(few, i, many.corners, j)
                 if distance <= best:
-                    best = distance
-                    found = True
+                    best, found = distance, True
                     if best == 0.0:
                         return 0.0
-                continue
-            near, far = 2 * node, 2 * node + 1
-            if _box_distance(few, i, low, high, far) < _box_distance(few, i, low, high, near):
-                near, far = far, near
-            stack[size] = far
-            stack[size + 1] = near
-            size += 2
+                    bound = reach(best, slack + radius)
     return np.sqrt(best) if found else np.inf
 
 
 @inlined
-def _box_distance(corners: Float64s, i: int, low: Float64s, high: Float64s, node: int) -> float:
-    """Return the squared distance of a triangle's box and a node's."""
+def _extent(corners: Float64s, i: int, axis: int) -> tuple[float, float]:
+    """Return the ends of a triangle along an axis."""
+    x, y, z = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
+    return min(x, y, z), max(x, y, z)
+
+
+@inlined
+def _box_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
+    """Return the squared distance of two triangles' boxes."""
     total = 0.0
     for axis in range(3):
-        x, y, z = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
-        apart = max(low[node, axis] - max(x, y, z), min(x, y, z) - high[node, axis], 0.0)
+        low, high = _extent(a, i, axis)
+        first, last = _extent(b, j, axis)
+        apart = max(first - high, low - last, 0.0)
         total += apart * apart
     return total
 

@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Float64s, Int32s, Int64s
 from octex.checks import as_number
 from octex.jit import kernel
-from octex.nearest.distances import Boxes, boxes_over, gap
+from octex.nearest.distances import Mesh, gap, mesh_of
 from octex.source.welding import first_equal
 
 if TYPE_CHECKING:
@@ -91,14 +91,14 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
     solids = [_solid(rest, triangles[own], welded) for own in members]
-    surfaces: dict[int, Boxes] = {}
+    surfaces: dict[int, Mesh] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
     for first, second in _near_boxes(low, high, margin):
         for a, b in zip(first.tolist(), second.tolist(), strict=True):
             for part in (a, b):
                 if part not in surfaces:
-                    surfaces[part] = boxes_over(rest[triangles[members[part]]])
+                    surfaces[part] = mesh_of(rest[triangles[members[part]]])
             distance = gap(surfaces[a], surfaces[b], margin)
             within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
             around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
