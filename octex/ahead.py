@@ -95,7 +95,7 @@ def main() -> None:
     for line in lines(*sys.argv[3:])[::-1][number::count]:
         with suppress(Exception):
             kernel, arguments = read(line)
-            kernel.compile(arguments)
+            kernel.compiled.compile(arguments)
 
 
 def _watch() -> None:

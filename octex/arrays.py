@@ -59,23 +59,6 @@ def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
     return mmap.mmap(file.fileno(), count)
 
 
-class _Writable:
-    """The memory of an array, to numpy's array protocol, as if it could be written to."""
-
-    def __init__(self, array: Array) -> None:
-        interface = array.__array_interface__
-        self.__array_interface__ = {**interface, "data": (interface["data"][0], False)}
-        self.array = array  # which lives as long as what is made of this
-
-
-def unlocked(array: Array) -> Array:
-    """Return a view that numba types as writable, for a kernel that writes in other modes only.
-
-    Nothing may be written to it: the memory can be a user's, or a mapped file's.
-    """
-    return array if array.flags.writeable else np.asarray(_Writable(array))
-
-
 def _bit_counts(words: Integers) -> Uint8s:
     """Count the bits of unsigned integers by a table, for numpy 1, which has no ``bitwise_count``."""
     octets = np.ascontiguousarray(words).view(np.uint8).reshape(*words.shape, words.itemsize)

@@ -205,7 +205,7 @@ def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -
             f"executor: a task cannot be sent to its processes: {error}; define functions in a module, or "
             "give threads"
         ) from error
-    return executor.submit(_do, text.getvalue(), [bytearray(buffer.raw()) for buffer in buffers])
+    return executor.submit(_do, text.getvalue(), [buffer.raw().tobytes() for buffer in buffers])
 
 
 class _Pickler(pickle.Pickler):
@@ -218,13 +218,12 @@ class _Pickler(pickle.Pickler):
         return given.copy().__reduce_ex__(5)
 
 
-def _do(text: bytes, copies: list[bytearray]) -> Any:
+def _do(text: bytes, copies: list[bytes]) -> Any:
     """Do a task that was sent here; raises RuntimeError for one that writes to what it was given."""
     sums = [zlib.adler32(copy) for copy in copies]
-    # Kernels are compiled for arrays that can be written to: with these no process compiles them anew.
-    function, given = pickle.loads(text, buffers=copies)
+    function, given = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
     found = function(*given)
-    if sums != [zlib.adler32(copy) for copy in copies]:
+    if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
         raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
     return found
 

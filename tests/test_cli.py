@@ -209,17 +209,17 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 @pytest.fixture(scope="module")
 def warmed() -> tuple[str, set[Any]]:
     """What warming up says, and the kernels that Python calls meanwhile."""
-    from numba.core.registry import CPUDispatcher
+    from octex.jit.decorators import Kernel
 
     called, said = set[Any](), io.StringIO()
-    call = CPUDispatcher.__call__
+    call = Kernel.__call__
 
     def recorded(kernel: Any, *arguments: Any) -> Any:
         called.add(kernel.py_func)
         return call(kernel, *arguments)
 
     with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
-        changed.setattr(CPUDispatcher, "__call__", recorded)
+        changed.setattr(Kernel, "__call__", recorded)
         assert main(["--warm-up"]) == ExitCode.DONE
     return said.getvalue(), called
 
@@ -234,7 +234,7 @@ def test_warming_up_says_how_long_it_took(
 
 @needs_jit
 def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[str, set[Any]]) -> None:
-    decorators = {"kernel", "inlined", "public_inlined", "step", "part"}
+    decorators = {"kernel", "inlined", "step", "part"}
     decorators |= {"fused_part", "summing_kernel", "fused_kernel"}
     entries = {}
     for found in pkgutil.walk_packages(octex.__path__, "octex."):

@@ -146,7 +146,7 @@ def test_without_a_folder_to_write_to_kernels_are_compiled_in_each_process(
 
     cache._folder_of.cache_clear()
     assert double(1.5) == 3.0
-    assert double.stats.cache_path is None  # type: ignore[attr-defined]
+    assert double.compiled.stats.cache_path is None  # type: ignore[attr-defined]
     assert str(numba.config.CACHE_DIR) == str(tmp_path / "file" / "none")
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from octex import jit
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
@@ -25,6 +26,15 @@ def trees_and_points(draw: st.DrawFn) -> tuple[Leaves, np.ndarray]:
 @kernel
 def child_of(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
     return child(arrays, node, octant)
+
+
+@pytest.mark.skipif(jit.DISABLED, reason="what is not compiled can be called anywhere")
+def test_what_is_inlined_is_not_called_from_python() -> None:
+    tree = Octree.from_leaves([0], 1)
+    child_of(tree.arrays, 0, 0)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="child can be called in kernels only"):
+            child(tree.arrays, 0, 0)
 
 
 @given(leaf_sets(deepest=5))

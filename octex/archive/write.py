@@ -46,7 +46,7 @@ from octex.archive.layout import (
 from octex.archive.models import Models, counting, made
 from octex.archive.values import code_values
 from octex.archive.weights import new_squares, solve
-from octex.arrays import Array, Int64s, Uint32s, unlocked, zeros
+from octex.arrays import Array, Int64s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.layout import TreeArrays
@@ -74,7 +74,6 @@ def write(
     file cannot be written: then what stood at ``path`` still stands.
     """
     first, channels = container.header(tensors, metadata), channels_in(metadata)
-    tensors = {name: unlocked(array) for name, array in tensors.items()}
     content = content_of(tensors, channels)
     Octree(*content[:3]).validate()
     blocks = list(_planned(content))

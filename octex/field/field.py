@@ -31,6 +31,7 @@ from octex.field.taps import (
 from octex.field.tiled import Search
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
 from octex.field.windows import MOST_TAPS, Walk, new_walk
+from octex.jit import unlocked
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -109,7 +110,8 @@ class Field:
     @built_once
     def facings(self) -> Facings:
         """Return the tree's facings, indexed on first use."""
-        return facings_of(self.tree)
+        found: Facings = unlocked(facings_of(self.tree))
+        return found
 
     @built_once
     def tiles(self) -> Tiles | None:

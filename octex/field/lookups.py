@@ -21,6 +21,7 @@ from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_ar
 from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
 from octex.field.tiles import Tiles
 from octex.field.windows import new_walk
+from octex.jit import direct, unlocked
 from octex.tree.order import order_of
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
@@ -40,6 +41,8 @@ _NO_SHARES = np.empty(0, np.float32)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
 _NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
+#: What searches and channels hold is unlocked where they are made.
+_look_up_tiled, _add_tiled = direct(look_up_tiled), direct(add_tiled)
 
 
 #: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
@@ -104,6 +107,7 @@ def look_up(
 
 def _positions(points: Floats) -> Positions:
     """Return rest positions (n, 3) as kernels take them, like `Positions.of`."""
+    points = unlocked(points)
     return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(_NO_VECTORS, points)
 
 
@@ -123,9 +127,8 @@ class PlainLookup:
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
         lost = np.empty((2, n), np.int64)
-        singles, doubles = (points, _NO_DOUBLES) if points.itemsize == 4 else (_NO_VECTORS, points)
-        given = singles, doubles, _NO_NUMBERS, *self._before
-        found = look_up_tiled(self._search, *given, answer, _NO_GRADIENTS, lost)
+        given = *_positions(points), _NO_NUMBERS, *self._before
+        found = _look_up_tiled(self._search, *given, answer, _NO_GRADIENTS, lost)
         return answer if found == _ALL_FOUND else None
 
 
@@ -275,12 +278,12 @@ class Lookup:
         if sums is None:
             gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
             given = *_positions(looks.points), which, *place, facing
-            return look_up_tiled(search, *given, channel, self._answers[0], gradients, lost)
+            return _look_up_tiled(search, *given, channel, self._answers[0], gradients, lost)
         some, parts = looks, left[0]
         if which.size:
             some, parts = looks.of(which), np.zeros_like(parts[: which.size])
         shown = *place, facing, some.owners, some.shares, parts
-        counts = add_tiled(search, _positions(some.points), *shown, channel.codes, sums, lost)
+        counts = _add_tiled(search, _positions(some.points), *shown, channel.codes, sums, lost)
         if not which.size:
             return *counts, -1
         left[0][which[: parts.size]] = parts
@@ -304,7 +307,7 @@ class Lookup:
         field, faces = self._field, self._query.normals is not None
         areas, mixed = _NO_BYTES, self._mixed(here)
         if here is not field:
-            areas = field.areas_of_averages(here.depth)[: here.n_cells]
+            areas = unlocked(field.areas_of_averages(here.depth)[: here.n_cells])
         facings = here.facings if faces else _NO_FACINGS
         first_kept = field.n_cells
         first_row = first_kept + field.tree.kept.cells.size

@@ -11,14 +11,15 @@ vectors       rows of four numbers, and boxes eight at a time
 """
 
 from octex.jit.decorators import DISABLED as DISABLED
+from octex.jit.decorators import direct as direct
 from octex.jit.decorators import fused_kernel as fused_kernel
 from octex.jit.decorators import fused_part as fused_part
 from octex.jit.decorators import inlined as inlined
 from octex.jit.decorators import kernel as kernel
 from octex.jit.decorators import part as part
-from octex.jit.decorators import public_inlined as public_inlined
 from octex.jit.decorators import step as step
 from octex.jit.decorators import summing_kernel as summing_kernel
+from octex.jit.decorators import unlocked as unlocked
 from octex.jit.instructions import bytes_of as bytes_of
 from octex.jit.instructions import decoded as decoded
 from octex.jit.instructions import low_bits as low_bits

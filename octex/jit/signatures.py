@@ -1,4 +1,4 @@
-"""Types of arguments as text: ``uint8:2C`` is an array of two axes in C order, ``uint8:2Cr`` read-only."""
+"""Types of arguments as text: ``uint8:2C`` is an array of two axes in C order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from numba import types
 
-_ARRAY = re.compile(r"(\w+):(\d+)([ACF])(r?)")
+_ARRAY = re.compile(r"(\w+):(\d+)([ACF])")
 
 
 def types_text(arguments: Any) -> str:
@@ -18,7 +18,7 @@ def types_text(arguments: Any) -> str:
 
 def _type_text(kind: Any) -> str:
     if isinstance(kind, types.Array):
-        return f"{kind.dtype}:{kind.ndim}{kind.layout}{'' if kind.mutable else 'r'}"
+        return f"{kind.dtype}:{kind.ndim}{kind.layout}"
     if not isinstance(kind, types.BaseTuple):
         return str(kind)
     of = getattr(kind, "instance_class", tuple)
@@ -42,8 +42,8 @@ def read_types(text: str) -> tuple[Any, ...]:
 def _read_type(text: str) -> Any:
     array = _ARRAY.fullmatch(text)
     if array is not None:
-        dtype, dimensions, layout, lock = array.groups()
-        return types.Array(_read_type(dtype), int(dimensions), layout, readonly=bool(lock))
+        dtype, dimensions, layout = array.groups()
+        return types.Array(_read_type(dtype), int(dimensions), layout)
     if not text.endswith(")"):
         return types.boolean if text == "bool" else getattr(types, text)
     name, _, inner = text[:-1].partition("(")

@@ -16,7 +16,7 @@ from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, weigh_by_area
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.windows import NODES, Walk, follow
-from octex.jit import inlined, public_inlined, step
+from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
 from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
 from octex.tree.search import fixed, nearest_cell
@@ -268,7 +268,7 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
     return _mean(scratch)
 
 
-@public_inlined
+@inlined
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
@@ -287,21 +287,21 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     return value_of(flat, cell, arrays.components)
 
 
-@public_inlined
+@inlined
 def linear(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves by the paper's own rule, which jumps where the depth changes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, LINEAR, scratch)
 
 
-@public_inlined
+@inlined
 def quadratic(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     """Return the field between leaves: a quadratic spline, continuous in its slopes."""
     x, y, z = _placed(arrays, point)
     return _look(arrays, x, y, z, QUADRATIC, scratch)
 
 
-@public_inlined
+@inlined
 def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector, scratch: Scratch) -> Color:
     """Return the mean over a square of some width around a rest position, of what faces a normal.
 

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from octex.arrays import Float32s, Uint8s, bit_counts
+from octex.arrays import Array, Float32s, Uint8s, bit_counts
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.lookups import ChannelRows
 from octex.field.sinks import Codes
 from octex.field.taps import mark_mixed, spreads_of
-from octex.jit import kernel
+from octex.jit import kernel, unlocked
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
 
@@ -22,7 +22,7 @@ NO_TABLE = np.empty(0, np.float32)
 def stored(channel: Channel) -> ChannelRows:
     """Return a channel as lookups read it."""
     dtype, space = channel.values.dtype, channel.format.space
-    arrays = channel.values, channel.kept_values, channel.split_values
+    arrays: tuple[Array, Array, Array] = unlocked((channel.values, channel.kept_values, channel.split_values))
     is_alpha = channel.format.name == "alpha" and channel.format.components == 1
     if dtype == np.float32:
         return ChannelRows(Codes(*arrays, NO_TABLE), space if space == "srgb" else None, is_alpha)
