@@ -56,6 +56,8 @@ def cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         numba.config.CACHE_DIR = str(folder)
         try:
             compiled = numba.njit(cache=True, **options)(function)
+        except (OSError, RuntimeError):  # of source that lies in no file
+            return numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
         with suppress(OSError):
