@@ -14,8 +14,8 @@ from octex.cli.common import run, say
 from octex.cli.convert_options import COMMANDS
 from octex.cli.paint_options import PAINT
 from octex.cli.parser import Command
-from octex.docs import TOPICS, topic
 from octex.cli.viewer import VIEW
+from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"

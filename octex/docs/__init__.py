@@ -1,4 +1,4 @@
-"""The pages that ``octex help`` prints and the documentation site shows: NAME.md, whose first line is the title."""
+"""The pages of ``octex help`` and of the documentation site: NAME.md, which begins with its title."""
 
 from __future__ import annotations
 
@@ -7,30 +7,17 @@ from importlib.resources import files
 
 from octex.errors import ArgumentError
 
-#: The names of all pages, in the order in which a reader may want them.
+#: The names of all pages by group, in the order in which a reader may want them.
 GROUPS = {
-    "start": ("tutorial", "concepts"),
-    "tasks": (
-        *(
-            "convert",
-            "page",
-            "render",
-            "no-uvs",
-            "paint-view",
-            "paint-python",
-            "photographs",
-            "bake",
-            "print",
-        ),
-        "arrays",
-    ),
+    "start": "tutorial concepts",
+    "tasks": "convert page render no-uvs paint-view paint-python photographs bake print arrays",
     "reference": (
-        *("models", "surfaces", "channels", "lookups", "filters", "adaptive", "parts", "previews", "viewer"),
-        *("painting", "cameras", "processing", "baking", "ptex", "files", "large", "remote"),
+        "models surfaces channels lookups filters adaptive parts previews viewer painting cameras processing "
+        "baking ptex files large remote"
     ),
-    "about": ("figures", "limits", "contributing"),
+    "about": "figures limits contributing",
 }
-TOPICS = tuple(name for names in GROUPS.values() for name in names)
+TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 
 
 def topic(name: str) -> str:
