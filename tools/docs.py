@@ -99,9 +99,16 @@ def build(site: Path) -> None:
         ]
         groups[2]["Reference"] += ["commands.md", "api.md", "format.md"]
         options = {
-            "show_source": False, "show_root_heading": True, "show_root_full_path": False, "heading_level": 3,
-            "members_order": "source", "show_signature_annotations": True, "separate_signature": True,
-        }  # fmt: skip
+            "extensions": [str(ROOT / "tools" / "docs_parameters.py")],
+            "heading_level": 3,
+            "members_order": "source",
+            "separate_signature": True,
+            "show_bases": False,
+            "show_root_full_path": False,
+            "show_root_heading": True,
+            "show_signature_annotations": True,
+            "show_source": False,
+        }
         config = {
             "site_name": "octex",
             "site_description": "Octree textures for Python: colour a model without UVs",
