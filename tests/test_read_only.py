@@ -176,7 +176,7 @@ def test_kernels_write_to_nothing_that_users_have_mapped_to_be_read(tmp_path: Pa
     channel = texture.channels["base_color"]
     channel = channel._replace(**dict(zip(channel._fields[1:], mapped(tmp_path, *channel[1:]), strict=True)))
     table = dict(zip(texture.tree.arrays._fields, mapped(tmp_path, *texture.tree.arrays), strict=True))
-    tree = Octree(TreeArrays(**table), texture.tree.kept, texture.tree.split)
+    tree = Octree(TreeArrays(**table), texture.tree.split, texture.tree.kept)
     texture = octex.OctreeTexture(tree, {"base_color": channel}, texture.placement, texture.bounds)
     directions = random.normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
