@@ -39,7 +39,10 @@ QUESTIONS: dict[str, dict[str, Any]] = {
 
 
 def entered(call: Callable[[], object]) -> set[CodeType]:
-    """Return the code of the functions of octex that a call enters the second time, but for kernels."""
+    """Return the code of the functions of octex that a call enters the second time.
+
+    Kernels are left out, and with them the room that calls them.
+    """
     found: set[CodeType] = set()
 
     def note(frame: FrameType, event: str, _argument: object) -> None:
@@ -56,7 +59,9 @@ def entered(call: Callable[[], object]) -> set[CodeType]:
 
 
 def _is_kernel(code: CodeType) -> bool:
-    """Say whether code is that of a function that numba compiles."""
+    """Say whether code is that of a function that numba compiles, or calls such a function."""
+    if Path(code.co_filename).parent == ROOT / "jit":
+        return True
     module = inspect.getmodule(code)
     return hasattr(getattr(module, code.co_name, None), "py_func")
 
