@@ -22,7 +22,7 @@ from octex.nearest.points import Points
 from octex.npz import read_npz
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
-from octex.source.models.text import parse_numbers
+from octex.source.models.reading import parse_numbers
 from octex.source.spatial import Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:

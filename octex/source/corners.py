@@ -70,6 +70,22 @@ class Polygons(NamedTuple):
         corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
         return cls(np.arange(count, dtype=np.int32), corners)
 
+    @classmethod
+    def joined(cls, parts: Sequence[tuple[Polygons | None, int]]) -> Polygons | None:
+        """Return the polygons, numbered on, of triangles that follow each other: of each part, and how many.
+
+        None where every triangle is a polygon.
+        """
+        numbers, first = [], 0
+        every = [polygons or cls.of_triangles(count) for polygons, count in parts]
+        for polygons in every:
+            numbers.append(polygons.numbers + np.int32(first))
+            first = int(numbers[-1].max()) + 1
+        joined = np.concatenate(numbers)
+        if all(polygons is None for polygons, _ in parts) or len(np.unique(joined)) == len(joined):
+            return None
+        return cls(joined, np.concatenate([each.corners for each in every]))
+
     def of(self, triangles: Int32s) -> Polygons:
         """Return the same of some triangles (k,) alone; polygons keep their numbers."""
         return Polygons(self.numbers[triangles], self.corners[triangles])

@@ -18,7 +18,7 @@ from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_ply, load_stl
 from octex.source.models.obj import load_obj
-from octex.source.models.options import Options
+from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.models.usd import load_usd
 from octex.source.motion import Motion

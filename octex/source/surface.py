@@ -186,7 +186,7 @@ class Surface(Mesh):
             faces,
             Joined(parts, FaceNormals((NORMAL,), rest, faces)),
             rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
-            polygons=_joined_polygons(surfaces),
+            polygons=Polygons.joined([(each.polygons, len(each.triangles)) for each in surfaces]),
             name=name,
             provenance={"source": name, "sources": json.dumps(sources)},
         )
@@ -425,18 +425,6 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
-
-
-def _joined_polygons(meshes: Sequence[Mesh]) -> Polygons | None:
-    """Return the polygons of meshes whose triangles follow each other, numbered on; None if none were cut."""
-    if all(each.polygons is None for each in meshes):
-        return None
-    numbers, first = [], 0
-    every = [each.polygons or Polygons.of_triangles(len(each.triangles)) for each in meshes]
-    for polygons in every:
-        numbers.append(polygons.numbers + np.int32(first))
-        first = int(numbers[-1].max()) + 1
-    return Polygons(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
 
 def _corner_coordinates(uv: npt.ArrayLike, triangles: Int32s, vertices: int) -> Corners:

@@ -21,15 +21,13 @@ from octex.channels import ONE
 from octex.errors import ImageError, ModelError, ModelWarning
 from octex.files import read_bytes, referred
 from octex.jit import kernel
-from octex.source.alone import alone
 from octex.source.colors import screen_colors
 from octex.source.corners import Corners, Polygons
-from octex.source.images.decode import decode_image
+from octex.source.images.decode import decode_image, global_settings
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.models.options import Options
 from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.text import parse_numbers, whole_numbers
+from octex.source.models.reading import Options, parse_numbers, whole_numbers
 from octex.source.surface import Surface, flip_v
 
 # Keeps traces of damaged normals off the screen where no program asks for logs.
@@ -82,7 +80,7 @@ def load_stl(path: Path, options: Options) -> Surface:
             raise ModelError(f"{path.name} is truncated, or not an STL file; export it again")
         # For text that is not UTF-8 trimesh asks a package that need not be there.
         data = data.decode("latin-1").encode()
-    with alone():
+    with global_settings():
         warnings.simplefilter("ignore")
         # Else trimesh leaves out all that follows the first word that is no number.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)

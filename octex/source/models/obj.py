@@ -22,12 +22,10 @@ from octex.jit import kernel
 from octex.source.colors import screen_colors
 from octex.source.corners import Corners, Creases
 from octex.source.materials import MaterialSource
-from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
-from octex.source.models.options import Options
+from octex.source.models.mtl import Library, load_materials, wavefront_lines
 from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.text import parse_numbers
+from octex.source.models.reading import Description, Options, frames_below, parse_numbers, slot_coordinates
 from octex.source.surface import Surface, flip_v
-from octex.source.tangents import corner_frames
 
 _LISTED = 5
 
@@ -57,20 +55,15 @@ def load_obj(path: Path, options: Options) -> Surface:
         known, numbers, files = _bind(text, path, polygons, len(sizes), options)
     coordinates: list[Corners] = []
     rows = indices[corners, 1]
-    if options.materials and (any(each.transforms for each in known) or (rows >= 0).all()):
-        uv, *coordinates = _coordinates(text, known, numbers, rows, name)
-    mapped_at = [each.material.normal_slot for each in known]
-    slots = np.array([-1 if slot is None else slot for slot in mapped_at])[numbers]
-    is_mapped = uv is not None and bool((slots >= 0).any())
+    described = dict(enumerate(known))
+    if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
+        upright, bound = _coordinates(text, known, numbers, rows, name)
+        uv = Corners(flip_v(upright), bound)
+        coordinates = slot_coordinates(described, numbers, lambda _: (upright, bound))
+    is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
-        frames = corner_frames(
-            positions,
-            triangles,
-            normals,
-            None,
-            Corners.chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
-        )
+        frames = frames_below(described, numbers, positions, triangles, normals, coordinates, uv)
     source = MaterialSource(
         [each.material for each in known],
         numbers,
@@ -318,14 +311,10 @@ def _without_materials(name: str, lost: list[str], library: Library, libraries: 
 
 
 def _coordinates(
-    text: _Text,
-    known: list[Description],
-    numbers: Int32s,
-    rows: Int64s,
-    name: str,
-) -> list[Corners]:
-    """Bind texture coordinates, as they are and then, slot by slot, as each material's maps change them."""
-    textured = np.array([bool(each.transforms) for each in known])[numbers]
+    text: _Text, known: list[Description], numbers: Int32s, rows: Int64s, name: str
+) -> tuple[Float64s, Int32s]:
+    """Return texture coordinates (n, 2), v up, and the row of each corner."""
+    textured = np.array([bool(each.slots) for each in known])[numbers]
     lacking = int((rows[textured] < 0).any(axis=1).sum())
     if lacking:
         said = f"{name} has {lacking} textured triangles without texture coordinates: they read one texel"
@@ -336,17 +325,7 @@ def _coordinates(
     plain = np.where(np.isnan(plain), 0.0, plain)[:, :2]
     if lacking:  # as elsewhere, at (0, 0)
         plain = np.append(plain, np.zeros((1, 2)), axis=0)
-    rows = np.where(rows < 0, max(len(plain) - 1, 0), rows)
-    found = [Corners(flip_v(plain), rows.astype(np.int32))]
-    for slot in range(max(len(each.transforms) for each in known)):
-        values, bound = [found[0].values], rows.copy()
-        for number, each in enumerate(known):
-            if slot < len(each.transforms) and each.transforms[slot] != Transform():
-                scale, offset = each.transforms[slot]
-                bound[numbers == number] += len(plain) * len(values)
-                values.append(flip_v(plain * scale + offset))
-        found.append(Corners(np.concatenate(values), bound.astype(np.int32)))
-    return found
+    return plain, np.where(rows < 0, max(len(plain) - 1, 0), rows).astype(np.int32)
 
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:

@@ -8,18 +8,17 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from octex.arrays import Float64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
 from octex.errors import ImageError, ModelWarning
 from octex.files import is_absolute
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.options import Options
+from octex.source.models.reading import Description, Options, Slot
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
@@ -34,30 +33,6 @@ _READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
 
 
-class Slot(NamedTuple):
-    """A primvar of texture coordinates, and what is done to it before an image is read (UsdTransform2d)."""
-
-    name: str
-    scale: tuple[float, ...] = (1.0, 1.0)
-    rotation: float = 0.0  # degrees, counter-clockwise
-    translation: tuple[float, ...] = (0.0, 0.0)
-
-    def applied(self, coordinates: Any) -> Float64s:
-        """Return coordinates (n, 2), v up, scaled, turned, then moved."""
-        cos, sin = math.cos(math.radians(self.rotation)), math.sin(math.radians(self.rotation))
-        turned = (coordinates * np.array(self.scale)) @ np.array([[cos, sin], [-sin, cos]])
-        return np.asarray(turned + np.array(self.translation), np.float64)
-
-
-class Bound(NamedTuple):
-    """A material, the coordinates that its textures' slots stand for, and whether it reads vertex colours."""
-
-    material: Material
-    slots: tuple[Slot, ...] = ()
-    reads_color: bool = False
-    reads_opacity: bool = False
-
-
 class Materials:
     """The materials of a stage, numbered as they are met; each image is decoded once."""
 
@@ -65,36 +40,28 @@ class Materials:
         self._name, self._options = name, options
         self._numbers: dict[tuple[str, bool], int] = {}
         self._texels: dict[tuple[str, str], Texels] = {}
-        self.bound: list[Bound] = []
+        self.known: list[Description] = []
         self.files: dict[str, str] = {}
-
-    @property
-    def every(self) -> list[Material]:
-        """All materials met."""
-        return [each.material for each in self.bound]
 
     def number(self, material: Any, double_sided: bool) -> int:
         """Return the number of a material of the stage, of none the same: what it has is displayColor."""
         place = str(material.GetPath()) if material and self._options.materials else ""
         key = place, double_sided
         if key not in self._numbers:
-            bound = self._read(material) if place else _plain()
+            described = self._described(material) if place else _plain()
             name = material.GetPrim().GetName() if place else ""
-            made = bound.material._replace(name=name, double_sided=double_sided)
-            self._numbers[key] = len(self.bound)
-            self.bound.append(bound._replace(material=made))
+            made = described.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.known)
+            self.known.append(described._replace(material=made))
         return self._numbers[key]
 
-    def _read(self, material: Any) -> Bound:
+    def _described(self, material: Any) -> Description:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             place = material.GetPath()
             text = f"{self._name}: the material {place} is no UsdPreviewSurface, so it is white; convert it"
             warnings.warn(text, ModelWarning, stacklevel=2)
             return _plain()
-        return self._described(shader)
-
-    def _described(self, shader: Any) -> Bound:
         inputs: dict[str, Input] = {"base_color": Input(_GREY)}
         slots: dict[Slot, int] = {}
         vertex: set[str] = set()
@@ -127,7 +94,8 @@ class Materials:
             mode = "opaque"
             inputs.pop("alpha", None)
         material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
-        return Bound(material, tuple(slots), "base_color displayColor" in vertex, reads_opacity)
+        reads_color = "base_color displayColor" in vertex
+        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
 
     def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
         """Return what a channel that reads an image is made of; None for normals of no image."""
@@ -186,10 +154,10 @@ class Materials:
         return self._texels[place, change]
 
 
-def _plain() -> Bound:
+def _plain() -> Description:
     """Return the material of what has none: its displayColor, or white."""
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
-    return Bound(material, (), True, False)
+    return Description(material, reads_color=True)
 
 
 def _changed(texels: Texels, change: str) -> Texels:
@@ -244,4 +212,4 @@ def _slot(node: Any) -> Slot:
         translation = tuple(map(float, _value(turn, "translation", translation)))
         found = _producer(turn, "in")
     name = "st" if found is None or found[0] is None else str(_value(found[0], "varname", "st"))
-    return Slot(name, scale, rotation, translation)
+    return Slot(name, scale, -math.radians(rotation), translation)  # v runs up here
