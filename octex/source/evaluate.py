@@ -10,9 +10,8 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s
 from octex.jit import inlined, kernel, new_array
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
-from octex.source.images.gather import gather
 from octex.source.images.pyramid import Images
-from octex.source.images.taps import TAP_ROOM
+from octex.source.images.taps import TAP_ROOM, Footprint, gather
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 
@@ -126,8 +125,7 @@ def evaluate(
     values: Float32s,
 ) -> None:
     """Fill in the values (n, columns) at points of triangles; ``filter`` is as `filters.told`."""
-    places = new_array(TAP_ROOM, np.int64)
-    weights = new_array(TAP_ROOM, np.float64)
+    places, weights = new_array(TAP_ROOM, np.int64), new_array(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
     for material in range(tables.first_stacks.size - 1):
         first, end = tables.first_stacks[material], tables.first_stacks[material + 1]
@@ -174,13 +172,8 @@ def evaluate(
         for stack in range(first, end):
             row = stack - first
             layout = int(tables.stacks[stack, 0])
-            count, cut, scale = find_taps(
-                images,
-                layout,
-                filter,
-                int(tables.stacks[stack, 2]),
-                int(tables.stacks[stack, 3]),
-                tables.stacks[stack, 4] != 0,
+            stacks = tables.stacks
+            foot = Footprint(
                 b0 * shared[row, 0] + b1 * shared[row, 2] + b2 * shared[row, 4],
                 b0 * shared[row, 1] + b1 * shared[row, 3] + b2 * shared[row, 5],
                 square * shared[row, 6],
@@ -188,12 +181,14 @@ def evaluate(
                 square * shared[row, 8],
                 square * shared[row, 9],
                 square * shared[row, 10],
-                places,
-                weights,
+                int(stacks[stack, 2]),
+                int(stacks[stack, 3]),
+                stacks[stack, 4] != 0,
             )
+            count, cut, scale = find_taps(images, layout, filter, foot, places, weights)
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
                 number = int(tables.images[image])
-                gather(images, number, layout, places, weights, count, scale, cut, threshold, lanes, at)
+                gather(images, number, layout, places, weights, count, cut, scale, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
         for column in range(values.shape[1]):

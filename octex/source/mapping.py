@@ -14,9 +14,8 @@ import numpy as np
 from octex.arrays import Float32s, Float64s
 from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
-from octex.source.images.gather import gather
 from octex.source.images.pyramid import MIRROR, REPEAT, Images
-from octex.source.images.taps import TAP_ROOM
+from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.vectors import Vector, cross_product, dot_product
 
 #: The kinds of mappings.
@@ -130,8 +129,7 @@ def read_mapped(
 
     ``normals`` (n, 3) are those of the faces, ``shading`` those on which directions of normal maps stand.
     """
-    places = np.empty(TAP_ROOM, np.int64)
-    weights = np.empty(TAP_ROOM, np.float64)
+    places, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
     lanes = np.empty(4, np.float32)
     level = images.layouts[0, 0]
     across, down = images.levels[level, 1], images.levels[level, 2]
@@ -152,10 +150,9 @@ def read_mapped(
             if most > MOST_VARIANCE:
                 part = MOST_VARIANCE / most
                 xx, xy, yy, least, most = xx * part, xy * part, yy * part, least * part, MOST_VARIANCE
-        count, cut, scale = find_taps(
-            images, 0, filter, wrap_u, wrap_v, flat, u, v, xx, xy, yy, least, most, places, weights
-        )
-        gather(images, 0, 0, places, weights, count, scale, cut, -1.0, lanes, 0)
+        foot = Footprint(u, v, xx, xy, yy, least, most, wrap_u, wrap_v, flat)
+        count, cut, scale = find_taps(images, 0, filter, foot, places, weights)
+        gather(images, 0, 0, places, weights, count, cut, scale, -1.0, lanes, 0)
         if is_direction:
             upright = (shading[i, 0], shading[i, 1], shading[i, 2])
             _turn(mapping, lanes, u_slope, v_slope, upright, width == 0.0, values, i)

@@ -239,7 +239,7 @@ class Pose:
         """Return the weights of a primitive's morph targets. Raises ModelError for another count."""
         record, count = self._nodes[placed.node], len(placed.targets)
         mesh = self._document.item("meshes", record["mesh"])
-        weights: list[float] = record.get("weights", mesh.get("weights", [0.0] * count))
+        weights: list[float] = (record if "weights" in record else mesh).get("weights", [0.0] * count)
         if len(weights) != count:
             raise ModelError(
                 f"{placed.name} has {count} morph targets, and nodes[{placed.node}] weights of "
