@@ -259,7 +259,7 @@ class _Arrays(NamedTuple):
 
 
 def _read_ply(path: Path) -> _Arrays:
-    from octex.source.models.meshfiles import ply_points
+    from octex.source.models.ply import ply_points
 
     return _Arrays(*ply_points(path))
 

@@ -14,7 +14,7 @@ from octex.source.materials import DEFAULTS
 from octex.source.spatial import SpatialSource
 
 
-class Part(NamedTuple):
+class Member(NamedTuple):
     """One of the surfaces."""
 
     source: Source | None  # None: it has none of the wanted channels
@@ -29,7 +29,7 @@ class Joined(Source):
     directions the normals of the ``faces``.
     """
 
-    def __init__(self, parts: Sequence[Part], faces: Source) -> None:
+    def __init__(self, parts: Sequence[Member], faces: Source) -> None:
         self._parts = list(parts)
         self._firsts = np.array([part.triangles.start for part in parts])
         self._faces = faces
@@ -68,7 +68,7 @@ class Joined(Source):
             )
         return values
 
-    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Part, Int64s, Int32s]]:
+    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Member, Int64s, Int32s]]:
         """Yield the parts that triangles (n,) are of, with their rows, and their numbers in the part."""
         owners = np.searchsorted(self._firsts, triangles, side="right") - 1
         for number in np.flatnonzero(np.bincount(owners)).tolist():
@@ -107,13 +107,13 @@ class Joined(Source):
     def only(self, names: Sequence[str]) -> Source:
         """Return the same source with these of its channels alone."""
 
-        def restricted(source: Source, _: Part) -> Source | None:
+        def restricted(source: Source, _: Member) -> Source | None:
             own = [form.name for form in source.channels if form.name in names]
             return source.only(own) if own or (source.has_gaps and not names) else None
 
         return self._each(restricted, self._faces)
 
-    def _each(self, change: Callable[[Source, Part], Source | None], faces: Source) -> Joined:
+    def _each(self, change: Callable[[Source, Member], Source | None], faces: Source) -> Joined:
         sources = [change(part.source, part) if part.source else None for part in self._parts]
         parts = [part._replace(source=each) for part, each in zip(self._parts, sources, strict=True)]
         return Joined(parts, faces)

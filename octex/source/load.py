@@ -16,8 +16,9 @@ from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
-from octex.source.models.meshfiles import load_off, load_ply, load_stl
+from octex.source.models.meshfiles import load_off, load_stl
 from octex.source.models.obj import load_obj
+from octex.source.models.ply import load_ply
 from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.models.usd import load_usd

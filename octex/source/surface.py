@@ -15,19 +15,18 @@ from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
-from octex.source.base import Combined, Source, by_channel
+from octex.source.base import Combined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons
-from octex.source.given import given_source
 from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
-from octex.source.joined import FaceNormals, Joined, Part
+from octex.source.joined import FaceNormals, Joined, Member
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
+from octex.source.overrides import override_source
 from octex.source.parts import Overlaps
-from octex.source.picked import Picked
 from octex.source.separation import SEPARATION, separated_rest, separation_of
 
 if TYPE_CHECKING:
@@ -172,7 +171,7 @@ class Surface(Mesh):
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
         triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
         parts = [
-            Part(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
+            Member(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
             for n, each in enumerate(surfaces)
         ]
         rest = np.concatenate([each.rest for each in surfaces])
@@ -273,15 +272,15 @@ class Surface(Mesh):
     def with_sources(self, sources: Mapping[str, object], filter: str | None = None) -> Surface:
         """Return the same surface with some channels from elsewhere.
 
-        ``sources`` gives, by the channel's name, a Source that has it; something Placeable, like MappedImage;
-        an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
-        texture coordinates with ``filter``, by default the model's; a function of rest positions, or of them
-        and face normals (see function.FunctionSource); or a value, linear light for colours: a number, or one
-        for each component.
-        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
-        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources or asked for
-        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves
-        a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
+        ``sources`` gives, by the channel's name, one of
+            a Source that has it, or something Placeable, like MappedImage
+            an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
+            texture coordinates with ``filter``, by default the model's
+            a function of rest positions, or of them and face normals: see overrides.FunctionSource
+            a value, linear light for colours: a number, or one for each component
+        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
+        ``frames`` (``load_surface`` with ``normals``). Vertex colours do not multiply these values. Where the
+        source of any channel leaves a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
@@ -299,7 +298,7 @@ class Surface(Mesh):
                 parts[channel] = given
                 made.provenance[f"source_{channel}"] = type(given).__name__
             else:
-                parts[channel], names = given_source(self, channel, given, filter)
+                parts[channel], names = override_source(self, channel, given, filter)
                 made.provenance |= names
         made.source = Combined(parts).only(list(parts))
         return made

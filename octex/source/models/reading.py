@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from octex.errors import ModelError, ModelWarning
 from octex.source.corners import Corners, Frames, Polygons
 from octex.source.images.decode import global_settings
-from octex.source.materials import Input, Material, MaterialSource
+from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
+from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
 
@@ -235,3 +237,82 @@ def assembled(
         name=name,
         provenance=provenance,
     )
+
+
+class Shape(NamedTuple):
+    """Polygons, cut into triangles."""
+
+    positions: Float64s
+    triangles: Int32s
+    corners: Int64s  # (triangles, 3)   which of all corners of polygons each corner is
+    numbers: Int64s  # (triangles,)     the polygon of each
+    polygons: Polygons | None
+
+    def colors(self, of_vertices: Float32s | None, of_polygons: Float32s | None) -> Corners | None:
+        """Bind the colours of vertices, or else of polygons."""
+        if of_vertices is not None:
+            return Corners(of_vertices, self.triangles)
+        if of_polygons is not None:
+            return Corners(of_polygons, np.repeat(self.numbers.astype(np.int32), 3).reshape(-1, 3))
+        return None
+
+
+def cut_shape(
+    name: str,
+    positions: Float64s,
+    indices: Int64s,
+    sizes: Int64s,
+) -> Shape:
+    """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
+    if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+        raise ModelError(f"{name}: a face uses a vertex that is not among the {len(positions)}")
+    corners, numbers = triangulate(positions, indices, sizes)
+    if len(corners) == 0:
+        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    triangles = indices[corners].astype(np.int32)
+    return Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
+
+
+def colored_surface(
+    name: str,
+    options: Options,
+    shape: Shape,
+    colors: Corners | None,
+    textures: Sequence[Texture | None] = (None,),
+    numbers: Int32s | None = None,
+    coordinates: Corners | None = None,
+) -> Surface:
+    """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
+    if colors is not None and not colors.values[colors.rows, 3].any():
+        colors = colors._replace(values=opaque(colors.values, name))
+    translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
+    mode: AlphaMode = "blend" if translucent else "opaque"
+    materials = [
+        Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
+        for each in textures
+    ]
+    if numbers is None:
+        numbers = np.zeros(len(shape.triangles), np.int32)
+    source = MaterialSource(
+        materials,
+        numbers,
+        shape.positions,
+        shape.triangles,
+        colors=colors,
+        coordinates=[] if coordinates is None else [coordinates],
+        name=name,
+        filter=options.filter,
+        channels=options.channels,
+    )
+    return Surface(
+        shape.positions, shape.triangles, source, uv=coordinates, polygons=shape.polygons, name=name
+    )
+
+
+def opaque(colors: Float32s, name: str) -> Float32s:
+    """Return colours with alpha 1: such as some programs write with 0 throughout, and show all the same."""
+    text = f"{name}: all its colours have alpha 0, which would show nothing, so it is left out"
+    warnings.warn(text + "; export them with 255", ModelWarning, stacklevel=2)
+    made = colors.copy()
+    made[:, 3] = 1.0
+    return made

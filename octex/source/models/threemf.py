@@ -26,8 +26,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.meshfiles import colored_surface, cut_shape
-from octex.source.models.reading import Options
+from octex.source.models.reading import Options, colored_surface, cut_shape
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
