@@ -16,7 +16,7 @@ from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.pyramid import MIRROR, REPEAT, Images
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
-from octex.source.vectors import Vector, cross_product, dot_product
+from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, times
 
 #: The kinds of mappings.
 KINDS = ("planar", "box", "cylindrical", "spherical")
@@ -182,18 +182,14 @@ def _turn(
         normal = (0.0, 0.0, 1.0)
     level = cross_product(normal, v_slope)
     hand = 1.0 if dot_product(u_slope, level) >= 0.0 else -1.0
-    tangent = (level[0] * hand, level[1] * hand, level[2] * hand)
+    tangent = times(level, hand)
     if dot_product(level, level) <= _TIE * _TIE * dot_product(v_slope, v_slope):
         along = dot_product(u_slope, normal)
-        tangent = (
-            u_slope[0] - along * normal[0],
-            u_slope[1] - along * normal[1],
-            u_slope[2] - along * normal[2],
-        )
+        tangent = minus(u_slope, times(normal, along))
     other = cross_product(normal, tangent)
     x, y, z = 2.0 * lanes[0] - 1.0, 2.0 * lanes[1] - 1.0, 2.0 * lanes[2] - 1.0
-    unit = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-150) if is_point else 1.0
-    length = 1.0 / max(math.sqrt(dot_product(tangent, tangent)), 1e-150)
+    unit = 1.0 / max(length_of((x, y, z)), 1e-150) if is_point else 1.0
+    length = 1.0 / max(length_of(tangent), 1e-150)
     x, y, z = x * unit * length, y * unit * length * hand, z * unit
     for column in range(3):
         direction = 0.0
