@@ -140,16 +140,15 @@ def in_order(names: Sequence[str]) -> list[str]:
 
 def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:
     """Return the columns of values (n, components) that are each channel's."""
-    ends = np.cumsum([form.components for form in channels])
-    parts = np.split(values, ends[:-1], axis=1)
-    return {form.name: part for form, part in zip(channels, parts, strict=True)}
+    parts = np.split(values, np.cumsum([form.components for form in channels]), axis=1)
+    return {form.name: part for form, part in zip(channels, parts, strict=False)}
 
 
 class Combined(Source):
     """Channels from several sources; ``sources`` names the one of each channel.
 
     Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is what its own source
-    gives, 1 if there is none.
+    gives, 1 if there is none. Without any source it has no channels.
     """
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
@@ -174,7 +173,8 @@ class Combined(Source):
         for source in self._gaps:
             alpha = given.get(ALPHA.name, np.float32(1.0))
             given[ALPHA.name] = alpha * (found[id(source)][ALPHA.name] > 0)
-        return np.hstack([given[form.name] for form in self._channels])
+        nothing = np.empty((len(triangles), 0), np.float32)
+        return np.hstack([nothing, *(given[form.name] for form in self._channels)])
 
     @property
     def has_gaps(self) -> bool:
@@ -189,8 +189,10 @@ class Combined(Source):
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the finest of the sources' texels."""
-        edges = [source.texel_edges(triangles) for source in self._every]
-        return np.asarray(np.min(edges, axis=0), np.float32)
+        edges = np.full(len(triangles), np.inf, np.float32)
+        for source in self._every:
+            np.minimum(edges, source.texel_edges(triangles), out=edges)
+        return edges
 
     def prepare(self) -> None:
         """Prepare all sources."""

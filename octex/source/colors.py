@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Floats
+from octex.arrays import Float32s, Float64s, Floats
 from octex.channels import decode, srgb_to_linear
 from octex.checks import as_array
 from octex.errors import ArgumentError
@@ -31,6 +31,12 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
         linear[:, : array.shape[1]] = array
     return linear
+
+
+def guessed_colors(values: Float64s) -> Float32s:
+    """Return linear colours of sRGB values in 0 … 1, or 0 … 255 if any is above 1; NaN stands for white."""
+    most = 255.0 if np.nanmax(values, initial=0.0) > 1.0 else 1.0
+    return screen_colors(np.nan_to_num(values / most, nan=1.0))
 
 
 def screen_colors(colors: Floats) -> Float32s:

@@ -19,13 +19,13 @@ class Corners(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Corners]) -> Corners:
         """Return one attribute of triangles that follow each other, part after part."""
-        values, rows = _stacked(parts)
+        values, rows = stacked(parts)
         return cls(values, np.concatenate(rows))
 
     @classmethod
     def chosen(cls, sets: Sequence[Corners], numbers: Int64s) -> Corners:
         """Return an attribute of triangles (m,) of which ``sets`` hold several: each has its number's."""
-        values, rows = _stacked(sets)
+        values, rows = stacked(sets)
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
     def of(self, triangles: Int32s) -> Corners:
@@ -37,7 +37,7 @@ class Corners(NamedTuple):
         return at_corners(self.values, self.rows[triangles], barycentric)
 
 
-def _stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
+def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
     """Return the values of all parts in one array, and the rows of each in that."""
     firsts = np.cumsum([0, *(len(part.values) for part in parts)])
     rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
@@ -74,17 +74,16 @@ class Polygons(NamedTuple):
     def joined(cls, parts: Sequence[tuple[Polygons | None, int]]) -> Polygons | None:
         """Return the polygons, numbered on, of triangles that follow each other: of each part, and how many.
 
-        None where every triangle is a polygon.
+        None where no part has any.
         """
+        if all(polygons is None for polygons, _ in parts):
+            return None
         numbers, first = [], 0
         every = [polygons or cls.of_triangles(count) for polygons, count in parts]
         for polygons in every:
             numbers.append(polygons.numbers + np.int32(first))
             first = int(numbers[-1].max()) + 1
-        joined = np.concatenate(numbers)
-        if all(polygons is None for polygons, _ in parts) or len(np.unique(joined)) == len(joined):
-            return None
-        return cls(joined, np.concatenate([each.corners for each in every]))
+        return cls(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
     def of(self, triangles: Int32s) -> Polygons:
         """Return the same of some triangles (k,) alone; polygons keep their numbers."""

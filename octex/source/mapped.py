@@ -35,26 +35,24 @@ _FARTHEST = 1e30
 class MappedImage(Placeable):
     """An image that a surface gets by its rest positions: it needs no texture coordinates.
 
-    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. Looked at from outside
-    it is not mirrored. ``kind`` is one of
+    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. From outside it is not
+    mirrored. ``kind`` is one of
 
-    planar        seen from along the axis, through the whole surface: what faces away is mirrored. The
-                  picture's top is towards +y; along y it is towards −z, along −y towards +z
-    box           six sides, each point's by the largest component of its face's normal (the axis before the
-                  front and back, and these before the other two, where they are equal). The picture stands
-                  upright on the four around the axis, its top towards it; those across it unfold from the
-                  front like a cross
-    cylindrical   once around the axis, its top towards it, its middle in front. Where a face's normal is
-                  nearer to the axis than to the side (within 45° of it), the picture lies across the axis as
-                  on a box: a round cap shows the circle inscribed in it
+    planar        along the axis, through the whole surface: what faces away is mirrored. The picture's top is
+                  towards +y; along y it is towards −z, along −y towards +z
+    box           six sides, each point's by the largest component of its face's normal (of equal ones the
+                  axis first, then front and back). Upright on the four around the axis, its top towards it;
+                  those across unfold from the front like a cross
+    cylindrical   once around the axis, its top towards it, its middle in front. Faces whose normal is within
+                  45° of the axis see the picture as on a box: a round cap has the circle inscribed in it
     spherical     longitude and latitude: once around the axis, its middle in front, its top row at the pole
-                  that the axis points to, its bottom row at the other
+                  that the axis points to
 
-    ``axis`` is x, y, z, -x, -y or -z. The front of a box, a cylinder and a sphere is towards −y, about y
-    towards +z, about −y towards −z. ``center`` (x, y, z) is where the picture's middle is, or what it goes
-    around: by default the middle of the surface's bounds at rest. ``size`` is what one copy of the picture
-    spans along x, y and z, in the model's units, or one number for all: by default the bounds, and for a box
-    the largest extent everywhere. A sphere has none, and around a cylinder there is one copy always.
+    ``axis`` is x, y, z, -x, -y or -z. The front is towards −y, about y towards +z, about −y towards −z.
+    ``center`` (x, y, z) is where the picture's middle is, or what it goes around: by default the middle of
+    the surface's bounds at rest. ``size`` is what one copy of the picture spans along x, y and z, in the
+    model's units, or one number for all: by default the bounds, and for a box their largest extent. A sphere
+    has none, and around a cylinder there is one copy always.
 
     ``wrap``, "repeat", "mirror" or "clamp", or one for u and one for v, is how copies meet; what goes around
     an axis always repeats. ``mag_filter``, "linear" or "nearest", is how texels meet. Footprints follow the

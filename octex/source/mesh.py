@@ -168,10 +168,9 @@ class Mesh:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
 
         In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
-        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
-        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
-        exact boolean (solids are turned outside out first). Parts that are no solids are named in
-        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
+        4.3.1 and 6.2). Each pair has the smallest distance of the surfaces and, of two solids, the volume
+        that both fill, by an exact boolean. ``unchecked`` are parts that are no solids: what lies inside them
+        is not known. A part that intersects itself is not found.
 
         Raises ArgumentError for a negative margin.
         """

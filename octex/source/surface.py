@@ -100,16 +100,16 @@ class Surface(Mesh):
     ) -> Surface:
         """Build a surface with one material from arrays.
 
-        ``colors`` (n, 3 or 4) per vertex or ``face_colors`` (m, 3 or 4) per triangle: unsigned integers are
-        sRGB codes, floats are linear light in 0 … 1; a fourth column is alpha. ``factor``, linear light and
-        alpha, multiplies them. ``alpha`` says whether alpha counts: "opaque", "mask" (with ``cutoff``) or
-        "blend"; None means "blend" if any is below 1.
-
-        ``image`` multiplies too: a Pillow image, or sRGB codes, uint8 or uint16, of shape (height, width) or
-        (height, width, 1 to 4). It needs ``uv``, per vertex (n, 2) or per corner (m, 3, 2), with v running
-        *up* from the image's last row, as in OBJ files; ``wrap``, "repeat", "mirror" or "clamp", or one for u
-        and one for v; and ``mag_filter``, "linear" or "nearest": how texels meet. ``filter``, one of
-        filters.FILTERS, is how the image is averaged over footprints.
+        colors, face_colors  (n or m, 3 or 4) per vertex or per triangle: unsigned integers are sRGB codes,
+                             floats linear light in 0 … 1; a fourth column is alpha
+        factor               linear light and alpha, which multiply them
+        alpha, cutoff        "opaque", "mask" (covered from the cutoff on) or "blend"; None: "blend" if any
+                             alpha is below 1
+        image                multiplies too: a Pillow image, or sRGB codes (height, width) or (height, width,
+                             1 to 4), uint8 or uint16
+        uv                   of the image, per vertex (n, 2) or per corner (m, 3, 2), v *up* from its last row
+        wrap, mag_filter     "repeat", "mirror" or "clamp", or one for u and one for v; "linear" or "nearest"
+        filter               how the image is averaged over footprints: one of filters.FILTERS
 
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
@@ -162,10 +162,9 @@ class Surface(Mesh):
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
         """Return several surfaces as one, to share a texture (Benson & Davis 2002, 5).
 
-        It has the channels that any of them has; where one does not state a channel, that is what materials
-        give that do not: 1, no light, and the faces' own normals. Its triangles and vertices are theirs in
-        order, and so are the numbers of their polygons. It has no texture coordinates. Raises ArgumentError
-        for none.
+        Triangles, vertices and polygons are theirs in order. It has the channels that any of them has, with
+        the defaults of materials elsewhere: 1, no light, the faces' normals. It has no texture coordinates.
+        Raises ArgumentError for none.
         """
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
@@ -203,18 +202,15 @@ class Surface(Mesh):
     ) -> Surface:
         """Build the surface on which a function of position has the value ``level``.
 
-        ``f`` takes positions (n, 3), float64, and returns values (n,); what it returns below ``level`` is
-        inside, as with signed distances. It is called with many positions at a time, some of them up to an
-        edge outside ``bounds``, the lowest and highest corner (2, 3); where these cut the shape it is closed
-        flatly. ``sources`` gives channels, as for ``with_sources``; ``base_color`` is a middle grey else.
+        ``f`` takes positions (n, 3), float64, and returns values (n,), below ``level`` inside, as signed
+        distances are. Some positions lie up to an edge outside ``bounds``, the lowest and highest corner
+        (2, 3), which close the shape where they cut it. ``sources`` gives channels, as for ``with_sources``;
+        ``base_color`` is a middle grey else.
 
-        Triangles have edges of about ``edge_length``, and vertices that lie on the surface as exactly as
-        Newton's method finds it (those of the flat ends do not move). In between a triangle is off by up to
-        edge_length² / 4r, where r is the radius of curvature: half the edge, a quarter of the error, and four
-        times the triangles. An octree has the cells of the true surface where that is less than the surface
-        misses the corners and edges of cells by: for spheres, edges as long as cells were enough at depths
-        5 and 6. What is thinner than an edge may be lost. (Benson & Davis 2002, 1 and 5; the grid is
-        manifold3d's.)
+        Triangles have edges of about ``edge_length`` and vertices on the surface, by Newton's method. In
+        between a triangle is off by up to edge_length² / 4r, where r is the radius of curvature: for spheres
+        edges as long as cells were enough at depths 5 and 6. What is thinner than an edge may be lost.
+        (Benson & Davis 2002, 1 and 5; the grid is manifold3d's.)
 
         Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
         lengths that are not finite or out of range, and ModelError where there is no surface.
@@ -333,11 +329,11 @@ class Surface(Mesh):
     def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
         """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
 
-        The largest stay, as does what is near to nothing; others come to lie beside the whole, so that its
-        longest side grows as little as may be: where cells are a part of that, they grow with it. Sources
-        give the same values as before. Provenance remembers what was moved, and so does a texture made of it:
-        see ``placed_in``. A part that intersects itself stays as it is. Without such parts the surface itself
-        is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger one.
+        The largest stay; others come to lie beside the whole, so that its longest side, and with it a cell,
+        grows as little as may be. Values stay. Provenance remembers what was moved, and so does a texture
+        made of it: see ``placed_in``. A part that intersects itself stays as it is. Without such parts the
+        surface itself is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger
+        one.
 
         Raises ArgumentError for a margin not above zero, and a surface that is separated already.
         """

@@ -96,8 +96,8 @@ class _Scene:
             [each.material for each in known.values()],
             options,
             document.name,
-            self._provenance(),
-            posed,
+            provenance=self._provenance(),
+            posed=posed,
         )
 
     def motion(self, rate: float) -> Motion | None:

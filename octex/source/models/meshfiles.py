@@ -18,7 +18,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.errors import ModelError
 from octex.files import read_bytes
-from octex.source.colors import screen_colors
+from octex.source.colors import guessed_colors
 from octex.source.images.decode import global_settings
 from octex.source.models.reading import Options, colored_surface, cut_shape, parse_numbers, whole_numbers
 from octex.source.surface import Surface
@@ -138,6 +138,4 @@ def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
     for column in range(4):
         given = colored & (left > column)
         colors[given, column] = rows.values[(rows.starts + skip)[given] + column]
-    if np.nanmax(colors) > 1.0:
-        colors /= 255.0
-    return screen_colors(np.where(np.isnan(colors), 1.0, colors))
+    return guessed_colors(colors)

@@ -15,16 +15,23 @@ from pathlib import Path
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Float64s, Int32s, Int64s, Uint8s
 from octex.errors import ModelError, ModelWarning
 from octex.files import read_bytes
 from octex.jit import kernel
-from octex.source.colors import screen_colors
+from octex.source.colors import guessed_colors
 from octex.source.corners import Corners, Creases
-from octex.source.materials import MaterialSource
 from octex.source.models.mtl import Library, load_materials, wavefront_lines
-from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.reading import Description, Options, frames_below, parse_numbers, slot_coordinates
+from octex.source.models.reading import (
+    Description,
+    Options,
+    Part,
+    assembled,
+    cut_shape,
+    frames_below,
+    parse_numbers,
+    slot_coordinates,
+)  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
 _LISTED = 5
@@ -42,17 +49,15 @@ def load_obj(path: Path, options: Options) -> Surface:
     vertices = _numbers(text.vertices, 3, name, "v")
     positions = np.ascontiguousarray(vertices[:, :3])
     indices, sizes = _faces(text, name)
-    corners, polygons = triangulate(positions, np.ascontiguousarray(indices[:, 0]), sizes)
-    triangles = indices[corners, 0].astype(np.int32)
-    if len(triangles) == 0:
-        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    shape = cut_shape(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
+    triangles, corners = shape.triangles, shape.corners
     colors = uv = frames = None
     if vertices.shape[1] >= 6:
-        colors = Corners(_vertex_colors(vertices[:, 3:6]), triangles)
+        colors = Corners(guessed_colors(vertices[:, 3:6]), triangles)
     numbers, known = np.zeros(len(triangles), np.int32), [Description()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
-        known, numbers, files = _bind(text, path, polygons, len(sizes), options)
+        known, numbers, files = _bind(text, path, shape.numbers, len(sizes), options)
     coordinates: list[Corners] = []
     rows = indices[corners, 1]
     described = dict(enumerate(known))
@@ -64,36 +69,18 @@ def load_obj(path: Path, options: Options) -> Surface:
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
         frames = frames_below(described, numbers, positions, triangles, normals, coordinates, uv)
-    source = MaterialSource(
+    part = Part(
+        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None, frames,
+        normals is not None, shape.polygons,
+    )  # fmt: skip
+    return assembled(
+        [part],
         [each.material for each in known],
-        numbers,
-        positions,
-        triangles,
-        colors=colors,
-        coordinates=coordinates,
-        frames=frames,
-        name=name,
-        filter=options.filter,
-        channels=options.channels,
-    )
-    provenance = {"files": json.dumps(files, sort_keys=True)} if files else {}
-    return Surface(
-        positions,
-        triangles,
-        source,
-        uv=uv if (rows >= 0).all() else None,
-        frames=frames if normals is not None else None,
-        polygons=cut_polygons(corners, polygons, sizes),
+        options,
+        name,
+        provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         creases=_creases(text.tags, len(positions), name),
-        name=name,
-        provenance=provenance,
     )
-
-
-def _vertex_colors(given: Float64s) -> Float32s:
-    """Return linear colours of values in 0 … 1, or 0 … 255 if any is above 1; white where there are none."""
-    largest = float(np.nanmax(given, initial=0.0))
-    return screen_colors(np.nan_to_num(given / (255.0 if largest > 1.0 else 1.0), nan=1.0))
 
 
 class _Text:
@@ -213,13 +200,12 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
     for column, listed in ((1, text.coordinates), (2, text.normals)):
         if not listed:  # some exporters count what they leave out
             corners[:, column] = -1
-    _check(corners[:, 0], 0, len(text.vertices), name, "vertex")
-    _check(corners[:, 1], -1, len(text.coordinates), name, "texture coordinate")
+    _check(corners[:, 1], len(text.coordinates), name, "texture coordinate")
     return corners, sizes
 
 
-def _check(used: Int64s, lowest: int, limit: int, name: str, what: str) -> None:
-    if used.size and not lowest <= used.min() <= used.max() < limit:
+def _check(used: Int64s, limit: int, name: str, what: str) -> None:
+    if used.size and not -1 <= used.min() <= used.max() < limit:
         raise ModelError(f"{name}: a face uses a {what} that is not among the {limit}; export it again")
 
 
@@ -330,7 +316,7 @@ def _coordinates(
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, not numbers where there are none."""
-    _check(rows, -1, len(text.normals), name, "normal")
+    _check(rows, len(text.normals), name, "normal")
     given = _numbers(text.normals, 3, name, "vn")[:, :3]
     lacking = (rows < 0).any(axis=1)
     if lacking.all():

@@ -6,18 +6,20 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from octex.errors import ModelError, ModelWarning
-from octex.source.corners import Corners, Frames, Polygons
+from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.images.decode import global_settings
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
+
+AnyArray = TypeVar("AnyArray", Float32s, Float64s, Int32s)
 
 
 class Options(NamedTuple):
@@ -146,10 +148,12 @@ class Part(NamedTuple):
     frames: Frames | None = None
     is_smooth: bool = False  # whether the file has normals
     polygons: Polygons | None = None
-    matrix: Float64s = np.eye(4)  # to the world
+    matrix: Float64s | None = None  # to the world
 
     def placed(self) -> Part:
         """Return the part in the world."""
+        if self.matrix is None:
+            return self
         linear, rows = self.matrix[:3, :3], self.triangles
         with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
             positions = self.positions @ linear.T + self.matrix[:3, 3]
@@ -176,8 +180,10 @@ def assembled(
     materials: Sequence[Material],
     options: Options,
     name: str,
-    provenance: dict[str, str],
+    *,
+    provenance: dict[str, str] | None = None,
     posed: Float64s | None = None,
+    creases: Creases | None = None,
 ) -> Surface:
     """Return the parts of a scene as one surface; ``posed`` are other positions of its vertices (n, 3).
 
@@ -186,8 +192,8 @@ def assembled(
     """
     parts = [part.placed() for part in parts]
     firsts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    positions = np.concatenate([part.positions for part in parts])
-    triangles = np.concatenate(
+    positions = _concatenated([part.positions for part in parts])
+    triangles = _concatenated(
         [part.triangles + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     )
 
@@ -202,8 +208,8 @@ def assembled(
             for part, each in zip(parts, attributes, strict=True)
         ]
         if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
-            return Corners(np.concatenate([each.values for each in every]), triangles)
-        return Corners.joined(every)
+            return Corners(_concatenated([each.values for each in every]), triangles)
+        return every[0] if len(every) == 1 else Corners.joined(every)
 
     is_smooth = any(part.is_smooth for part in parts)
     is_mapped = any(each.normal_slot is not None for each in materials)
@@ -211,7 +217,7 @@ def assembled(
     frames = Frames(*(Corners.joined(each) for each in zip(*shaded, strict=True))) if shaded else None
     source = MaterialSource(
         materials,
-        np.concatenate([part.materials for part in parts]),
+        _concatenated([part.materials for part in parts]),
         positions,
         triangles,
         colors=joined([part.colors for part in parts], 1.0),
@@ -234,9 +240,15 @@ def assembled(
         uv=None if any(each is None for each in uvs) else joined(uvs, 0.0),
         frames=frames if is_smooth else None,
         polygons=Polygons.joined([(part.polygons, len(part.triangles)) for part in parts]),
+        creases=creases,
         name=name,
         provenance=provenance,
     )
+
+
+def _concatenated(arrays: Sequence[AnyArray]) -> AnyArray:
+    """Return arrays as one; a lone one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 class Shape(NamedTuple):
@@ -257,15 +269,11 @@ class Shape(NamedTuple):
         return None
 
 
-def cut_shape(
-    name: str,
-    positions: Float64s,
-    indices: Int64s,
-    sizes: Int64s,
-) -> Shape:
+def cut_shape(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> Shape:
     """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
-        raise ModelError(f"{name}: a face uses a vertex that is not among the {len(positions)}")
+        text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
+        raise ModelError(text)
     corners, numbers = triangulate(positions, indices, sizes)
     if len(corners) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
@@ -293,20 +301,11 @@ def colored_surface(
     ]
     if numbers is None:
         numbers = np.zeros(len(shape.triangles), np.int32)
-    source = MaterialSource(
-        materials,
-        numbers,
-        shape.positions,
-        shape.triangles,
-        colors=colors,
-        coordinates=[] if coordinates is None else [coordinates],
-        name=name,
-        filter=options.filter,
-        channels=options.channels,
+    slots = () if coordinates is None else (coordinates,)
+    part = Part(
+        shape.positions, shape.triangles, numbers, colors, slots, coordinates, polygons=shape.polygons
     )
-    return Surface(
-        shape.positions, shape.triangles, source, uv=coordinates, polygons=shape.polygons, name=name
-    )
+    return assembled([part], materials, options, name)
 
 
 def opaque(colors: Float32s, name: str) -> Float32s:

@@ -96,7 +96,7 @@ class _Scene:
         files = self._materials.files
         return assembled(
             parts, [each.material for each in self._materials.known], self._options, self._name,
-            {"files": json.dumps(files, sort_keys=True)} if files else {},
+            provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         )  # fmt: skip
 
     def _shown(self) -> list[Any]:
@@ -175,15 +175,14 @@ class _Scene:
             )
         _check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
-        polygons = cut_polygons(cut, owners, sizes) or Polygons.of_triangles(len(cut))
+        polygons = cut_polygons(cut, owners, sizes)
         is_shown = ~np.isin(owners, _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64))
-        cut, owners, polygons = (
-            cut[is_shown],
-            owners[is_shown],
-            Polygons(*(each[is_shown] for each in polygons)),
-        )
+        cut, owners = cut[is_shown], owners[is_shown]
+        polygons = polygons and Polygons(*(each[is_shown] for each in polygons))
+        if len(np.unique(owners)) == len(owners):
+            polygons = None
         if mesh.GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
-            cut, polygons = cut[:, ::-1], polygons._replace(corners=polygons.corners[:, ::-1])
+            cut, polygons = cut[:, ::-1], polygons and polygons._replace(corners=polygons.corners[:, ::-1])
         primvars = _Primvars(prim, self._time, what, corners, sizes, cut)
         triangles = corners[cut].astype(np.int32)
         numbers = np.full(len(sizes), next(iter(known)), np.int32)
