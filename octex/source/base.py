@@ -165,16 +165,16 @@ class Combined(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
-        found = {
+        by_source = {
             id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
             for source in self._every
         }
-        given = {name: found[id(source)][name] for name, source in self._sources.items()}
+        columns = {name: by_source[id(source)][name] for name, source in self._sources.items()}
         for source in self._gaps:
-            alpha = given.get(ALPHA.name, np.float32(1.0))
-            given[ALPHA.name] = alpha * (found[id(source)][ALPHA.name] > 0)
+            alpha = columns.get(ALPHA.name, np.float32(1.0))
+            columns[ALPHA.name] = alpha * (by_source[id(source)][ALPHA.name] > 0)
         nothing = np.empty((len(triangles), 0), np.float32)
-        return np.hstack([nothing, *(given[form.name] for form in self._channels)])
+        return np.hstack([nothing, *(columns[form.name] for form in self._channels)])
 
     @property
     def has_gaps(self) -> bool:
@@ -184,8 +184,8 @@ class Combined(Source):
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` says no more than where all of the sources know something."""
-        own = self._sources.get(ALPHA.name)
-        return self.has_gaps and (own is None or own.alpha_is_coverage)
+        alpha = self._sources.get(ALPHA.name)
+        return self.has_gaps and (alpha is None or alpha.alpha_is_coverage)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the finest of the sources' texels."""

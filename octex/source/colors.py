@@ -20,16 +20,15 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
-    if array.dtype in (np.uint8, np.uint16):
-        linear = np.ones((rows, 4), np.float32)
-        linear[:, :3] = decode(array[:, :3], "srgb")
-        linear[:, 3:] = decode(array[:, 3:], "data") if array.shape[1] == 4 else 1.0
-        return linear
-    if array.dtype.kind != "f":
-        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     linear = np.ones((rows, 4), np.float32)
-    with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
-        linear[:, : array.shape[1]] = array
+    if array.dtype in (np.uint8, np.uint16):
+        linear[:, :3] = decode(array[:, :3], "srgb")
+        linear[:, 3 : array.shape[1]] = decode(array[:, 3:], "data")
+    elif array.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+            linear[:, : array.shape[1]] = array
+    else:
+        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     return linear
 
 

@@ -85,6 +85,17 @@ class Polygons(NamedTuple):
             first = int(numbers[-1].max()) + 1
         return cls(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
+    def loops(self) -> tuple[Int32s, Int64s, Int64s, Int64s]:
+        """Return what polygons there are, and their corners one after another.
+
+        These are the number of each polygon (k,) and of its corners (k,); the corner of a triangle, of 3·m,
+        that each corner (c,) is first; and the corner of a polygon that each of a triangle (m, 3) is.
+        """
+        keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
+        keys, first, places = np.unique(keys, return_index=True, return_inverse=True)
+        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        return known, sizes.astype(np.int64), first.astype(np.int64), places.reshape(-1, 3)
+
     def of(self, triangles: Int32s) -> Polygons:
         """Return the same of some triangles (k,) alone; polygons keep their numbers."""
         return Polygons(self.numbers[triangles], self.corners[triangles])

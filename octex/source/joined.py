@@ -33,12 +33,12 @@ class Joined(Source):
         self._parts = list(parts)
         self._firsts = np.array([part.triangles.start for part in parts])
         self._faces = faces
-        found: dict[str, ChannelFormat] = {}
+        forms: dict[str, ChannelFormat] = {}
         for form in (form for part in parts for form in part.source.channels):
-            known = found.setdefault(form.name, form)
+            known = forms.setdefault(form.name, form)
             if not known.dtype.startswith("float"):
-                found[form.name] = form if form.dtype.startswith("float") else known
-        self._channels = tuple(found[name] for name in in_order(list(found)))
+                forms[form.name] = form if form.dtype.startswith("float") else known
+        self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
     @property
     def has_gaps(self) -> bool:
@@ -55,13 +55,13 @@ class Joined(Source):
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each point's from its own source."""
         values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
-        for part, rows, own in self._by_part(triangles):
-            given = by_channel(
-                part.source.channels, part.source.evaluate(own, barycentric[rows], widths[rows])
+        for part, rows, within in self._by_part(triangles):
+            columns = by_channel(
+                part.source.channels, part.source.evaluate(within, barycentric[rows], widths[rows])
             )
             values[rows] = np.hstack(
                 [
-                    given[form.name] if form.name in given else self._default(form, triangles[rows])
+                    columns[form.name] if form.name in columns else self._default(form, triangles[rows])
                     for form in self._channels
                 ]
             )
@@ -83,8 +83,8 @@ class Joined(Source):
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
         edges = np.full(len(triangles), np.inf, np.float32)
-        for part, rows, own in self._by_part(triangles):
-            edges[rows] = part.source.texel_edges(own)
+        for part, rows, within in self._by_part(triangles):
+            edges[rows] = part.source.texel_edges(within)
         return edges
 
     def prepare(self) -> None:
@@ -105,8 +105,8 @@ class Joined(Source):
         """Return the same source with these of its channels alone."""
 
         def restricted(source: Source, _: Member) -> Source:
-            own = [form.name for form in source.channels if form.name in names]
-            return source.only(own) if own or (source.has_gaps and not names) else Combined({})
+            wanted = [form.name for form in source.channels if form.name in names]
+            return source.only(wanted) if wanted or (source.has_gaps and not names) else Combined({})
 
         return self._each(restricted, self._faces)
 

@@ -63,8 +63,8 @@ class Material(NamedTuple):
     @property
     def normal_slot(self) -> int | None:
         """The set of texture coordinates that its normal map is read at; None without such a map."""
-        given = self.inputs.get("normal")
-        return None if given is None or given.texture is None else given.texture.slot
+        entry = self.inputs.get("normal")
+        return None if entry is None or entry.texture is None else entry.texture.slot
 
 
 #: The largest number that a half-precision float holds.
@@ -269,19 +269,19 @@ class MaterialSource(Source):
             lane_of = shelf.add(number, names)
             for form in self._channels:
                 columns = slice(first_column[form.name], first_column[form.name] + form.components)
-                given = material.inputs.get(form.name)
+                entry = material.inputs.get(form.name)
                 if form.space == "direction":
-                    straight = given is None or given.texture is None
+                    straight = entry is None or entry.texture is None
                     gains[number, columns] = 0.0 if straight else 2.0
                     offsets[number, columns] = (0.0, 0.0, 1.0) if straight else -1.0
-                elif given is None:
+                elif entry is None:
                     gains[number, columns] = DEFAULTS.get(form.name, 1.0)
                 else:
                     # The kernel multiplies alpha by its factor, and by vertex colours, before thresholds.
-                    gains[number, columns] = 1.0 if form.name == "alpha" else given.factor
-                    offsets[number, columns] = given.offset or 0.0
-                if given is not None and given.texture is not None:
-                    lanes[number, columns] = lane_of[form.name] + np.array(given.lanes[: form.components])
+                    gains[number, columns] = 1.0 if form.name == "alpha" else entry.factor
+                    offsets[number, columns] = entry.offset or 0.0
+                if entry is not None and entry.texture is not None:
+                    lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
         stored = store(shelf.pictures, LEVELS_OF[self._filter])
         stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
@@ -353,10 +353,10 @@ class _Shelf:
         material = self._materials[number]
         stacks: dict[tuple[object, int, int, bool, int], dict[int, list[str]]] = {}
         for name in names:
-            given = material.inputs.get(name)
-            if given is None or given.texture is None:
+            entry = material.inputs.get(name)
+            if entry is None or entry.texture is None:
                 continue
-            texels, wrap_u, wrap_v, nearest, slot = given.texture
+            texels, wrap_u, wrap_v, nearest, slot = entry.texture
             way = texels.shape[:2], wrap_u, wrap_v, nearest, slot
             stacks.setdefault(way, {}).setdefault(self._image(number, name, texels), []).append(name)
         lane_of: dict[str, int] = {}
@@ -374,7 +374,7 @@ class _Shelf:
     def _image(self, number: int, name: str, texels: Texels) -> int:
         """Return the number of the image that a channel of a material reads."""
         material = self._materials[number]
-        given = material.inputs[name]
+        entry = material.inputs[name]
         space = CHANNELS[name].space
         covering = name in ("base_color", "alpha") and _is_covered(material)
         threshold = -1.0
@@ -382,10 +382,10 @@ class _Shelf:
             factor = _alpha_factor(material) * self._vertex_alphas[number]
             threshold = material.cutoff / factor if factor > 0 else np.inf
         is_light = space == "srgb" or covering
-        key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)
+        key = (id(texels), is_light, covering, threshold, entry.factor if space == "direction" else None)
         if key not in self._numbers:
             if space == "direction":
-                texels = unit_directions(texels, given.factor)
+                texels = unit_directions(texels, entry.factor)
             self._numbers[key] = len(self.pictures)
             self.pictures.append(Picture(texels, is_light, covering, threshold))
         return self._numbers[key]
@@ -413,12 +413,12 @@ def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
     return form._replace(space="linear", dtype="float16" if most <= MOST_IN_FLOAT16 else "float32")
 
 
-def _brightest(given: Input) -> float:
+def _brightest(entry: Input) -> float:
     """Return the most that an input of light can give."""
     texel = 1.0
-    if given.texture is not None and given.texture.texels.dtype == np.float32:
-        texel = float(given.texture.texels[..., list(given.lanes)].max())
-    return max(given.factor) * texel + max(given.offset, default=0.0)
+    if entry.texture is not None and entry.texture.texels.dtype == np.float32:
+        texel = float(entry.texture.texels[..., list(entry.lanes)].max())
+    return max(entry.factor) * texel + max(entry.offset, default=0.0)
 
 
 def unit_directions(texels: Texels, scale: tuple[float, ...]) -> Uint16s:

@@ -158,10 +158,7 @@ class Mesh:
         The vertices of a polygon are in the file's order, from its first corner on, and wind as its triangles
         do. Of a polygon some of whose triangles were left out, these are the corners of the others.
         """
-        numbers, corners = self.polygons or Polygons.of_triangles(len(self.triangles))
-        keys = numbers[:, None].astype(np.int64) << 32 | corners
-        keys, first = np.unique(keys, return_index=True)
-        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        known, sizes, first, _ = (self.polygons or Polygons.of_triangles(len(self.triangles))).loops()
         return known, sizes.astype(np.int32), self.triangles.ravel()[first]
 
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:

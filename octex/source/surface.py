@@ -288,13 +288,13 @@ class Surface(Mesh):
         remaining = [form.name for form in self.channels if form.name not in replaced]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         made = self._with(self.source)
-        for channel, given in sources.items():
-            if isinstance(given, Source):
-                as_choice(channel, [form.name for form in given.channels], "channel of the given source")
-                parts[channel] = given
-                made.provenance[f"source_{channel}"] = type(given).__name__
+        for channel, value in sources.items():
+            if isinstance(value, Source):
+                as_choice(channel, [form.name for form in value.channels], "channel of the given source")
+                parts[channel] = value
+                made.provenance[f"source_{channel}"] = type(value).__name__
             else:
-                parts[channel], names = override_source(self, channel, given, filter)
+                parts[channel], names = override_source(self, channel, value, filter)
                 made.provenance |= names
         made.source = Combined(parts).only(list(parts))
         return made
@@ -308,8 +308,8 @@ class Surface(Mesh):
         """
         names = None if channels is None else as_names(channels, "channels")
         sources = as_entries(sources, "sources")
-        given = {name: each for name, each in sources.items() if names is None or name in names}
-        surface = self.with_sources(given, filter) if given else self
+        wanted = {name: each for name, each in sources.items() if names is None or name in names}
+        surface = self.with_sources(wanted, filter) if wanted else self
         return surface if names is None else surface.with_channels(names)
 
     def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
@@ -395,12 +395,12 @@ class Surface(Mesh):
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
         source = self._only(channel)
-        found = source.evaluate(
+        values = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
             np.ascontiguousarray(samples.barycentric, np.float64),
             widths,
         )
-        return by_channel(source.channels, found)[channel]
+        return by_channel(source.channels, values)[channel]
 
     def _only(self, channel: str) -> Source:
         """Return a source of one channel, kept ready for the next time."""

@@ -114,23 +114,23 @@ class _Transferred(SpatialSource):
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
-        found = self._nearest.nearest(
+        nearest = self._nearest.nearest(
             points,
             normals if np.isfinite(self._least_cosine) else None,
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        there = np.flatnonzero(found.triangles >= 0)
-        own = self._other.evaluate(found.triangles[there], found.barycentric[there], widths[there])
-        values = np.zeros((len(points), own.shape[1] + self._adds_alpha), np.float32)
-        values[there, : own.shape[1]] = own
-        values[there, own.shape[1] :] = 1.0
+        there = np.flatnonzero(nearest.triangles >= 0)
+        others = self._other.evaluate(nearest.triangles[there], nearest.barycentric[there], widths[there])
+        values = np.zeros((len(points), others.shape[1] + self._adds_alpha), np.float32)
+        values[there, : others.shape[1]] = others
+        values[there, others.shape[1] :] = 1.0
         return values
 
     def only(self, names: Sequence[str]) -> _Transferred:
         """Return the same source with these of its channels alone, and ``alpha`` if it has gaps."""
-        own = [form.name for form in self._other.channels if form.name in names]
-        return self._of(self._other.only(own) if own or self._other.has_gaps else Combined({}))
+        wanted = [form.name for form in self._other.channels if form.name in names]
+        return self._of(self._other.only(wanted) if wanted or self._other.has_gaps else Combined({}))
 
     def with_filter(self, name: str) -> _Transferred:
         """Return the same source with the other's images read by another filter."""

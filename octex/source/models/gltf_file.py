@@ -248,8 +248,8 @@ class Document:
         count = entry["count"]
         if decoded is not None:
             if decoded.shape[1:] != (width,) or (decoded.dtype.kind == "f") != (dtype.kind == "f"):
-                found = f"{decoded.dtype} {decoded.shape}"
-                raise ModelError(f"{what} does not fit what was decoded for it, {found}; export it again")
+                shape = f"{decoded.dtype} {decoded.shape}"
+                raise ModelError(f"{what} does not fit what was decoded for it, {shape}; export it again")
             rows = decoded.astype(dtype)
         elif "bufferView" in entry:
             rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
@@ -413,12 +413,12 @@ def _children(document: Document, number: int) -> list[int]:
 
 def _links(document: Document, record: Json, field: str, place: str) -> list[int]:
     """Return the numbers of nodes that a record lists, all of which are there."""
-    found = record.get(field, [])
-    if not isinstance(found, list):
+    numbers = record.get(field, [])
+    if not isinstance(numbers, list):
         raise ModelError(f"{document.name}: {place}: {field} must be a list of indices; export it again")
-    for each in found:
+    for each in numbers:
         document.item("nodes", each)
-    return found
+    return numbers
 
 
 def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Float64s:

@@ -106,12 +106,12 @@ def _bound(material: Material, references: dict[str, _Reference], images: _Image
 
 def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Part]]:
     """Return a material without textures, and by channel the file's references to them."""
-    given = _Part(
+    record = _Part(
         {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
     )
-    mode = given.entry.get("alphaMode", "OPAQUE")
+    mode = record.entry.get("alphaMode", "OPAQUE")
     if mode not in _ALPHA_MODES:
-        raise ModelError(f"{given.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
+        raise ModelError(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
     inputs: dict[str, Input] = {}
     uses: dict[str, _Part] = {}
 
@@ -127,25 +127,25 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
         if holder.states(key):
             uses[name] = holder.part(key)
 
-    extensions = given.part("extensions")
+    extensions = record.part("extensions")
     is_unlit = extensions.states("KHR_materials_unlit")
     is_older = not is_unlit and extensions.states("KHR_materials_pbrSpecularGlossiness")
     if is_older:
         pbr, texture = extensions.part("KHR_materials_pbrSpecularGlossiness"), "diffuseTexture"
         color = pbr.numbers("diffuseFactor", (1.0,) * 4)
     else:
-        pbr, texture = given.part("pbrMetallicRoughness"), "baseColorTexture"
+        pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
         color = pbr.numbers("baseColorFactor", (1.0,) * 4)
     state("base_color", color[:3], pbr, texture)
     if mode != "OPAQUE":
         state("alpha", color[3:], pbr, texture, (3,))
-    name = given.entry.get("name")
+    name = record.entry.get("name")
     material = Material(
         inputs,
         _ALPHA_MODES[mode],
-        given.number("alphaCutoff", 0.5),
+        record.number("alphaCutoff", 0.5),
         name if isinstance(name, str) else "",
-        given.entry.get("doubleSided") is True,
+        record.entry.get("doubleSided") is True,
     )
     if is_unlit:
         return material, uses
@@ -166,16 +166,16 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
             first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
             tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
             state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
-    if given.states("occlusionTexture"):
-        strength = given.part("occlusionTexture").number("strength", 1.0)
-        state("occlusion", (strength,), given, "occlusionTexture", (0,), (1.0 - strength,))
-    if given.states("emissiveFactor", "emissiveTexture"):
+    if record.states("occlusionTexture"):
+        strength = record.part("occlusionTexture").number("strength", 1.0)
+        state("occlusion", (strength,), record, "occlusionTexture", (0,), (1.0 - strength,))
+    if record.states("emissiveFactor", "emissiveTexture"):
         strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
-        light = tuple(strength * each for each in given.numbers("emissiveFactor", (0.0,) * 3))
-        state("emissive", light, given, "emissiveTexture")
-    if given.states("normalTexture"):
-        scale = given.part("normalTexture").number("scale", 1.0)
-        state("normal", (scale, scale, 1.0), given, "normalTexture")
+        light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
+        state("emissive", light, record, "emissiveTexture")
+    if record.states("normalTexture"):
+        scale = record.part("normalTexture").number("scale", 1.0)
+        state("normal", (scale, scale, 1.0), record, "normalTexture")
     return material, uses
 
 

@@ -76,8 +76,8 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     materials: dict[str, Description] = {}
     missing = []
     for line in lines:
-        found = beside(path.parent, line)
-        for each in [found] if found is not None else [beside(path.parent, word) for word in line.split()]:
+        file = beside(path.parent, line)
+        for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
             if each is not None:
                 materials |= _parse(each, wanted, images, options)
             elif line not in missing:
@@ -181,7 +181,7 @@ class _Describer:
         alpha = self._alpha()
         assumed = set()
         inputs = {"base_color": self._color("base_color", "Kd", "map_Kd") or Input((1.0, 1.0, 1.0))}
-        found = {
+        stated = {
             "alpha": alpha,
             "metallic": self._scalar("metallic", "Pm", "map_Pm", "map_metallic"),
             "roughness": self._scalar("roughness", "Pr", "map_Pr", "map_roughness"),
@@ -190,46 +190,46 @@ class _Describer:
             "specular": self._color("specular", "Ks", "map_Ks"),
             "normal": self._normal(),
         }
-        inputs |= {channel: each for channel, each in found.items() if each is not None}
+        inputs |= {channel: each for channel, each in stated.items() if each is not None}
         if "roughness" not in inputs and "ns" in self._entries:
             inputs["roughness"] = self._from_exponent()
             assumed.add("roughness")
-        if found["specular"] is not None and self._map("map_Ks") is None:
+        if stated["specular"] is not None and self._map("map_Ks") is None:
             assumed.add("specular")
         material = Material(inputs, "opaque" if alpha is None else "blend", name=self._name)
         return Description(material, tuple(self._slots), frozenset(assumed))
 
     def _color(self, channel: str, key: str, *maps: str) -> Input | None:
         """Return a colour and its map; None where the material has neither, or no emission."""
-        found = self._map(*maps)
-        if found is None and key.lower() not in self._entries:
+        image = self._map(*maps)
+        if image is None and key.lower() not in self._entries:
             return None
         stated = parse_numbers(self._entries.get(key.lower(), "1"))
         black = stated is not None and stated.max(initial=-np.inf) <= 0.0
-        if black and found is None and channel == "emissive":
+        if black and image is None and channel == "emissive":
             return None
         if not self._options.wants(channel):
             return Input((1.0, 1.0, 1.0))
         color = self._numbers(key, 3) if key.lower() in self._entries else [1.0]
-        if black and found is not None:
+        if black and image is not None:
             color = [1.0]
         if len(color) < 3:
             color = [color[0]] * 3
         if max(color) <= 1.0 or channel != "emissive":
             color = srgb_to_linear(np.clip(color, 0.0, 1.0)).tolist()
         factor = (max(color[0], 0.0), max(color[1], 0.0), max(color[2], 0.0))
-        return Input(factor, None if found is None else self._texture(found))
+        return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str, key: str, *maps: str) -> Input | None:
         """Return a map of single values, else a number; None where the material has neither."""
-        found = self._map(*maps)
-        if found is None and key.lower() not in self._entries:
+        image = self._map(*maps)
+        if image is None and key.lower() not in self._entries:
             return None
         if not self._options.wants(channel):
             return Input((1.0,))
-        if found is None:
+        if image is None:
             return Input((min(max(self._numbers(key, 1)[0], 0.0), 1.0),))
-        texture, lane = self._lane(found)
+        texture, lane = self._lane(image)
         return Input((1.0,), texture, (lane,))
 
     def _alpha(self) -> Input | None:
@@ -241,13 +241,13 @@ class _Describer:
             # MeshLab and others write opacity here: of what would not be seen at all, they mean all.
             opacity = (1.0 - self._numbers("Tr", 1)[0]) or 1.0
         opacity = min(max(opacity, 0.0), 1.0)
-        found = self._map("map_d")
-        if found is None:
+        image = self._map("map_d")
+        if image is None:
             return None if opacity == 1.0 else Input((opacity,))
         if not self._options.wants("alpha"):
             return Input((1.0,))
-        matte = not found.lane and is_translucent(self._images.read(*self._file(found)))
-        texture, lane = self._lane(found._replace(lane="m") if matte else found)
+        matte = not image.lane and is_translucent(self._images.read(*self._file(image)))
+        texture, lane = self._lane(image._replace(lane="m") if matte else image)
         return Input((opacity or 1.0,), texture, (lane,))
 
     def _from_exponent(self) -> Input:
@@ -258,45 +258,45 @@ class _Describer:
 
     def _normal(self) -> Input | None:
         """Return a normal map, or one made of a height map."""
-        given = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
-        found = given or self._map("map_Bump", "bump")
-        if found is None:
+        normal_map = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
+        image = normal_map or self._map("map_Bump", "bump")
+        if image is None:
             return None
         if not self._options.wants("normal"):
             return Input((1.0, 1.0, 1.0))
-        if given is None:
-            texels = self._images.read(*self._file(found))
-            if found.lane or is_grey(texels):
-                if found.lane == "l":
+        if normal_map is None:
+            texels = self._images.read(*self._file(image))
+            if image.lane or is_grey(texels):
+                if image.lane == "l":
                     texels = self._images.luminance(texels)
-                strength = found.bump * found.gain
-                texels = self._images.normals(texels, _LANES.get(found.lane, 0), strength, found.wrap)
-                return Input((1.0, 1.0, 1.0), self._placed(texels, found))
-        return Input((found.bump, found.bump, 1.0), self._texture(found))
+                strength = image.bump * image.gain
+                texels = self._images.normals(texels, _LANES.get(image.lane, 0), strength, image.wrap)
+                return Input((1.0, 1.0, 1.0), self._placed(texels, image))
+        return Input((image.bump, image.bump, 1.0), self._texture(image))
 
-    def _lane(self, found: _Map) -> tuple[Texture, int]:
+    def _lane(self, image: _Map) -> tuple[Texture, int]:
         """Return the texture of a map of single values, and the component that holds them."""
-        texture = self._texture(found)
-        if found.lane == "l":
+        texture = self._texture(image)
+        if image.lane == "l":
             return texture._replace(texels=self._images.luminance(texture.texels)), 0
-        return texture, _LANES.get(found.lane, 0)
+        return texture, _LANES.get(image.lane, 0)
 
-    def _texture(self, found: _Map) -> Texture:
-        path, what = self._file(found)
-        return self._placed(self._images.read(path, what, found.base, found.gain), found)
+    def _texture(self, image: _Map) -> Texture:
+        path, what = self._file(image)
+        return self._placed(self._images.read(path, what, image.base, image.gain), image)
 
-    def _placed(self, texels: Texels, found: _Map) -> Texture:
-        if found.slot not in self._slots:
-            self._slots.append(found.slot)
-        return Texture(texels, found.wrap, found.wrap, slot=self._slots.index(found.slot))
+    def _placed(self, texels: Texels, image: _Map) -> Texture:
+        if image.slot not in self._slots:
+            self._slots.append(image.slot)
+        return Texture(texels, image.wrap, image.wrap, slot=self._slots.index(image.slot))
 
-    def _file(self, found: _Map) -> tuple[Path, str]:
-        path = beside(self._path.parent, found.file)
+    def _file(self, image: _Map) -> tuple[Path, str]:
+        path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
-                f"{self._where}: the image {found.file} is missing; put it beside {self._path.name}"
+                f"{self._where}: the image {image.file} is missing; put it beside {self._path.name}"
             )
-        return path, f"{self._where}: {found.file}"
+        return path, f"{self._where}: {image.file}"
 
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")

@@ -135,7 +135,7 @@ class _Ply:
             numbers = np.empty(0, np.float64)
             available = len(self._body)
         raw = np.frombuffer(self._body, np.uint8)
-        found: dict[str, dict[str, _Values]] = {}
+        elements: dict[str, dict[str, _Values]] = {}
         at = 0
         for element, count, properties in self._elements:
             if not properties:  # however many there are, they take no place
@@ -153,13 +153,13 @@ class _Ply:
             at = _walk(numbers, raw, at, available, layout, self._order == ">", self._ascii, starts, sizes)
             if at < 0:
                 raise self._truncated(element)
-            found[element] = {
+            elements[element] = {
                 p.name: self._values(p, numbers, raw, starts[:, i], sizes[:, i])
                 for i, p in enumerate(properties)
             }
             if element == "face":
                 break
-        return found
+        return elements
 
     def _truncated(self, element: str) -> ModelError:
         return ModelError(f"{self.name} is truncated: data of '{element}' elements are missing")

@@ -279,10 +279,10 @@ def _tag(element: Element) -> str:
 
 def _within(element: Element, *names: str) -> list[Element]:
     """Return the elements that a path of names leads to."""
-    found = [element]
+    elements = [element]
     for name in names:
-        found = [each for one in found for each in one if _tag(each) == name]
-    return found
+        elements = [each for one in elements for each in one if _tag(each) == name]
+    return elements
 
 
 def _path(element: Element, part: str) -> str:

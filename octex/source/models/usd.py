@@ -103,7 +103,7 @@ class _Scene:
         """Return the meshes that are visible and meant for renders."""
         from pxr import Usd, UsdGeom
 
-        found = []
+        meshes = []
         others: Counter[str] = Counter()
         every = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
         for prim in every:
@@ -120,14 +120,14 @@ class _Scene:
                 ):
                     continue
                 if prim.IsA(UsdGeom.Mesh):
-                    found.append(prim)
+                    meshes.append(prim)
                 else:
                     others[prim.GetTypeName()] += 1
         if others:
             listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
             text = f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes"
             warnings.warn(text, ModelWarning, stacklevel=2)
-        return found
+        return meshes
 
     def _placed(self, prim: Any) -> Float64s:
         """Return the matrix (4, 4) that takes a mesh to the world, in metres with y up."""
@@ -217,13 +217,13 @@ class _Scene:
         """Return displayColor and displayOpacity where a material reads them; white elsewhere."""
         lanes = [primvars.corners("displayColor", 3), primvars.corners("displayOpacity", 1)]
         values = np.ones((len(numbers), 3, 4), np.float32)
-        for columns, found, reads in zip(
+        for columns, corners, reads in zip(
             (slice(3), slice(3, 4)), lanes, ("reads_color", "reads_opacity"), strict=True
         ):
             reading = [number for number, each in known.items() if getattr(each, reads)]
             chosen = np.isin(numbers, reading)
-            if found is not None and chosen.any():
-                values[chosen, :, columns] = found.values[found.rows[chosen]]
+            if corners is not None and chosen.any():
+                values[chosen, :, columns] = corners.values[corners.rows[chosen]]
         if (values == 1.0).all():
             return None
         distinct, rows = np.unique(values.reshape(-1, 4), axis=0, return_inverse=True)
@@ -259,10 +259,10 @@ class _Primvars:
 
     def normals(self) -> Corners | None:
         """Return the normals, of which those that are a primvar come first."""
-        found = self.corners("normals", 3)
+        primvar = self.corners("normals", 3)
         values = self._mesh.GetNormalsAttr().Get(self._time)
-        if found is not None or values is None or not len(values):
-            return found
+        if primvar is not None or values is None or not len(values):
+            return primvar
         return self._spread("normals", values, 3, self._mesh.GetNormalsInterpolation(), None)
 
     def _spread(self, name: str, values: Any, width: int, spread: str, indices: Any) -> Corners:

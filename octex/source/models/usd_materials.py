@@ -68,10 +68,10 @@ class Materials:
         has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
         left_out = "metallic" if has_specular else "specular"
         for channel, word in _CHANNELS.items():
-            found = None if channel == left_out else _producer(shader, word)
-            if found is None:
+            producer = None if channel == left_out else _producer(shader, word)
+            if producer is None:
                 continue
-            node, output, value = found
+            node, output, value = producer
             kind = None if node is None else node.GetIdAttr().Get()
             if kind == "UsdUVTexture":
                 made = self._textured(channel, node, output, slots)
@@ -143,10 +143,10 @@ class Materials:
             space, ""
         )
         if (place, "") not in self._texels:
-            found = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
-            if found is None:
+            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
+            if file is None:
                 raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
-            data = bytes(found.GetBuffer())
+            data = bytes(file.GetBuffer())
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
             self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
         if (place, change) not in self._texels:
@@ -195,21 +195,21 @@ def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
 
 def _value(shader: Any, name: str, default: Any) -> Any:
     """Return the value of an input, the default where none is given."""
-    found = _producer(shader, name)
-    return default if found is None or found[2] is None else found[2]
+    producer = _producer(shader, name)
+    return default if producer is None or producer[2] is None else producer[2]
 
 
 def _slot(node: Any) -> Slot:
     """Return the coordinates that an image is read at."""
-    found = _producer(node, "st")
+    producer = _producer(node, "st")
     scale: tuple[float, ...] = (1.0, 1.0)
     translation: tuple[float, ...] = (0.0, 0.0)
     rotation = 0.0
-    if found is not None and found[0] is not None and found[0].GetIdAttr().Get() == "UsdTransform2d":
-        turn = found[0]
+    if producer is not None and producer[0] is not None and producer[0].GetIdAttr().Get() == "UsdTransform2d":
+        turn = producer[0]
         scale = tuple(map(float, _value(turn, "scale", scale)))
         rotation = float(_value(turn, "rotation", rotation))
         translation = tuple(map(float, _value(turn, "translation", translation)))
-        found = _producer(turn, "in")
-    name = "st" if found is None or found[0] is None else str(_value(found[0], "varname", "st"))
+        producer = _producer(turn, "in")
+    name = "st" if producer is None or producer[0] is None else str(_value(producer[0], "varname", "st"))
     return Slot(name, scale, -math.radians(rotation), translation)  # v runs up here
