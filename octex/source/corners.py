@@ -19,6 +19,8 @@ class Corners(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Corners]) -> Corners:
         """Return one attribute of triangles that follow each other, part after part."""
+        if len(parts) == 1:
+            return parts[0]
         values, rows = stacked(parts)
         return cls(values, np.concatenate(rows))
 

@@ -109,7 +109,7 @@ def slot_coordinates(
             if chosen.any():
                 coordinates, of_corners = read(slot.name)
                 values.append(flip_v(slot.applied(coordinates)))
-                rows[chosen] = of_corners[chosen] + np.int32(first)
+                np.add(of_corners, np.int32(first), out=rows, where=chosen[:, None])
                 first += len(coordinates)
         bound.append(Corners(np.concatenate(values), rows))
     return bound
@@ -209,7 +209,7 @@ def assembled(
         ]
         if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
             return Corners(_concatenated([each.values for each in every]), triangles)
-        return every[0] if len(every) == 1 else Corners.joined(every)
+        return Corners.joined(every)
 
     is_smooth = any(part.is_smooth for part in parts)
     is_mapped = any(each.normal_slot is not None for each in materials)
