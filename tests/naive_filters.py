@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from octex.source.images import ellipse  # for the figures of EWA's levels
+from octex.source.images import filters  # for the figures of EWA's levels
 
 Weights = npt.NDArray[np.float64]
 Read = Callable[[float], Weights]
@@ -174,15 +174,15 @@ def ewa(across: Axis, down: Axis, u: float, v: float, covariance: Weights, flat:
     # The footprint's variance, the image's, and a twelfth that the texels of every level have already.
     spread = covariance + np.eye(2) * (1 / 6 if flat else 1 / 4)
     narrow, long = np.linalg.eigvalsh(spread).tolist()
-    least = ellipse.LEAST + 1 / 12
+    least = filters.LEAST + 1 / 12
     level = 0
     while level < max(len(across.sizes), len(down.sizes)) - 1 and (
-        narrow >= 4 * least or max(narrow, least) * long > ellipse.LARGEST
+        narrow >= 4 * least or max(narrow, least) * long > filters.LARGEST
     ):
         narrow, long, level = narrow / 4, long / 4, level + 1
     scale = np.diag([axis.place(1, level) / axis.place(1) for axis in (across, down)])
     kernel = scale @ spread @ scale + np.eye(2) * (max(least - narrow, 0) - 1 / 12)
-    kernel[np.diag_indices(2)] = np.maximum(kernel.diagonal(), ellipse.LEAST)
+    kernel[np.diag_indices(2)] = np.maximum(kernel.diagonal(), filters.LEAST)
     inverse = np.linalg.inv(6 * kernel)
     centre = np.array([across.place(u, level) - 0.5, down.place(v, level) - 0.5])
     reach = np.sqrt(6 * kernel.diagonal())

@@ -15,10 +15,9 @@ import PIL.Image
 import pytest
 
 from octex.errors import ImageError
-from octex.source.alone import alone
-from octex.source.images.decode import as_texels, decode_image
+from octex.source.images.decode import as_texels, decode_image, global_settings
 from octex.source.images.openimage import MAX_TEXELS
-from octex.source.models.text import parse_numbers
+from octex.source.models.reading import parse_numbers
 from tests.deep_images import tiff
 from tests.fixtures import _chunk, png, random_image
 
@@ -313,7 +312,7 @@ def test_threads_change_the_warning_filters_one_at_a_time() -> None:
     before = list(warnings.filters)
     for read in (partial(parse_numbers, "1 2 x"), partial(decode_image, png(random_image(4, 4)), "a")):
         with ThreadPoolExecutor(1) as pool:
-            with alone():
+            with global_settings():
                 other = pool.submit(read)
                 with pytest.raises(TimeoutError):
                     other.result(timeout=0.02)

@@ -24,8 +24,7 @@ from octex.errors import ArgumentError, ImageError
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
-from octex.source.mapped import FRAMES, MappedImage, MappedSource
-from octex.source.mapping import KINDS
+from octex.source.mapped import FRAMES, KINDS, MappedImage, MappedSource
 from octex.source.surface import Surface
 from tests import naive_mapped
 from tests.command import refusal

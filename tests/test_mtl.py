@@ -11,15 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-import octex.source.models.imagefiles
+import octex.source.models.mtl
 from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.load import load_surface
 from octex.source.materials import Input
-from octex.source.models.imagefiles import ImageFiles, is_grey, normals_of_heights
-from octex.source.models.mtl import Description, Transform, load_materials
-from octex.source.models.options import Options
+from octex.source.models.mtl import ImageFiles, is_grey, load_materials, normals_of_heights
+from octex.source.models.reading import Description, Options, Slot
 from tests.fixtures import OBJ_SQUARE, obj, png, random_image
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
@@ -110,7 +109,7 @@ def test_a_map_is_a_channel(tmp_path: Path, key: str, channel: str, lanes: tuple
     assert given.lanes == lanes
     assert given.factor == (1.0,) * len(lanes)
     assert given.offset == ()
-    assert found.transforms == (Transform(),)
+    assert found.slots == (Slot(),)
     assert found.material.alpha_mode == ("blend" if channel == "alpha" else "opaque")
 
 
@@ -200,7 +199,7 @@ def test_luminance_is_weighted_from_the_stored_values(
     assert given.lanes == (0,)
     np.testing.assert_allclose(texels(given)[..., 0], COLORS.astype(float) @ weights * 257, atol=0.51)
     light = np.random.default_rng(0).random((2, 3, 4), np.float32)
-    monkeypatch.setattr(octex.source.models.imagefiles, "decode_image", lambda *_: light)
+    monkeypatch.setattr(octex.source.models.mtl, "decode_image", lambda *_: light)
     given = stated(tmp_path, "map_Pr -imfchan l a.png")["roughness"]
     np.testing.assert_allclose(texels(given)[..., 0], light[..., :3] @ np.float32(weights), atol=1e-6)
 
@@ -210,7 +209,7 @@ def test_base_and_gain_change_the_stored_values(tmp_path: Path, monkeypatch: pyt
     expected = np.clip(2 * (COLORS / 255.0) - 0.25, 0, 1) * 65535
     np.testing.assert_allclose(texels(given)[..., :3], expected, atol=0.51)
     light = np.array([[[0, 0.5, 3, 1]]], np.float32)
-    monkeypatch.setattr(octex.source.models.imagefiles, "decode_image", lambda *_: light)
+    monkeypatch.setattr(octex.source.models.mtl, "decode_image", lambda *_: light)
     given = stated(tmp_path, "map_Ke -mm -0.25 2 a.png")["emissive"]
     np.testing.assert_allclose(texels(given)[0, 0, :3], [0, 0.75, 5.75])
 
@@ -232,7 +231,7 @@ def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path: Path) -> None:
         "map_Kd -s 2 3 1 -o .5 a.png\nmap_Ks -o .5 0 0 -s 2 3 b.png\n"
         "map_Pr a.png\nmap_d -clamp on -t 1 1 1 a.png",
     )
-    assert found.transforms == (Transform(), Transform((2, 3), (0.5, 0)))
+    assert found.slots == (Slot(), Slot("", (2, 3), 0.0, (0.5, 0)))
     slots = {name: given.texture.slot for name, given in found.material.inputs.items() if given.texture}
     assert slots == {"base_color": 1, "specular": 1, "roughness": 0, "alpha": 0}
     wraps = {name: given.texture.wrap_u for name, given in found.material.inputs.items() if given.texture}
@@ -254,7 +253,7 @@ def test_options_that_are_left_out_change_nothing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         texels(found.material.inputs["base_color"])[..., :3], COLORS.astype(np.uint16) * 257
     )
-    assert found.transforms == (Transform(),)
+    assert found.slots == (Slot(),)
 
 
 @pytest.mark.parametrize("wrap", [REPEAT, CLAMP])

@@ -15,7 +15,7 @@ from octex.cli.paint import main
 from octex.errors import ArgumentError
 from octex.painting.pictures import Projection, levels_of
 from octex.painting.sharpened import sharpened
-from octex.source.images.orientation import orientation_of, turned
+from octex.source.images.decode import orientation_of, turned
 from octex.source.images.png import SIGNATURE
 from octex.texture import open_texture
 from octex.view.camera import Camera

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import octex
-from octex.source.models.gltf_animation import lengths_of
 from octex.source.models.gltf_file import Document
+from octex.source.models.gltf_motion import lengths_of
 
 WORKER = Path(__file__).with_name("poses_worker.py")
 LIMIT = 1e-4

@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
 from octex.jit import kernel
-from octex.source.distinct import distinct_rows
+from octex.source.welding import distinct_rows
 
 
 class Tessellation(NamedTuple):

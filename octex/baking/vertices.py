@@ -14,10 +14,9 @@ from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.source.corners import Corners, Frames, area_vectors
-from octex.source.distinct import distinct_rows
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
-from octex.source.welding import welded
+from octex.source.welding import distinct_rows, welded
 from octex.texture import OctreeTexture, as_texture
 
 #: Edges are not divided below this part of the finest cells ...

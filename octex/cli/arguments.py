@@ -11,7 +11,7 @@ from octex.cli.addresses import Address, file_here, texture_file
 from octex.cli.functions import FunctionName, function_name
 
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
-#: them on surfaces (octex.source.mapping.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
+#: them on surfaces (octex.source.mapped.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
 #: what is there (octex.painting.pictures.BLENDS), and what steers the depth but channels
 #: (octex.conversion.detail.STRETCH); what becomes of several pictures (octex.painting.paint.PICTURES) and
 #: how they are made to agree (octex.painting.balance.BALANCES).

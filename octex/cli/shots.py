@@ -72,8 +72,7 @@ def _masks(options: argparse.Namespace, pictures: Sequence[Path]) -> list[Path |
 
 def _size(path: Path, frame: Frame) -> tuple[int, int]:
     """Return a picture's size, upright unless it has the frame's shape as it is stored."""
-    from octex.source.images.decode import image_size
-    from octex.source.images.orientation import orientation_of
+    from octex.source.images.decode import image_size, orientation_of
 
     width, height = image_size(path)
     if width == height or (frame.size is not None and frame.fits((width, height))):

@@ -17,10 +17,10 @@ from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import FileFormat, ImageFormat, Written, encoded_images, image_names, materials_of
 from octex.formats.origins import origin_of
-from octex.source.distinct import distinct_rows
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface
+from octex.source.welding import distinct_rows
 
 _FLOAT, _UINT = 5126, 5125
 _ARRAYS, _ELEMENTS = 34962, 34963

@@ -28,8 +28,7 @@ from octex.painting.resuming import Kept, digest_of, fits
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
 from octex.source.images.cubic import catmull_rom
-from octex.source.images.decode import as_texels, read_image_file
-from octex.source.images.orientation import orientation_of, turned
+from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
 from octex.view.camera import Camera
 

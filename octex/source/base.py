@@ -104,6 +104,34 @@ class OfAnother(Source):
         return other
 
 
+class Picked(OfAnother):
+    """The source of a whole surface, for a surface of some of its triangles.
+
+    ``triangles`` (k,) and ``vertices`` (v,) are their numbers in the whole, ``rest`` (n, 3) the whole's rest
+    positions. What the source keeps ready is shared by all that is picked from it.
+    """
+
+    def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
+        self._source = source
+        self._triangles = triangles
+        self._vertices = vertices
+        self._rest = rest
+
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        return self._source.evaluate(self._triangles[triangles], barycentric, widths)
+
+    def texel_edges(self, triangles: Int32s) -> Float32s:
+        """Return the edge of a texel on triangles (n,), in rest units."""
+        return self._source.texel_edges(self._triangles[triangles])
+
+    def with_rest(self, rest: Float64s) -> Picked:
+        """Return the same source on other rest positions of the picked vertices (v, 3)."""
+        whole = self._rest.copy()
+        whole[self._vertices] = rest
+        return Picked(self._source.with_rest(whole), self._triangles, self._vertices, whole)
+
+
 def in_order(names: Sequence[str]) -> list[str]:
     """Return names of channels in the order in which textures hold them; others last."""
     known = list(CHANNELS)
@@ -112,16 +140,15 @@ def in_order(names: Sequence[str]) -> list[str]:
 
 def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:
     """Return the columns of values (n, components) that are each channel's."""
-    ends = np.cumsum([form.components for form in channels])
-    parts = np.split(values, ends[:-1], axis=1)
-    return {form.name: part for form, part in zip(channels, parts, strict=True)}
+    parts = np.split(values, np.cumsum([form.components for form in channels]), axis=1)
+    return {form.name: part for form, part in zip(channels, parts, strict=False)}
 
 
 class Combined(Source):
     """Channels from several sources; ``sources`` names the one of each channel.
 
     Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is what its own source
-    gives, 1 if there is none.
+    gives, 1 if there is none. Without any source it has no channels.
     """
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
@@ -138,15 +165,16 @@ class Combined(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
-        found = {
+        by_source = {
             id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
             for source in self._every
         }
-        given = {name: found[id(source)][name] for name, source in self._sources.items()}
+        columns = {name: by_source[id(source)][name] for name, source in self._sources.items()}
         for source in self._gaps:
-            alpha = given.get(ALPHA.name, np.float32(1.0))
-            given[ALPHA.name] = alpha * (found[id(source)][ALPHA.name] > 0)
-        return np.hstack([given[form.name] for form in self._channels])
+            alpha = columns.get(ALPHA.name, np.float32(1.0))
+            columns[ALPHA.name] = alpha * (by_source[id(source)][ALPHA.name] > 0)
+        nothing = np.empty((len(triangles), 0), np.float32)
+        return np.hstack([nothing, *(columns[form.name] for form in self._channels)])
 
     @property
     def has_gaps(self) -> bool:
@@ -156,13 +184,15 @@ class Combined(Source):
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` says no more than where all of the sources know something."""
-        own = self._sources.get(ALPHA.name)
-        return self.has_gaps and (own is None or own.alpha_is_coverage)
+        alpha = self._sources.get(ALPHA.name)
+        return self.has_gaps and (alpha is None or alpha.alpha_is_coverage)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the finest of the sources' texels."""
-        edges = [source.texel_edges(triangles) for source in self._every]
-        return np.asarray(np.min(edges, axis=0), np.float32)
+        edges = np.full(len(triangles), np.inf, np.float32)
+        for source in self._every:
+            np.minimum(edges, source.texel_edges(triangles), out=edges)
+        return edges
 
     def prepare(self) -> None:
         """Prepare all sources."""

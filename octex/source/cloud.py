@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,8 @@ from octex.nearest.points import Points
 from octex.npz import read_npz
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
-from octex.source.models.text import parse_numbers
+from octex.source.models.ply import ply_points
+from octex.source.models.reading import parse_numbers
 from octex.source.spatial import Placeable, SpatialSource, least_cosine
 
 if TYPE_CHECKING:
@@ -252,16 +253,8 @@ def _first_bad(rows: Floats) -> int:
     return int(np.argmin((np.abs(rows.astype(np.float64)) <= _FARTHEST).all(axis=1)))
 
 
-class _Arrays(NamedTuple):
-    points: Array
-    colors: Array
-    normals: Array | None
-
-
-def _read_ply(path: Path) -> _Arrays:
-    from octex.source.models.meshfiles import ply_points
-
-    return _Arrays(*ply_points(path))
+#: Points, colours, and normals if there are any.
+_Arrays = tuple[Array, Array, Array | None]
 
 
 def _read_npz(path: Path) -> _Arrays:
@@ -278,7 +271,7 @@ def _read_npz(path: Path) -> _Arrays:
     for kind in ("points", "colors"):
         if found[kind] is None:
             raise ModelError(f"{path.name} has no array {kind!r}; save it with np.savez(…, {kind}=…)")
-    return _Arrays(found["points"], found["colors"], found["normals"])  # type: ignore[arg-type]
+    return found["points"], found["colors"], found["normals"]  # type: ignore[return-value]
 
 
 def _read_xyz(path: Path) -> _Arrays:
@@ -298,7 +291,7 @@ def _read_xyz(path: Path) -> _Arrays:
     normals = rows[:, 3:6] if columns >= 9 else None
     colors = rows[:, 3 if normals is None else 6 :]
     most = 255.0 if colors[:, :3].max(initial=0.0) > 1.0 else 1.0
-    return _Arrays(rows[:, :3], screen_colors(colors / most), normals)
+    return rows[:, :3], screen_colors(colors / most), normals
 
 
-_READERS: dict[str, Callable[[Path], _Arrays]] = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}
+_READERS: dict[str, Callable[[Path], _Arrays]] = {".ply": ply_points, ".xyz": _read_xyz, ".npz": _read_npz}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Floats
+from octex.arrays import Float32s, Float64s, Floats
 from octex.channels import decode, srgb_to_linear
 from octex.checks import as_array
 from octex.errors import ArgumentError
@@ -20,17 +20,22 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
-    if array.dtype in (np.uint8, np.uint16):
-        linear = np.ones((rows, 4), np.float32)
-        linear[:, :3] = decode(array[:, :3], "srgb")
-        linear[:, 3:] = decode(array[:, 3:], "data") if array.shape[1] == 4 else 1.0
-        return linear
-    if array.dtype.kind != "f":
-        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     linear = np.ones((rows, 4), np.float32)
-    with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
-        linear[:, : array.shape[1]] = array
+    if array.dtype in (np.uint8, np.uint16):
+        linear[:, :3] = decode(array[:, :3], "srgb")
+        linear[:, 3 : array.shape[1]] = decode(array[:, 3:], "data")
+    elif array.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+            linear[:, : array.shape[1]] = array
+    else:
+        raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     return linear
+
+
+def guessed_colors(values: Float64s) -> Float32s:
+    """Return linear colours of sRGB values in 0 … 1, or 0 … 255 if any is above 1; NaN stands for white."""
+    most = 255.0 if np.nanmax(values, initial=0.0) > 1.0 else 1.0
+    return screen_colors(np.nan_to_num(values / most, nan=1.0))
 
 
 def screen_colors(colors: Floats) -> Float32s:

@@ -19,13 +19,15 @@ class Corners(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Corners]) -> Corners:
         """Return one attribute of triangles that follow each other, part after part."""
-        values, rows = _stacked(parts)
+        if len(parts) == 1:
+            return parts[0]
+        values, rows = stacked(parts)
         return cls(values, np.concatenate(rows))
 
     @classmethod
     def chosen(cls, sets: Sequence[Corners], numbers: Int64s) -> Corners:
         """Return an attribute of triangles (m,) of which ``sets`` hold several: each has its number's."""
-        values, rows = _stacked(sets)
+        values, rows = stacked(sets)
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
     def of(self, triangles: Int32s) -> Corners:
@@ -37,7 +39,7 @@ class Corners(NamedTuple):
         return at_corners(self.values, self.rows[triangles], barycentric)
 
 
-def _stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
+def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
     """Return the values of all parts in one array, and the rows of each in that."""
     firsts = np.cumsum([0, *(len(part.values) for part in parts)])
     rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
@@ -69,6 +71,32 @@ class Polygons(NamedTuple):
         """Return so many triangles, each of which is a polygon."""
         corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
         return cls(np.arange(count, dtype=np.int32), corners)
+
+    @classmethod
+    def joined(cls, parts: Sequence[tuple[Polygons | None, int]]) -> Polygons | None:
+        """Return the polygons, numbered on, of triangles that follow each other: of each part, and how many.
+
+        None where no part has any.
+        """
+        if all(polygons is None for polygons, _ in parts):
+            return None
+        numbers, first = [], 0
+        every = [polygons or cls.of_triangles(count) for polygons, count in parts]
+        for polygons in every:
+            numbers.append(polygons.numbers + np.int32(first))
+            first = int(numbers[-1].max()) + 1
+        return cls(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
+
+    def loops(self) -> tuple[Int32s, Int64s, Int64s, Int64s]:
+        """Return what polygons there are, and their corners one after another.
+
+        These are the number of each polygon (k,) and of its corners (k,); the corner of a triangle, of 3·m,
+        that each corner (c,) is first; and the corner of a polygon that each of a triangle (m, 3) is.
+        """
+        keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
+        keys, first, places = np.unique(keys, return_index=True, return_inverse=True)
+        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        return known, sizes.astype(np.int64), first.astype(np.int64), places.reshape(-1, 3)
 
     def of(self, triangles: Int32s) -> Polygons:
         """Return the same of some triangles (k,) alone; polygons keep their numbers."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +9,18 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s
 from octex.jit import inlined, kernel
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
-from octex.source.images.gather import gather
 from octex.source.images.pyramid import Images
-from octex.source.images.taps import TAP_ROOM
+from octex.source.images.taps import TAP_ROOM, Footprint, gather
+from octex.source.vectors import (
+    Vector,
+    between,
+    cross_product,
+    dot_product,
+    edges_from,
+    length_of,
+    minus,
+    times,
+)  # fmt: skip
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 
@@ -67,23 +75,16 @@ def measure(
     without area have none.
     """
     for triangle in range(triangles.shape[0]):
-        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
-        e0, e1, e2 = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
-        f0, f1, f2 = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
-        base = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        e, f = edges_from(rest, triangles, triangle)
+        base = length_of(e)
         if not base > 0.0:
             continue
-        shift = (e0 * f0 + e1 * f1 + e2 * f2) / base
-        n0, n1, n2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
-        rise = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / base
+        shift, rise = dot_product(e, f) / base, length_of(cross_product(e, f)) / base
         if not rise > 1e-12 * base:
             continue
-        for slot in range(coordinate_rows.shape[0]):
-            a, b, c = (
-                coordinate_rows[slot, triangle, 0],
-                coordinate_rows[slot, triangle, 1],
-                coordinate_rows[slot, triangle, 2],
-            )
+        rows = coordinate_rows
+        for slot in range(rows.shape[0]):
+            a, b, c = rows[slot, triangle, 0], rows[slot, triangle, 1], rows[slot, triangle, 2]
             u0, v0 = np.float64(coordinates[a, 0]), np.float64(coordinates[a, 1])
             # The Jacobian's columns are coordinates per unit along the base and across it.
             ux, vx = (coordinates[b, 0] - u0) / base, (coordinates[b, 1] - v0) / base
@@ -155,14 +156,13 @@ def evaluate(
                 _load(tables, images, footprints, stack, triangle, shared, stack - first)
                 widest = min(widest, MOST_VARIANCE / max(shared[stack - first, 10], 1e-200))
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
+        shares = (b0, b1, b2)
         red = green = blue = 1.0
         alpha = float(tables.alpha_factors[material])
         if has_colors:
             colors, rows = tables.colors, tables.color_rows
+            red, green, blue = between(colors, rows, triangle, shares)
             c0, c1, c2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
-            red = b0 * colors[c0, 0] + b1 * colors[c1, 0] + b2 * colors[c2, 0]
-            green = b0 * colors[c0, 1] + b1 * colors[c1, 1] + b2 * colors[c2, 1]
-            blue = b0 * colors[c0, 2] + b1 * colors[c1, 2] + b2 * colors[c2, 2]
             alpha *= b0 * colors[c0, 3] + b1 * colors[c1, 3] + b2 * colors[c2, 3]
         threshold = -1.0
         if mode == MASK:
@@ -174,13 +174,8 @@ def evaluate(
         for stack in range(first, end):
             row = stack - first
             layout = int(tables.stacks[stack, 0])
-            count, cut, scale = find_taps(
-                images,
-                layout,
-                filter,
-                int(tables.stacks[stack, 2]),
-                int(tables.stacks[stack, 3]),
-                tables.stacks[stack, 4] != 0,
+            stacks = tables.stacks
+            foot = Footprint(
                 b0 * shared[row, 0] + b1 * shared[row, 2] + b2 * shared[row, 4],
                 b0 * shared[row, 1] + b1 * shared[row, 3] + b2 * shared[row, 5],
                 square * shared[row, 6],
@@ -188,12 +183,14 @@ def evaluate(
                 square * shared[row, 8],
                 square * shared[row, 9],
                 square * shared[row, 10],
-                places,
-                weights,
+                int(stacks[stack, 2]),
+                int(stacks[stack, 3]),
+                stacks[stack, 4] != 0,
             )
+            count, cut, scale = find_taps(images, layout, filter, foot, places, weights)
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
                 number = int(tables.images[image])
-                gather(images, number, layout, places, weights, count, scale, cut, threshold, lanes, at)
+                gather(images, number, layout, places, weights, count, cut, scale, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
         for column in range(values.shape[1]):
@@ -213,7 +210,7 @@ def evaluate(
                 coverage = 1.0 if coverage >= threshold else 0.0
             values[i, columns.alpha] = coverage
         if columns.normal >= 0:
-            _turn(tables, triangle, b0, b1, b2, width == 0.0, values, i, columns.normal)
+            _turn(tables, triangle, shares, width == 0.0, values, i, columns.normal)
 
 
 @inlined
@@ -244,47 +241,24 @@ def _load(
 
 @inlined
 def _turn(
-    tables: Tables,
-    triangle: int,
-    b0: float,
-    b1: float,
-    b2: float,
-    is_point: bool,
-    values: Float32s,
-    i: int,
-    column: int,
+    tables: Tables, triangle: int, shares: Vector, is_point: bool, values: Float32s, i: int, column: int
 ) -> None:
     """Turn a direction in the tangent's frame into one in rest space; at a point, a unit vector."""
-    normals, rows = tables.normals, tables.normal_rows
-    r0, r1, r2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
-    nx = b0 * normals[r0, 0] + b1 * normals[r1, 0] + b2 * normals[r2, 0]
-    ny = b0 * normals[r0, 1] + b1 * normals[r1, 1] + b2 * normals[r2, 1]
-    nz = b0 * normals[r0, 2] + b1 * normals[r1, 2] + b2 * normals[r2, 2]
-    scale = _inverse_length(nx, ny, nz)
-    nx, ny, nz = nx * scale, ny * scale, nz * scale
-    tangents, rows = tables.tangents, tables.tangent_rows
-    r0, r1, r2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
-    tx = b0 * tangents[r0, 0] + b1 * tangents[r1, 0] + b2 * tangents[r2, 0]
-    ty = b0 * tangents[r0, 1] + b1 * tangents[r1, 1] + b2 * tangents[r2, 1]
-    tz = b0 * tangents[r0, 2] + b1 * tangents[r1, 2] + b2 * tangents[r2, 2]
-    along = nx * tx + ny * ty + nz * tz
-    tx, ty, tz = tx - along * nx, ty - along * ny, tz - along * nz
-    scale = _inverse_length(tx, ty, tz)
-    tx, ty, tz = tx * scale, ty * scale, tz * scale
-    hand = 1.0 if tangents[r0, 3] >= 0.0 else -1.0
-    x, y, z = (
-        np.float64(values[i, column]),
-        np.float64(values[i, column + 1]),
-        np.float64(values[i, column + 2]),
-    )
-    scale = _inverse_length(x, y, z) if is_point else 1.0
-    x, y, z = x * scale, y * scale * hand, z * scale
-    values[i, column] = x * tx + y * (ny * tz - nz * ty) + z * nx
-    values[i, column + 1] = x * ty + y * (nz * tx - nx * tz) + z * ny
-    values[i, column + 2] = x * tz + y * (nx * ty - ny * tx) + z * nz
+    normal = _unit(between(tables.normals, tables.normal_rows, triangle, shares))
+    tangent = between(tables.tangents, tables.tangent_rows, triangle, shares)
+    tangent = _unit(minus(tangent, times(normal, dot_product(normal, tangent))))
+    other = cross_product(normal, tangent)
+    hand = 1.0 if tables.tangents[tables.tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
+    x, y, z = values[i, column], values[i, column + 1], values[i, column + 2]
+    direction: Vector = np.float64(x), np.float64(y), np.float64(z)
+    if is_point:
+        direction = _unit(direction)
+    across, up, out = direction[0], direction[1] * hand, direction[2]
+    for k in range(3):
+        values[i, column + k] = across * tangent[k] + up * other[k] + out * normal[k]
 
 
 @inlined
-def _inverse_length(x: float, y: float, z: float) -> float:
-    length = math.sqrt(x * x + y * y + z * z)
-    return 1.0 / length if length > 0.0 else 0.0
+def _unit(vector: Vector) -> Vector:
+    length = length_of(vector)
+    return times(vector, 1.0 / length if length > 0.0 else 0.0)

@@ -9,15 +9,15 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
-from octex.source.base import Source, by_channel, in_order
+from octex.source.base import Combined, Source, by_channel, in_order
 from octex.source.materials import DEFAULTS
 from octex.source.spatial import SpatialSource
 
 
-class Part(NamedTuple):
+class Member(NamedTuple):
     """One of the surfaces."""
 
-    source: Source | None  # None: it has none of the wanted channels
+    source: Source
     vertices: slice
     triangles: slice
 
@@ -29,46 +29,45 @@ class Joined(Source):
     directions the normals of the ``faces``.
     """
 
-    def __init__(self, parts: Sequence[Part], faces: Source) -> None:
+    def __init__(self, parts: Sequence[Member], faces: Source) -> None:
         self._parts = list(parts)
         self._firsts = np.array([part.triangles.start for part in parts])
         self._faces = faces
-        found: dict[str, ChannelFormat] = {}
-        for form in (form for part in parts if part.source for form in part.source.channels):
-            known = found.setdefault(form.name, form)
+        forms: dict[str, ChannelFormat] = {}
+        for form in (form for part in parts for form in part.source.channels):
+            known = forms.setdefault(form.name, form)
             if not known.dtype.startswith("float"):
-                found[form.name] = form if form.dtype.startswith("float") else known
-        self._channels = tuple(found[name] for name in in_order(list(found)))
+                forms[form.name] = form if form.dtype.startswith("float") else known
+        self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
     @property
     def has_gaps(self) -> bool:
         """Whether any of the sources may know nothing of some points."""
-        return any(part.source.has_gaps for part in self._parts if part.source)
+        return any(part.source.has_gaps for part in self._parts)
 
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether the ``alpha`` of every source that has it says no more than where it knows something."""
-        sources = [part.source for part in self._parts if part.source]
+        sources = [part.source for part in self._parts]
         having = [source for source in sources if ALPHA.name in [form.name for form in source.channels]]
         return self.has_gaps and all(source.alpha_is_coverage for source in having)
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each point's from its own source."""
         values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
-        for part, rows, own in self._by_part(triangles):
-            given: dict[str, Float32s] = {}
-            if part.source:
-                found = part.source.evaluate(own, barycentric[rows], widths[rows])
-                given = by_channel(part.source.channels, found)
+        for part, rows, within in self._by_part(triangles):
+            columns = by_channel(
+                part.source.channels, part.source.evaluate(within, barycentric[rows], widths[rows])
+            )
             values[rows] = np.hstack(
                 [
-                    given[form.name] if form.name in given else self._default(form, triangles[rows])
+                    columns[form.name] if form.name in columns else self._default(form, triangles[rows])
                     for form in self._channels
                 ]
             )
         return values
 
-    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Part, Int64s, Int32s]]:
+    def _by_part(self, triangles: Int32s) -> Iterator[tuple[Member, Int64s, Int32s]]:
         """Yield the parts that triangles (n,) are of, with their rows, and their numbers in the part."""
         owners = np.searchsorted(self._firsts, triangles, side="right") - 1
         for number in np.flatnonzero(np.bincount(owners)).tolist():
@@ -84,16 +83,14 @@ class Joined(Source):
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
         edges = np.full(len(triangles), np.inf, np.float32)
-        for part, rows, own in self._by_part(triangles):
-            if part.source:
-                edges[rows] = part.source.texel_edges(own)
+        for part, rows, within in self._by_part(triangles):
+            edges[rows] = part.source.texel_edges(within)
         return edges
 
     def prepare(self) -> None:
         """Prepare all sources."""
         for part in self._parts:
-            if part.source:
-                part.source.prepare()
+            part.source.prepare()
 
     def with_rest(self, rest: Float64s) -> Joined:
         """Return the same sources with widths and directions measured on other rest positions (n, 3)."""
@@ -107,16 +104,14 @@ class Joined(Source):
     def only(self, names: Sequence[str]) -> Source:
         """Return the same source with these of its channels alone."""
 
-        def restricted(source: Source, _: Part) -> Source | None:
-            own = [form.name for form in source.channels if form.name in names]
-            return source.only(own) if own or (source.has_gaps and not names) else None
+        def restricted(source: Source, _: Member) -> Source:
+            wanted = [form.name for form in source.channels if form.name in names]
+            return source.only(wanted) if wanted or (source.has_gaps and not names) else Combined({})
 
         return self._each(restricted, self._faces)
 
-    def _each(self, change: Callable[[Source, Part], Source | None], faces: Source) -> Joined:
-        sources = [change(part.source, part) if part.source else None for part in self._parts]
-        parts = [part._replace(source=each) for part, each in zip(self._parts, sources, strict=True)]
-        return Joined(parts, faces)
+    def _each(self, change: Callable[[Source, Member], Source], faces: Source) -> Joined:
+        return Joined([part._replace(source=change(part.source, part)) for part in self._parts], faces)
 
 
 class FaceNormals(SpatialSource):

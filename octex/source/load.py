@@ -16,9 +16,10 @@ from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
-from octex.source.models.meshfiles import load_off, load_ply, load_stl
+from octex.source.models.meshfiles import load_off, load_stl
 from octex.source.models.obj import load_obj
-from octex.source.models.options import Options
+from octex.source.models.ply import load_ply
+from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.models.usd import load_usd
 from octex.source.motion import Motion
@@ -62,10 +63,9 @@ def load_surface(
     nodes, skins and morph targets. ``rest`` stays what it is without. See ``octex help surfaces``.
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
-    MissingExtraError for content that an extra decodes which is not installed; and ArgumentError for names
-    and values that do not fit, a pose that the file lacks among them. Warns with ModelWarning where a model
-    is read without something that it refers to: the material file of an OBJ model, or a material; and where
-    the weights of a skin are normalized.
+    MissingExtraError where an extra is needed that is not installed; and ArgumentError for names and values
+    that do not fit, or a pose that the file lacks. Warns with ModelWarning of what a model refers to and is
+    read without, and of weights of a skin that are normalized.
     """
     as_choice(filter, FILTERS, "filter")
     own = {} if sources is None else as_entries(sources, "sources")

@@ -1,11 +1,17 @@
-"""Images laid on surfaces without texture coordinates: from a plane, a box, a cylinder or a sphere."""
+"""Images laid on surfaces without texture coordinates: from a plane, a box, a cylinder or a sphere.
+
+In kernels points are in the mapping's own frame about its centre: x to the right, y up, z along the axis,
+towards the viewer of a plane. A picture has u to the right and v down, and spans 0 … 1.
+"""
 
 from __future__ import annotations
 
 import copy
 import json
+import math
 import os
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,46 +21,54 @@ from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
 from octex.source.base import Source
 from octex.source.corners import Frames
 from octex.source.images.decode import read_image
-from octex.source.images.filters import FILTERS, LEVELS_OF, told
-from octex.source.images.pyramid import WRAPS, Picture, as_wraps, store
-from octex.source.mapping import BOX, KINDS, SPHERICAL, Mapping, mapped_edges, read_mapped
+from octex.source.images.filters import FILTERS, LEVELS_OF, MOST_VARIANCE, find_taps, footprint, told
+from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
+from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
 from octex.source.spatial import Placeable, SpatialSource
 from octex.source.tangents import carried
+from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, times
 
 _X, _Y, _Z = np.eye(3)
 #: What is to the right and up for one who looks at the origin from along each axis.
 FRAMES = {"x": (-_Z, _Y), "-x": (_Z, _Y), "y": (_X, -_Z), "-y": (_X, _Z), "z": (_X, _Y), "-z": (-_X, _Y)}
 _FARTHEST = 1e30
+#: The kinds of mappings.
+KINDS = ("planar", "box", "cylindrical", "spherical")
+PLANAR, BOX, CYLINDRICAL, SPHERICAL = range(4)
+
+#: A normal is nearer to the axis than to the side if its component along it, of 1, is above this.
+CAP = math.sqrt(0.5)
+# Normals computed from rounded positions decide as if they were exact: a bevel of 45° is no patchwork.
+_TIE = 1e-6
 
 
 class MappedImage(Placeable):
     """An image that a surface gets by its rest positions: it needs no texture coordinates.
 
-    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. Looked at from outside
-    it is not mirrored. ``kind`` is one of
+    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. From outside it is not
+    mirrored. ``kind`` is one of
 
-    planar        seen from along the axis, through the whole surface: what faces away is mirrored. The
-                  picture's top is towards +y; along y it is towards −z, along −y towards +z
-    box           six sides, each point's by the largest component of its face's normal (the axis before the
-                  front and back, and these before the other two, where they are equal). The picture stands
-                  upright on the four around the axis, its top towards it; those across it unfold from the
-                  front like a cross
-    cylindrical   once around the axis, its top towards it, its middle in front. Where a face's normal is
-                  nearer to the axis than to the side (within 45° of it), the picture lies across the axis as
-                  on a box: a round cap shows the circle inscribed in it
+    planar        along the axis, through the whole surface: what faces away is mirrored. The picture's top is
+                  towards +y; along y it is towards −z, along −y towards +z
+    box           six sides, each point's by the largest component of its face's normal (of equal ones the
+                  axis first, then front and back). Upright on the four around the axis, its top towards it;
+                  those across unfold from the front like a cross
+    cylindrical   once around the axis, its top towards it, its middle in front. Faces whose normal is within
+                  45° of the axis see the picture as on a box: a round cap has the circle inscribed in it
     spherical     longitude and latitude: once around the axis, its middle in front, its top row at the pole
-                  that the axis points to, its bottom row at the other
+                  that the axis points to
 
-    ``axis`` is x, y, z, -x, -y or -z. The front of a box, a cylinder and a sphere is towards −y, about y
-    towards +z, about −y towards −z. ``center`` (x, y, z) is where the picture's middle is, or what it goes
-    around: by default the middle of the surface's bounds at rest. ``size`` is what one copy of the picture
-    spans along x, y and z, in the model's units, or one number for all: by default the bounds, and for a box
-    the largest extent everywhere. A sphere has none, and around a cylinder there is one copy always.
+    ``axis`` is x, y, z, -x, -y or -z. The front is towards −y, about y towards +z, about −y towards −z.
+    ``center`` (x, y, z) is where the picture's middle is, or what it goes around: by default the middle of
+    the surface's bounds at rest. ``size`` is what one copy of the picture spans along x, y and z, in the
+    model's units, or one number for all: by default the bounds, and for a box their largest extent. A sphere
+    has none, and around a cylinder there is one copy always.
 
     ``wrap``, "repeat", "mirror" or "clamp", or one for u and one for v, is how copies meet; what goes around
     an axis always repeats. ``mag_filter``, "linear" or "nearest", is how texels meet. Footprints follow the
@@ -213,3 +227,187 @@ def _three(given: float | Sequence[float], name: str, least: float) -> Float64s:
     """Return a number for each direction."""
     numbers = np.broadcast_to(as_reals(given, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])
+
+
+class Mapping(NamedTuple):
+    """A mapping, as kernels see it."""
+
+    kind: int
+    wrap_u: int
+    wrap_v: int
+    frame: Float64s  # (3, 3)   rows: right, up and the axis, in rest space
+    center: Float64s  # (3,)   in rest space
+    size: Float64s  # (3,)   what a copy of the picture spans along right, up and the axis
+
+
+@inlined
+def map_point(
+    mapping: Mapping, point: Vector, normal: Vector, width: float
+) -> tuple[float, float, Vector, Vector, bool]:
+    """Return u and v of a point, their gradients, and whether u runs around the axis.
+
+    What is ``width`` wide there covers no more than once around and from pole to pole, however near to the
+    axis or the centre: gradients end at what gives a box the variance of all of it.
+    """
+    x, y, z = point
+    n_x, n_y, n_z = normal
+    across, high, deep = mapping.size[0], mapping.size[1], mapping.size[2]
+    lean = abs(n_z)
+    if mapping.kind == SPHERICAL or (mapping.kind == CYLINDRICAL and lean <= CAP + _TIE):
+        radius = math.sqrt(x * x + y * y)
+        cosine, sine = (x / radius, y / radius) if radius > 0.0 else (0.0, -1.0)
+        u = 0.5 + math.atan2(cosine, -sine) / (2.0 * math.pi)
+        turn = 1.0 / _length(2.0 * math.pi * radius, width)
+        u_slope = (-sine * turn, cosine * turn, 0.0)
+        if mapping.kind == CYLINDRICAL:
+            return u, 0.5 - z / deep, u_slope, (0.0, 0.0, -1.0 / deep), True
+        distance = _length(radius, z)
+        down, out = (z / distance, radius / distance) if distance > 0.0 else (1.0, 0.0)
+        turn = 1.0 / _length(math.pi * distance, width)
+        v_slope = (down * cosine * turn, down * sine * turn, -out * turn)
+        return u, math.atan2(radius, z) / math.pi, u_slope, v_slope, True
+    side_x, side_y = abs(n_x), abs(n_y)
+    if mapping.kind != BOX or lean + _TIE >= max(side_x, side_y):
+        # A box and a cylinder unfold from the front, which is towards −y.
+        up = -1.0 if n_z < 0.0 and mapping.kind != PLANAR else 1.0
+        return 0.5 + x / across, 0.5 - up * y / high, (1.0 / across, 0.0, 0.0), (0.0, -up / high, 0.0), False
+    v, v_slope = 0.5 - z / deep, (0.0, 0.0, -1.0 / deep)
+    if side_y + _TIE >= side_x:
+        right = 1.0 / across if n_y < 0.0 else -1.0 / across
+        return 0.5 + x * right, v, (right, 0.0, 0.0), v_slope, False
+    right = 1.0 / high if n_x > 0.0 else -1.0 / high
+    return 0.5 + y * right, v, (0.0, right, 0.0), v_slope, False
+
+
+@inlined
+def _length(x: float, y: float) -> float:
+    """Return the length of (x, y); the least number above zero if they are zeros."""
+    return max(math.sqrt(x * x + y * y), 1e-150)
+
+
+@inlined
+def _in_frame(mapping: Mapping, vector: Vector) -> Vector:
+    frame, (x, y, z) = mapping.frame, vector
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
+        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
+    )
+
+
+@inlined
+def _placed(mapping: Mapping, points: Float64s, i: int) -> Vector:
+    center = mapping.center
+    return _in_frame(mapping, (points[i, 0] - center[0], points[i, 1] - center[1], points[i, 2] - center[2]))
+
+
+@inlined
+def _covariance(u_slope: Vector, v_slope: Vector, normal: Vector, square: float) -> Vector:
+    """Return uu, uv and vv of a box on the plane of a normal, ``square`` its side's square."""
+    along_u, along_v = dot_product(u_slope, normal), dot_product(v_slope, normal)
+    scale = square / 12.0
+    return (
+        max(dot_product(u_slope, u_slope) - along_u * along_u, 0.0) * scale,
+        (dot_product(u_slope, v_slope) - along_u * along_v) * scale,
+        max(dot_product(v_slope, v_slope) - along_v * along_v, 0.0) * scale,
+    )
+
+
+@kernel
+def read_mapped(
+    mapping: Mapping,
+    images: Images,
+    filter: int | None,
+    flat: bool,
+    is_direction: bool,
+    points: Float64s,
+    normals: Float64s,
+    shading: Float64s,
+    widths: Float32s,
+    values: Float32s,
+) -> None:
+    """Fill in what the one image of ``images`` gives to points.
+
+    ``normals`` (n, 3) are those of the faces, ``shading`` those on which directions of normal maps stand.
+    """
+    places, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
+    lanes = np.empty(4, np.float32)
+    level = images.layouts[0, 0]
+    across, down = images.levels[level, 1], images.levels[level, 2]
+    for i in range(len(points)):
+        point = _placed(mapping, points, i)
+        normal = _in_frame(mapping, (normals[i, 0], normals[i, 1], normals[i, 2]))
+        width = np.float64(widths[i])
+        u, v, u_slope, v_slope, is_around = map_point(mapping, point, normal, width)
+        wrap_u, wrap_v = mapping.wrap_u, mapping.wrap_v
+        if is_around:
+            wrap_u = REPEAT
+            if mapping.kind == SPHERICAL:
+                wrap_v = MIRROR  # beyond a pole a wide footprint finds what it comes from
+        xx = xy = yy = least = most = 0.0
+        if width > 0.0:
+            uu, uv, vv = _covariance(u_slope, v_slope, normal, width * width)
+            xx, xy, yy, least, most = footprint(uu, uv, vv, across, down)
+            if most > MOST_VARIANCE:
+                part = MOST_VARIANCE / most
+                xx, xy, yy, least, most = xx * part, xy * part, yy * part, least * part, MOST_VARIANCE
+        foot = Footprint(u, v, xx, xy, yy, least, most, wrap_u, wrap_v, flat)
+        count, cut, scale = find_taps(images, 0, filter, foot, places, weights)
+        gather(images, 0, 0, places, weights, count, cut, scale, -1.0, lanes, 0)
+        if is_direction:
+            upright = (shading[i, 0], shading[i, 1], shading[i, 2])
+            _turn(mapping, lanes, u_slope, v_slope, upright, width == 0.0, values, i)
+        else:
+            for column in range(values.shape[1]):
+                values[i, column] = lanes[column]
+
+
+@inlined
+def _turn(
+    mapping: Mapping,
+    lanes: Float32s,
+    u_slope: Vector,
+    v_slope: Vector,
+    shading: Vector,
+    is_point: bool,
+    values: Float32s,
+    i: int,
+) -> None:
+    """Turn a direction of a normal map into one in rest space; at a point, a unit vector.
+
+    The tangent is where u grows and v stays on the surface, the bitangent at right angles to it; where v
+    does not change on the surface, the tangent is where u grows most.
+    """
+    normal = _in_frame(mapping, shading)
+    if dot_product(normal, normal) == 0.0:
+        normal = (0.0, 0.0, 1.0)
+    level = cross_product(normal, v_slope)
+    hand = 1.0 if dot_product(u_slope, level) >= 0.0 else -1.0
+    tangent = times(level, hand)
+    if dot_product(level, level) <= _TIE * _TIE * dot_product(v_slope, v_slope):
+        along = dot_product(u_slope, normal)
+        tangent = minus(u_slope, times(normal, along))
+    other = cross_product(normal, tangent)
+    x, y, z = 2.0 * lanes[0] - 1.0, 2.0 * lanes[1] - 1.0, 2.0 * lanes[2] - 1.0
+    unit = 1.0 / max(length_of((x, y, z)), 1e-150) if is_point else 1.0
+    length = 1.0 / max(length_of(tangent), 1e-150)
+    x, y, z = x * unit * length, y * unit * length * hand, z * unit
+    for column in range(3):
+        direction = 0.0
+        for k in range(3):
+            direction += mapping.frame[k, column] * (x * tangent[k] + y * other[k] + z * normal[k])
+        values[i, column] = direction
+
+
+@kernel
+def mapped_edges(
+    mapping: Mapping, width: int, height: int, points: Float64s, normals: Float64s, edges: Float32s
+) -> None:
+    """Fill in the shorter edge of a texel at points, in rest units; infinity where all see one texel."""
+    for i in range(len(points)):
+        point = _placed(mapping, points, i)
+        normal = _in_frame(mapping, (normals[i, 0], normals[i, 1], normals[i, 2]))
+        _, _, u_slope, v_slope, _ = map_point(mapping, point, normal, 0.0)
+        uu, uv, vv = _covariance(u_slope, v_slope, normal, 12.0)
+        _, _, _, _, most = footprint(uu, uv, vv, width, height)
+        edges[i] = 1.0 / math.sqrt(most) if most > 0.0 else np.inf

@@ -16,7 +16,7 @@ from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.base import Source, in_order
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import SourceColumns, Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
 from octex.source.images.filters import FILTERS, LEVELS_OF, told
@@ -63,8 +63,8 @@ class Material(NamedTuple):
     @property
     def normal_slot(self) -> int | None:
         """The set of texture coordinates that its normal map is read at; None without such a map."""
-        given = self.inputs.get("normal")
-        return None if given is None or given.texture is None else given.texture.slot
+        entry = self.inputs.get("normal")
+        return None if entry is None or entry.texture is None else entry.texture.slot
 
 
 #: The largest number that a half-precision float holds.
@@ -73,13 +73,17 @@ MOST_IN_FLOAT16 = 65504.0
 DEFAULTS = {"emissive": 0.0, "specular": 0.04}
 
 
+#: Lets one thread prepare what all read.
+_preparing = Lock()
+
+
 class MaterialSource(Source):
     """The channels of a model with materials.
 
-    ``materials``, and the material of each triangle (m,); ``colors`` at corners, linear light and alpha
-    (rows, 4), multiply ``base_color`` and ``alpha``; texture ``coordinates`` (rows, 2) at corners by slot, v
-    running down; ``frames``, without which there is no ``normal``, in the space of ``rest``. ``rest`` (n, 3)
-    and ``triangles`` (m, 3) are what widths are measured on. ``filter`` is one of filters.FILTERS.
+    ``triangle_materials`` (m,) says the material of each triangle. ``colors`` at corners, linear light and
+    alpha (rows, 4), multiply ``base_color`` and ``alpha``. Texture ``coordinates`` (rows, 2) at corners, by
+    slot, have v down. ``frames``, without which there is no ``normal``, are in the space of ``rest`` (n, 3),
+    on which, with ``triangles`` (m, 3), widths are measured. ``filter`` is one of filters.FILTERS.
 
     It has ``base_color``, ``alpha`` if a material uses it, and what else any of the materials in use states;
     ``channels`` names those that are wanted. Light that can be above 1 is stored as such. Averages of masks
@@ -112,7 +116,6 @@ class MaterialSource(Source):
         self._frames = frames
         self._name = name
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
-        self._lock = Lock()
         self._prepared: _Prepared | None = None
         self._footprints: Float64s | None = None
         self._texel_edges = np.empty(0, np.float32)
@@ -160,7 +163,7 @@ class MaterialSource(Source):
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        other = self._copy()
+        other = copy.copy(self)
         other._rest = rest
         other._footprints = None
         if self._frames is not None:
@@ -170,7 +173,7 @@ class MaterialSource(Source):
 
     def with_filter(self, name: str) -> MaterialSource:
         """Return the same source with its images read by another filter."""
-        other = self._copy()
+        other = copy.copy(self)
         other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
         if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
             other._prepared = None
@@ -181,21 +184,10 @@ class MaterialSource(Source):
         chosen = tuple(channel for channel in self._channels if channel.name in names)
         if chosen == self._channels:
             return self
-        other = self._copy()
+        other = copy.copy(self)
         other._channels = chosen
         other._prepared = other._footprints = None
         return other
-
-    def _copy(self) -> MaterialSource:
-        other = copy.copy(self)
-        other._lock = Lock()
-        return other
-
-    def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        self.__dict__.update(state, _lock=Lock())
 
     def _used(self) -> list[Material]:
         return [self.materials[i] for i in np.unique(self.triangle_materials)]
@@ -248,17 +240,19 @@ class MaterialSource(Source):
 
     def _ready(self) -> tuple[_Prepared, Float64s]:
         """Return what the kernels read, made on the first use."""
-        with self._lock:
-            if self._prepared is None:
-                self._prepared = self._tables()
-            if self._footprints is None:
-                tables = self._prepared.tables
-                self._footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
-                measure(
-                    tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, self._footprints
-                )
-                self._texel_edges = texel_edges(tables, self._prepared.images, self._footprints)
-            return self._prepared, self._footprints
+        prepared, footprints = self._prepared, self._footprints
+        if prepared is not None and footprints is not None:
+            return prepared, footprints
+        with _preparing:
+            prepared = self._prepared = self._prepared or self._tables()
+            footprints = self._footprints
+            if footprints is None:
+                tables = prepared.tables
+                footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
+                measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
+                self._texel_edges = texel_edges(tables, prepared.images, footprints)
+                self._footprints = footprints
+        return prepared, footprints
 
     def _tables(self) -> _Prepared:
         names = [form.name for form in self._channels]
@@ -275,19 +269,19 @@ class MaterialSource(Source):
             lane_of = shelf.add(number, names)
             for form in self._channels:
                 columns = slice(first_column[form.name], first_column[form.name] + form.components)
-                given = material.inputs.get(form.name)
+                entry = material.inputs.get(form.name)
                 if form.space == "direction":
-                    straight = given is None or given.texture is None
+                    straight = entry is None or entry.texture is None
                     gains[number, columns] = 0.0 if straight else 2.0
                     offsets[number, columns] = (0.0, 0.0, 1.0) if straight else -1.0
-                elif given is None:
+                elif entry is None:
                     gains[number, columns] = DEFAULTS.get(form.name, 1.0)
                 else:
                     # The kernel multiplies alpha by its factor, and by vertex colours, before thresholds.
-                    gains[number, columns] = 1.0 if form.name == "alpha" else given.factor
-                    offsets[number, columns] = given.offset or 0.0
-                if given is not None and given.texture is not None:
-                    lanes[number, columns] = lane_of[form.name] + np.array(given.lanes[: form.components])
+                    gains[number, columns] = 1.0 if form.name == "alpha" else entry.factor
+                    offsets[number, columns] = entry.offset or 0.0
+                if entry is not None and entry.texture is not None:
+                    lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
         stored = store(shelf.pictures, LEVELS_OF[self._filter])
         stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
@@ -317,17 +311,15 @@ class MaterialSource(Source):
     def _bound(self) -> dict[str, Any]:
         """Return what is bound to corners, as the tables name it."""
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
         colors = self.colors or nothing
         normals, tangents = (nothing, nothing) if self._frames is None else self._frames
-        firsts = np.cumsum([0, *(len(corners.values) for corners in self.coordinates)])
-        rows = [c.rows + np.int32(first) for c, first in zip(self.coordinates, firsts, strict=False)]
+        values, rows = stacked([nowhere, *self.coordinates])
         return {
             "colors": colors.values,
             "color_rows": colors.rows,
-            "coordinates": np.concatenate(
-                [np.empty((0, 2), np.float32), *(c.values for c in self.coordinates)]
-            ),
-            "coordinate_rows": np.stack(rows) if rows else np.empty((0, len(self._triangles), 3), np.int32),
+            "coordinates": values,
+            "coordinate_rows": np.stack(rows)[1:],
             "normals": normals.values,
             "normal_rows": normals.rows,
             "tangents": tangents.values,
@@ -341,16 +333,6 @@ class _Prepared(NamedTuple):
     tables: Tables
     columns: SourceColumns
     images: Images
-
-
-class _Way(NamedTuple):
-    """How a stack's images are read: a Texture's size in the place of its texels."""
-
-    size: tuple[int, ...]
-    wrap_u: int
-    wrap_v: int
-    nearest: bool
-    slot: int
 
 
 class _Shelf:
@@ -369,20 +351,19 @@ class _Shelf:
     def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
         """Add the images of a material for some channels; return the first lane of each channel's image."""
         material = self._materials[number]
-        stacks: dict[_Way, dict[int, list[str]]] = {}
+        stacks: dict[tuple[object, int, int, bool, int], dict[int, list[str]]] = {}
         for name in names:
-            given = material.inputs.get(name)
-            if given is None or given.texture is None:
+            entry = material.inputs.get(name)
+            if entry is None or entry.texture is None:
                 continue
-            texture = given.texture
-            way = _Way(texture.texels.shape[:2], *texture[1:])
-            image = self._image(number, name, texture.texels)
-            stacks.setdefault(way, {}).setdefault(image, []).append(name)
+            texels, wrap_u, wrap_v, nearest, slot = entry.texture
+            way = texels.shape[:2], wrap_u, wrap_v, nearest, slot
+            stacks.setdefault(way, {}).setdefault(self._image(number, name, texels), []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
-        for way, readers in stacks.items():
+        for (_, wrap_u, wrap_v, nearest, slot), readers in stacks.items():
             some = next(iter(readers))
-            self.stacks.append((some, way.slot, way.wrap_u, way.wrap_v, int(way.nearest), len(self.images)))
+            self.stacks.append((some, slot, wrap_u, wrap_v, int(nearest), len(self.images)))
             for image, channels in readers.items():
                 self.images.append(image)
                 lane_of |= dict.fromkeys(channels, lane)
@@ -393,7 +374,7 @@ class _Shelf:
     def _image(self, number: int, name: str, texels: Texels) -> int:
         """Return the number of the image that a channel of a material reads."""
         material = self._materials[number]
-        given = material.inputs[name]
+        entry = material.inputs[name]
         space = CHANNELS[name].space
         covering = name in ("base_color", "alpha") and _is_covered(material)
         threshold = -1.0
@@ -401,10 +382,10 @@ class _Shelf:
             factor = _alpha_factor(material) * self._vertex_alphas[number]
             threshold = material.cutoff / factor if factor > 0 else np.inf
         is_light = space == "srgb" or covering
-        key = (id(texels), is_light, covering, threshold, given.factor if space == "direction" else None)
+        key = (id(texels), is_light, covering, threshold, entry.factor if space == "direction" else None)
         if key not in self._numbers:
             if space == "direction":
-                texels = unit_directions(texels, given.factor)
+                texels = unit_directions(texels, entry.factor)
             self._numbers[key] = len(self.pictures)
             self.pictures.append(Picture(texels, is_light, covering, threshold))
         return self._numbers[key]
@@ -432,12 +413,12 @@ def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
     return form._replace(space="linear", dtype="float16" if most <= MOST_IN_FLOAT16 else "float32")
 
 
-def _brightest(given: Input) -> float:
+def _brightest(entry: Input) -> float:
     """Return the most that an input of light can give."""
     texel = 1.0
-    if given.texture is not None and given.texture.texels.dtype == np.float32:
-        texel = float(given.texture.texels[..., list(given.lanes)].max())
-    return max(given.factor) * texel + max(given.offset, default=0.0)
+    if entry.texture is not None and entry.texture.texels.dtype == np.float32:
+        texel = float(entry.texture.texels[..., list(entry.lanes)].max())
+    return max(entry.factor) * texel + max(entry.offset, default=0.0)
 
 
 def unit_directions(texels: Texels, scale: tuple[float, ...]) -> Uint16s:

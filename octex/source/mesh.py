@@ -158,20 +158,16 @@ class Mesh:
         The vertices of a polygon are in the file's order, from its first corner on, and wind as its triangles
         do. Of a polygon some of whose triangles were left out, these are the corners of the others.
         """
-        numbers, corners = self.polygons or Polygons.of_triangles(len(self.triangles))
-        keys = numbers[:, None].astype(np.int64) << 32 | corners
-        keys, first = np.unique(keys, return_index=True)
-        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        known, sizes, first, _ = (self.polygons or Polygons.of_triangles(len(self.triangles))).loops()
         return known, sizes.astype(np.int32), self.triangles.ravel()[first]
 
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
 
         In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
-        4.3.1 and 6.2). Parts are what hangs together, vertices at the same position being one. For each pair
-        there is the smallest distance of their surfaces and, for two solids, the volume that both fill, by an
-        exact boolean (solids are turned outside out first). Parts that are no solids are named in
-        ``unchecked``: what lies inside them is not known. A part that intersects itself is not found.
+        4.3.1 and 6.2). Each pair has the smallest distance of the surfaces and, of two solids, the volume
+        that both fill, by an exact boolean. ``unchecked`` are parts that are no solids: what lies inside them
+        is not known. A part that intersects itself is not found.
 
         Raises ArgumentError for a negative margin.
         """

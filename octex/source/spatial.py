@@ -13,6 +13,7 @@ from octex.channels import ChannelFormat
 from octex.jit import kernel
 from octex.source.base import Source
 from octex.source.mesh import Mesh
+from octex.source.vectors import between, cross_product, edges_from, length_of
 
 #: By how much a cosine of normals in single precision may seem less than it is.
 _COSINE_ROUNDING = 1e-6
@@ -88,16 +89,13 @@ def _place(
     x = y = z = 0.0
     for n in range(triangles.size):
         triangle = int(triangles[n])
-        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-        p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
-        for axis in range(3):
-            points[n, axis] = p * rest[a, axis] + q * rest[b, axis] + r * rest[c, axis]
+        shares = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+        points[n, 0], points[n, 1], points[n, 2] = between(rest, faces, triangle, shares)
         if triangle != last:
             last = triangle
-            ux, uy, uz = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
-            vx, vy, vz = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
-            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            length = np.sqrt(x * x + y * y + z * z)
+            e, f = edges_from(rest, faces, triangle)
+            x, y, z = cross_product(e, f)
+            length = length_of((x, y, z))
             if length > 0.0:
                 x, y, z = x / length, y / length, z / length
         normals[n, 0], normals[n, 1], normals[n, 2] = x, y, z

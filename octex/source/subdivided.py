@@ -174,12 +174,8 @@ class _Cage:
     """The polygons of a mesh with vertices at one place as one, and a plane for each."""
 
     def __init__(self, mesh: Mesh) -> None:
-        numbers, corners = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
-        keys, first, at = np.unique(
-            numbers[:, None].astype(np.int64) << 32 | corners, return_index=True, return_inverse=True
-        )
-        known, sizes = np.unique(keys >> 32, return_counts=True)
-        self.sizes: Int64s = sizes.astype(np.int64)
+        polygons = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
+        known, self.sizes, first, self._at = polygons.loops()  # a corner of a polygon for each of a triangle
         used = mesh.triangles.ravel()
         self._places = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
         names, at_places = np.unique(self._places[used], return_index=True)
@@ -189,8 +185,7 @@ class _Cage:
         self.corners: Int64s = self._names[self._places[used[first]]]
         self._rest = mesh.rest[mesh.triangles]
         self._domain = _domain(self.sizes)
-        self._at = at.reshape(-1, 3)  # the corner of a polygon that each corner of a triangle is
-        owners = np.searchsorted(known, numbers)
+        owners = np.searchsorted(known, polygons.numbers)
         self._order = np.argsort(owners, kind="stable")
         self._counts = np.bincount(owners, minlength=len(self.sizes))
         self._starts = np.cumsum(self._counts) - self._counts

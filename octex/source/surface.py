@@ -15,19 +15,18 @@ from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
-from octex.source.base import Combined, Source, by_channel
+from octex.source.base import Combined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons
-from octex.source.given import given_source
 from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
-from octex.source.joined import FaceNormals, Joined, Part
+from octex.source.joined import FaceNormals, Joined, Member
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
+from octex.source.overrides import override_source
 from octex.source.parts import Overlaps
-from octex.source.picked import Picked
 from octex.source.separation import SEPARATION, separated_rest, separation_of
 
 if TYPE_CHECKING:
@@ -101,16 +100,16 @@ class Surface(Mesh):
     ) -> Surface:
         """Build a surface with one material from arrays.
 
-        ``colors`` (n, 3 or 4) per vertex or ``face_colors`` (m, 3 or 4) per triangle: unsigned integers are
-        sRGB codes, floats are linear light in 0 … 1; a fourth column is alpha. ``factor``, linear light and
-        alpha, multiplies them. ``alpha`` says whether alpha counts: "opaque", "mask" (with ``cutoff``) or
-        "blend"; None means "blend" if any is below 1.
-
-        ``image`` multiplies too: a Pillow image, or sRGB codes, uint8 or uint16, of shape (height, width) or
-        (height, width, 1 to 4). It needs ``uv``, per vertex (n, 2) or per corner (m, 3, 2), with v running
-        *up* from the image's last row, as in OBJ files; ``wrap``, "repeat", "mirror" or "clamp", or one for u
-        and one for v; and ``mag_filter``, "linear" or "nearest": how texels meet. ``filter``, one of
-        filters.FILTERS, is how the image is averaged over footprints.
+        colors, face_colors  (n or m, 3 or 4) per vertex or per triangle: unsigned integers are sRGB codes,
+                             floats linear light in 0 … 1; a fourth column is alpha
+        factor               linear light and alpha, which multiply them
+        alpha, cutoff        "opaque", "mask" (covered from the cutoff on) or "blend"; None: "blend" if any
+                             alpha is below 1
+        image                multiplies too: a Pillow image, or sRGB codes (height, width) or (height, width,
+                             1 to 4), uint8 or uint16
+        uv                   of the image, per vertex (n, 2) or per corner (m, 3, 2), v *up* from its last row
+        wrap, mag_filter     "repeat", "mirror" or "clamp", or one for u and one for v; "linear" or "nearest"
+        filter               how the image is averaged over footprints: one of filters.FILTERS
 
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
@@ -163,16 +162,15 @@ class Surface(Mesh):
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
         """Return several surfaces as one, to share a texture (Benson & Davis 2002, 5).
 
-        It has the channels that any of them has; where one does not state a channel, that is what materials
-        give that do not: 1, no light, and the faces' own normals. Its triangles and vertices are theirs in
-        order, and so are the numbers of their polygons. It has no texture coordinates. Raises ArgumentError
-        for none.
+        Triangles, vertices and polygons are theirs in order. It has the channels that any of them has, with
+        the defaults of materials elsewhere: 1, no light, the faces' normals. It has no texture coordinates.
+        Raises ArgumentError for none.
         """
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
         triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
         parts = [
-            Part(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
+            Member(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
             for n, each in enumerate(surfaces)
         ]
         rest = np.concatenate([each.rest for each in surfaces])
@@ -186,7 +184,7 @@ class Surface(Mesh):
             faces,
             Joined(parts, FaceNormals((NORMAL,), rest, faces)),
             rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
-            polygons=_joined_polygons(surfaces),
+            polygons=Polygons.joined([(each.polygons, len(each.triangles)) for each in surfaces]),
             name=name,
             provenance={"source": name, "sources": json.dumps(sources)},
         )
@@ -204,18 +202,15 @@ class Surface(Mesh):
     ) -> Surface:
         """Build the surface on which a function of position has the value ``level``.
 
-        ``f`` takes positions (n, 3), float64, and returns values (n,); what it returns below ``level`` is
-        inside, as with signed distances. It is called with many positions at a time, some of them up to an
-        edge outside ``bounds``, the lowest and highest corner (2, 3); where these cut the shape it is closed
-        flatly. ``sources`` gives channels, as for ``with_sources``; ``base_color`` is a middle grey else.
+        ``f`` takes positions (n, 3), float64, and returns values (n,), below ``level`` inside, as signed
+        distances are. Some positions lie up to an edge outside ``bounds``, the lowest and highest corner
+        (2, 3), which close the shape where they cut it. ``sources`` gives channels, as for ``with_sources``;
+        ``base_color`` is a middle grey else.
 
-        Triangles have edges of about ``edge_length``, and vertices that lie on the surface as exactly as
-        Newton's method finds it (those of the flat ends do not move). In between a triangle is off by up to
-        edge_length² / 4r, where r is the radius of curvature: half the edge, a quarter of the error, and four
-        times the triangles. An octree has the cells of the true surface where that is less than the surface
-        misses the corners and edges of cells by: for spheres, edges as long as cells were enough at depths
-        5 and 6. What is thinner than an edge may be lost. (Benson & Davis 2002, 1 and 5; the grid is
-        manifold3d's.)
+        Triangles have edges of about ``edge_length`` and vertices on the surface, by Newton's method. In
+        between a triangle is off by up to edge_length² / 4r, where r is the radius of curvature: for spheres
+        edges as long as cells were enough at depths 5 and 6. What is thinner than an edge may be lost.
+        (Benson & Davis 2002, 1 and 5; the grid is manifold3d's.)
 
         Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
         lengths that are not finite or out of range, and ModelError where there is no surface.
@@ -273,15 +268,15 @@ class Surface(Mesh):
     def with_sources(self, sources: Mapping[str, object], filter: str | None = None) -> Surface:
         """Return the same surface with some channels from elsewhere.
 
-        ``sources`` gives, by the channel's name, a Source that has it; something Placeable, like MappedImage;
-        an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
-        texture coordinates with ``filter``, by default the model's; a function of rest positions, or of them
-        and face normals (see function.FunctionSource); or a value, linear light for colours: a number, or one
-        for each component.
-        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless
-        the surface has ``frames``, which ``load_surface`` keeps if it is given these sources or asked for
-        ``normals``. Vertex colours do not multiply what is given here. Where the source of any channel leaves
-        a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
+        ``sources`` gives, by the channel's name, one of
+            a Source that has it, or something Placeable, like MappedImage
+            an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
+            texture coordinates with ``filter``, by default the model's
+            a function of rest positions, or of them and face normals: see overrides.FunctionSource
+            a value, linear light for colours: a number, or one for each component
+        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
+        ``frames`` (``load_surface`` with ``normals``). Vertex colours do not multiply these values. Where the
+        source of any channel leaves a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError where the surface has no texture coordinates for it.
@@ -293,13 +288,13 @@ class Surface(Mesh):
         remaining = [form.name for form in self.channels if form.name not in replaced]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         made = self._with(self.source)
-        for channel, given in sources.items():
-            if isinstance(given, Source):
-                as_choice(channel, [form.name for form in given.channels], "channel of the given source")
-                parts[channel] = given
-                made.provenance[f"source_{channel}"] = type(given).__name__
+        for channel, value in sources.items():
+            if isinstance(value, Source):
+                as_choice(channel, [form.name for form in value.channels], "channel of the given source")
+                parts[channel] = value
+                made.provenance[f"source_{channel}"] = type(value).__name__
             else:
-                parts[channel], names = given_source(self, channel, given, filter)
+                parts[channel], names = override_source(self, channel, value, filter)
                 made.provenance |= names
         made.source = Combined(parts).only(list(parts))
         return made
@@ -313,8 +308,8 @@ class Surface(Mesh):
         """
         names = None if channels is None else as_names(channels, "channels")
         sources = as_entries(sources, "sources")
-        given = {name: each for name, each in sources.items() if names is None or name in names}
-        surface = self.with_sources(given, filter) if given else self
+        wanted = {name: each for name, each in sources.items() if names is None or name in names}
+        surface = self.with_sources(wanted, filter) if wanted else self
         return surface if names is None else surface.with_channels(names)
 
     def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
@@ -334,11 +329,11 @@ class Surface(Mesh):
     def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
         """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
 
-        The largest stay, as does what is near to nothing; others come to lie beside the whole, so that its
-        longest side grows as little as may be: where cells are a part of that, they grow with it. Sources
-        give the same values as before. Provenance remembers what was moved, and so does a texture made of it:
-        see ``placed_in``. A part that intersects itself stays as it is. Without such parts the surface itself
-        is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger one.
+        The largest stay; others come to lie beside the whole, so that its longest side, and with it a cell,
+        grows as little as may be. Values stay. Provenance remembers what was moved, and so does a texture
+        made of it: see ``placed_in``. A part that intersects itself stays as it is. Without such parts the
+        surface itself is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger
+        one.
 
         Raises ArgumentError for a margin not above zero, and a surface that is separated already.
         """
@@ -400,12 +395,12 @@ class Surface(Mesh):
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
         source = self._only(channel)
-        found = source.evaluate(
+        values = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
             np.ascontiguousarray(samples.barycentric, np.float64),
             widths,
         )
-        return by_channel(source.channels, found)[channel]
+        return by_channel(source.channels, values)[channel]
 
     def _only(self, channel: str) -> Source:
         """Return a source of one channel, kept ready for the next time."""
@@ -425,18 +420,6 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
-
-
-def _joined_polygons(meshes: Sequence[Mesh]) -> Polygons | None:
-    """Return the polygons of meshes whose triangles follow each other, numbered on; None if none were cut."""
-    if all(each.polygons is None for each in meshes):
-        return None
-    numbers, first = [], 0
-    every = [each.polygons or Polygons.of_triangles(len(each.triangles)) for each in meshes]
-    for polygons in every:
-        numbers.append(polygons.numbers + np.int32(first))
-        first = int(numbers[-1].max()) + 1
-    return Polygons(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
 
 def _corner_coordinates(uv: npt.ArrayLike, triangles: Int32s, vertices: int) -> Corners:

@@ -12,8 +12,17 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Integers
 from octex.jit import inlined, kernel
-from octex.source.corners import Corners, Frames
-from octex.source.vectors import Vector, cross_product, dot_product
+from octex.source.corners import Corners, Frames, area_vectors
+from octex.source.vectors import (
+    Vector,
+    cross_product,
+    dot_product,
+    edges_from,
+    length_of,
+    minus,
+    row_of,
+    times,
+)  # fmt: skip
 from octex.source.welding import welded
 
 _Edges = tuple[Vector, Vector, Vector, float]
@@ -39,7 +48,8 @@ def corner_frames(
     Where nothing says what a normal or tangent is, it is any that fits; all that comes back is finite.
     Differs from mikktspace.c in that corners need no chain of edges between them to share a tangent.
     """
-    flat = _flat_normals(positions, triangles)
+    flat = area_vectors(positions[triangles])
+    flat = _unit(flat, np.broadcast_to([0.0, 0.0, 1.0], flat.shape))
     if normals is None:
         rows = np.repeat(np.arange(len(triangles), dtype=np.int32), 3).reshape(-1, 3)
         normals, tangents = Corners(flat.astype(np.float32), rows), None
@@ -107,12 +117,6 @@ def transformed(frames: Frames, linear: Float64s) -> Frames:
     return Frames(frames.normals._replace(values=normals), frames.tangents._replace(values=tangents))
 
 
-def _flat_normals(positions: Float64s, triangles: Integers) -> Float64s:
-    corners = positions[triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return _unit(crosses, np.broadcast_to([0.0, 0.0, 1.0], crosses.shape))
-
-
 def _unit(vectors: Floats, fallback: Floats) -> Float64s:
     """Return vectors (…, 3) at length 1; those without a direction as in ``fallback``."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -148,21 +152,6 @@ def _mended(corners: Corners, fallback: Floats) -> Corners:
 
 
 @inlined
-def _row(values: Floats, row: int) -> Vector:
-    return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
-
-
-@inlined
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
-def _times(a: Vector, factor: float) -> Vector:
-    return a[0] * factor, a[1] * factor, a[2] * factor
-
-
-@inlined
 def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
     return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
 
@@ -171,13 +160,11 @@ def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
 def _in_plane(vector: Vector, normal: Vector) -> Vector:
     """Return the direction of a vector as seen along a normal: a unit vector, or zeros."""
     lean = dot_product(vector, normal)
-    x = vector[0] - lean * normal[0]
-    y = vector[1] - lean * normal[1]
-    z = vector[2] - lean * normal[2]
-    length = math.sqrt(x * x + y * y + z * z)
+    along = minus(vector, times(normal, lean))
+    length = length_of(along)
     if not 0.0 < length < math.inf:
         return 0.0, 0.0, 0.0
-    return x / length, y / length, z / length
+    return along[0] / length, along[1] / length, along[2] / length
 
 
 @kernel
@@ -195,9 +182,7 @@ def _sum_tangents(
     ``rows`` becomes the row of each corner, −1 for those of triangles that have no such direction.
     """
     for triangle in range(len(triangles)):
-        p0 = _row(positions, triangles[triangle, 0])
-        e = _minus(_row(positions, triangles[triangle, 1]), p0)
-        f = _minus(_row(positions, triangles[triangle, 2]), p0)
+        e, f = edges_from(positions, triangles, triangle)
         uv = coordinates.values
         a, b, c = coordinates.rows[triangle, 0], coordinates.rows[triangle, 1], coordinates.rows[triangle, 2]
         u0, v0 = float(uv[a, 0]), float(uv[a, 1])
@@ -218,13 +203,13 @@ def _sum_tangents(
             rows[triangle] = -1
             continue
         for corner in range(3):
-            normal = _row(normals.values, normals.rows[triangle, corner])
+            normal = row_of(normals.values, normals.rows[triangle, corner])
             if corner == 0:
                 one, other = e, f
             elif corner == 1:
-                one, other = _minus(f, e), (-e[0], -e[1], -e[2])
+                one, other = minus(f, e), (-e[0], -e[1], -e[2])
             else:
-                one, other = (-f[0], -f[1], -f[2]), _minus(e, f)
+                one, other = (-f[0], -f[1], -f[2]), minus(e, f)
             cosine = dot_product(_in_plane(one, normal), _in_plane(other, normal))
             angle = math.acos(min(max(cosine, -1.0), 1.0))
             x, y, z = _in_plane(s, normal)
@@ -249,15 +234,15 @@ def _finish_tangents(
             side = -1
             for corner in range(3):
                 for candidate in (1, 0):
-                    total = _row(sums, 2 * groups[triangle, corner] + candidate)
+                    total = row_of(sums, 2 * groups[triangle, corner] + candidate)
                     if side < 0 and dot_product(total, total) > 0.0:
                         side = candidate
             for corner in range(3):
                 rows[triangle, corner] = 2 * groups[triangle, corner] + (1 if side < 0 else side)
         for corner in range(3):
             row = rows[triangle, corner]
-            normal = _row(normals.values, normals.rows[triangle, corner])
-            x, y, z = _in_plane(_row(sums, row), normal)
+            normal = row_of(normals.values, normals.rows[triangle, corner])
+            x, y, z = _in_plane(row_of(sums, row), normal)
             if x == 0.0 and y == 0.0 and z == 0.0:
                 a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
                 if a <= b and a <= c:
@@ -273,18 +258,16 @@ def _finish_tangents(
 @inlined
 def _edges(positions: Float64s, triangles: Int32s, triangle: int) -> _Edges:
     """Return two edges of a triangle, their cross product, and its length, which is twice the area."""
-    origin = _row(positions, triangles[triangle, 0])
-    e = _minus(_row(positions, triangles[triangle, 1]), origin)
-    f = _minus(_row(positions, triangles[triangle, 2]), origin)
+    e, f = edges_from(positions, triangles, triangle)
     cross = cross_product(e, f)
-    return e, f, cross, math.sqrt(dot_product(cross, cross))
+    return e, f, cross, length_of(cross)
 
 
 @inlined
 def _store(values: Float32s, row: int, vector: Vector, fallback: Vector) -> None:
     """Write a vector at length 1, or ``fallback`` if it has no direction."""
-    length = math.sqrt(dot_product(vector, vector))
-    x, y, z = _times(vector, 1.0 / length) if 0.0 < length < math.inf else fallback
+    length = length_of(vector)
+    x, y, z = times(vector, 1.0 / length) if 0.0 < length < math.inf else fallback
     values[row, 0], values[row, 1], values[row, 2] = x, y, z
 
 
@@ -303,9 +286,9 @@ def _carry(
         new_e, new_f, new_cross, new_area = _edges(after, triangles, triangle)
         usable = 0.0 < area < math.inf and 0.0 < new_area < math.inf
         for corner in range(3):
-            normal = _row(frames.normals.values, frames.normals.rows[triangle, corner])
+            normal = row_of(frames.normals.values, frames.normals.rows[triangle, corner])
             source = frames.tangents.rows[triangle, corner]
-            tangent = _row(frames.tangents.values, source)
+            tangent = row_of(frames.tangents.values, source)
             moved_normal, moved_tangent = normal, tangent
             if usable:
                 # With a normal as long as the root of the area, the edges are a basis. A tangent keeps its
@@ -313,14 +296,14 @@ def _carry(
                 # the basis, and so its right angle to tangents. Both are a power of an area too long.
                 root = 1.0 / (math.sqrt(area) * math.sqrt(new_area))
                 moved_tangent = _sum(
-                    _times(new_e, dot_product(tangent, cross_product(f, cross)) / area),
-                    _times(new_f, dot_product(tangent, cross_product(cross, e)) / area),
-                    _times(new_cross, dot_product(tangent, cross) * root),
+                    times(new_e, dot_product(tangent, cross_product(f, cross)) / area),
+                    times(new_f, dot_product(tangent, cross_product(cross, e)) / area),
+                    times(new_cross, dot_product(tangent, cross) * root),
                 )
                 moved_normal = _sum(
-                    _times(cross_product(new_f, new_cross), dot_product(normal, e) / new_area),
-                    _times(cross_product(new_cross, new_e), dot_product(normal, f) / new_area),
-                    _times(new_cross, dot_product(normal, cross) * root),
+                    times(cross_product(new_f, new_cross), dot_product(normal, e) / new_area),
+                    times(cross_product(new_cross, new_e), dot_product(normal, f) / new_area),
+                    times(new_cross, dot_product(normal, cross) * root),
                 )
             row = 3 * triangle + corner
             _store(normals, row, moved_normal, normal)

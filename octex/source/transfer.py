@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Float32s, Float64s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
-from octex.source.base import Source
+from octex.source.base import Combined, Source
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
 from octex.source.spatial import Placeable, SpatialSource, least_cosine
@@ -82,7 +82,7 @@ class _Transferred(SpatialSource):
     def __init__(
         self, other: Surface, nearest: Triangles, distance: float | None, max_angle: float, mesh: Mesh
     ) -> None:
-        self._other: Source | None = other.source  # None: only what there is of it is asked for
+        self._other = other.source
         self._nearest = nearest
         self._distance = np.inf if distance is None else distance
         self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
@@ -91,63 +91,52 @@ class _Transferred(SpatialSource):
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The other's channels, and ``alpha`` last if there are gaps and it has none."""
-        return (*self._own_channels, ALPHA) if self._adds_alpha else self._own_channels
-
-    @property
-    def _own_channels(self) -> tuple[ChannelFormat, ...]:
-        return () if self._other is None else self._other.channels
+        return (*self._other.channels, ALPHA) if self._adds_alpha else self._other.channels
 
     @property
     def has_gaps(self) -> bool:
         """Whether points may be too far from the other surface or face another way, or it has gaps itself."""
         is_limited = bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine))
-        return is_limited or (self._other is not None and self._other.has_gaps)
+        return is_limited or self._other.has_gaps
 
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether the other has no ``alpha``, or one that says no more than where it knows something."""
-        is_own = self._other is not None and self._other.alpha_is_coverage
-        return self.has_gaps and (self._adds_alpha or is_own)
+        return self.has_gaps and (self._adds_alpha or self._other.alpha_is_coverage)
 
     @property
     def _adds_alpha(self) -> bool:
-        return self.has_gaps and ALPHA.name not in [form.name for form in self._own_channels]
+        return self.has_gaps and ALPHA.name not in [form.name for form in self._other.channels]
 
     def prepare(self) -> None:
         """Prepare the other's source."""
-        if self._other is not None:
-            self._other.prepare()
+        self._other.prepare()
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
-        found = self._nearest.nearest(
+        nearest = self._nearest.nearest(
             points,
             normals if np.isfinite(self._least_cosine) else None,
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        there = np.flatnonzero(found.triangles >= 0)
-        own = self._evaluated(found.triangles[there], found.barycentric[there], widths[there])
-        values = np.zeros((len(points), own.shape[1] + self._adds_alpha), np.float32)
-        values[there, : own.shape[1]] = own
-        values[there, own.shape[1] :] = 1.0
+        there = np.flatnonzero(nearest.triangles >= 0)
+        others = self._other.evaluate(nearest.triangles[there], nearest.barycentric[there], widths[there])
+        values = np.zeros((len(points), others.shape[1] + self._adds_alpha), np.float32)
+        values[there, : others.shape[1]] = others
+        values[there, others.shape[1] :] = 1.0
         return values
-
-    def _evaluated(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        if self._other is None:
-            return np.empty((len(triangles), 0), np.float32)
-        return self._other.evaluate(triangles, barycentric, widths)
 
     def only(self, names: Sequence[str]) -> _Transferred:
         """Return the same source with these of its channels alone, and ``alpha`` if it has gaps."""
-        own = [form.name for form in self._own_channels if form.name in names]
-        other = copy.copy(self)
-        is_needed = self._other is not None and (own or self._other.has_gaps)
-        other._other = self._other.only(own) if self._other is not None and is_needed else None
-        return other
+        wanted = [form.name for form in self._other.channels if form.name in names]
+        return self._of(self._other.only(wanted) if wanted or self._other.has_gaps else Combined({}))
 
     def with_filter(self, name: str) -> _Transferred:
         """Return the same source with the other's images read by another filter."""
-        other = copy.copy(self)
-        other._other = None if self._other is None else self._other.with_filter(name)
-        return other
+        return self._of(self._other.with_filter(name))
+
+    def _of(self, other: Source) -> _Transferred:
+        made = copy.copy(self)
+        made._other = other
+        return made

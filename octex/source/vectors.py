@@ -1,7 +1,10 @@
-"""Vectors of three numbers in kernels."""
+"""Vectors of three numbers in kernels, and those of triangles."""
 
 from __future__ import annotations
 
+import math
+
+from octex.arrays import Float64s, Floats, Int32s
 from octex.jit import inlined
 
 Vector = tuple[float, float, float]
@@ -17,3 +20,46 @@ def dot_product(a: Vector, b: Vector) -> float:
 def cross_product(a: Vector, b: Vector) -> Vector:
     """Return a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def minus(a: Vector, b: Vector) -> Vector:
+    """Return a − b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def times(a: Vector, factor: float) -> Vector:
+    """Return a times a number."""
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@inlined
+def length_of(a: Vector) -> float:
+    """Return |a|."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@inlined
+def row_of(values: Floats, row: int) -> Vector:
+    """Return a row of an array."""
+    return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
+
+
+@inlined
+def edges_from(positions: Float64s, triangles: Int32s, triangle: int) -> tuple[Vector, Vector]:
+    """Return the edges of a triangle from its first corner, whose cross product is its normal."""
+    origin = row_of(positions, triangles[triangle, 0])
+    second, third = row_of(positions, triangles[triangle, 1]), row_of(positions, triangles[triangle, 2])
+    return minus(second, origin), minus(third, origin)
+
+
+@inlined
+def between(values: Floats, rows: Int32s, triangle: int, shares: Vector) -> Vector:
+    """Return what lies between the rows of a triangle's corners."""
+    a, b, c = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
+    return (
+        shares[0] * values[a, 0] + shares[1] * values[b, 0] + shares[2] * values[c, 0],
+        shares[0] * values[a, 1] + shares[1] * values[b, 1] + shares[2] * values[c, 1],
+        shares[0] * values[a, 2] + shares[1] * values[b, 2] + shares[2] * values[c, 2],
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Floats, Int32s, Int64s, Uint32s
+from octex.arrays import Floats, Int32s, Int64s, Integers, Uint32s
 from octex.jit import kernel
 
 # Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
@@ -17,6 +17,18 @@ def first_equal(rows: Floats) -> Int64s:
     numbers = welded(rows)
     _, first = np.unique(numbers, return_index=True)
     return first[numbers].astype(np.int64)
+
+
+def distinct_rows(rows: Integers) -> tuple[Int64s, Int64s]:
+    """Return the distinct rows (k, columns), as they come first, and the number of each row's (n,).
+
+    A table by hashes: a sort, as numpy's, takes five times as long.
+    """
+    wide = np.ascontiguousarray(rows, np.int64)
+    numbers = welded(wide)
+    distinct = np.empty((int(numbers.max(initial=-1)) + 1, wide.shape[1]), np.int64)
+    distinct[numbers] = wide
+    return distinct, numbers.astype(np.int64)
 
 
 def welded(rows: npt.NDArray[np.floating | np.integer]) -> Int32s:

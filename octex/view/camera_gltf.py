@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.source.models.gltf_file import Document
-from octex.source.models.gltf_scene import scene_nodes
+from octex.source.models.gltf_file import Document, scene_nodes
 from octex.view.camera_records import (
     BrokenError,
     Frame,

@@ -17,7 +17,7 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.errors import ArgumentError, CameraError, ModelError
 from octex.files import referred
-from octex.source.models.gltf_scene import rotation_matrix
+from octex.source.models.gltf_file import rotation_matrix
 from octex.view.camera import (
     LARGEST,
     LARGEST_SIZE,

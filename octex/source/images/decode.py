@@ -12,13 +12,14 @@ import ctypes
 import hashlib
 import io
 import logging
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,6 @@ from octex.checks import as_array, as_path, is_path
 from octex.errors import ImageError, MissingExtraError
 from octex.files import open_file, read_bytes
 from octex.parallel import cpu_count
-from octex.source.alone import alone
 from octex.source.images import ktx2
 from octex.source.images.openimage import (
     MOST_PER_BYTE,
@@ -42,6 +42,10 @@ from octex.source.images.openimage import (
 from octex.source.images.png import SIGNATURE, decode_png16, is_png16, png_chunks
 from octex.source.images.pyramid import Texels
 
+Code = TypeVar("Code", bound=np.generic)
+
+#: EXIF's tag of the orientation (CIPA DC-008, 4.6.5), and the first and last of its values.
+_TAG, _UPRIGHT, _MOST = 0x0112, 1, 8
 #: The formats that octex opens with Pillow, by its names. Others are seldom of textures, and some are traps:
 #: an icon's images may be larger than it says, and for EPS Pillow runs a program.
 FORMATS = (
@@ -52,6 +56,19 @@ _DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _MOST_PER_BYTE_DENSEST = 65536
 # What Pillow logs of damaged files, the errors here say.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
+
+
+_lock = threading.RLock()
+
+
+@contextmanager
+def global_settings() -> Iterator[None]:
+    """Let a block change the warning filters, or another library's globals that it sets back itself.
+
+    Two threads that did so at once would restore each other's changes and leave them behind.
+    """
+    with _lock, warnings.catch_warnings():
+        yield
 
 
 def decode_image(data: bytes, name: str) -> Texels:
@@ -67,10 +84,10 @@ def decode_image(data: bytes, name: str) -> Texels:
     try:
         if data.startswith(ktx2.SIGNATURE):
             return _finite(ktx2.decode_ktx2(data, name), name)
-        with alone():
+        with global_settings():
             warnings.simplefilter("ignore")
             image = deep_format(data) or _open(io.BytesIO(data))
-        # No longer alone: threads decode side by side.
+        # Outside of the lock threads decode side by side.
         if isinstance(image, str):
             return _finite(decode_deep(data, image, name), name)
         with image:
@@ -143,7 +160,7 @@ def is_translucent(texels: Texels) -> bool:
 def image_size(path: Path) -> tuple[int, int]:
     """Return the width and height of an image file; raises ImageError as ``read_image`` does."""
     try:
-        with open_file(path) as file, alone():
+        with open_file(path) as file, global_settings():
             warnings.simplefilter("ignore")
             with _open(file) as image:
                 return image.size
@@ -178,7 +195,7 @@ def _silent_libtiff() -> Iterator[None]:
         yield
         return
     set_handler.argtypes, set_handler.restype = [ctypes.c_void_p], ctypes.c_void_p
-    with alone():
+    with global_settings():
         before = set_handler(None)
         try:
             yield
@@ -216,3 +233,27 @@ def _reason(error: Exception) -> str:
     if isinstance(error, PIL.UnidentifiedImageError):
         return "not an image of a format that octex reads: PNG, JPEG, WebP, AVIF, TIFF, EXR, HDR and others"
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def orientation_of(data: bytes) -> int:
+    """Return the EXIF orientation of an image file, 1 … 8; 1 if it says none."""
+    try:
+        with global_settings():
+            warnings.simplefilter("ignore")
+            with PIL.Image.open(io.BytesIO(data), formats=["JPEG", "PNG", "TIFF", "WEBP", "AVIF"]) as image:
+                found = image.getexif().get(_TAG, _UPRIGHT)
+    except Exception:  # Pillow's plugins raise nearly anything; what is no such file has no orientation
+        return _UPRIGHT
+    return found if isinstance(found, int) and _UPRIGHT <= found <= _MOST else _UPRIGHT
+
+
+def turned(texels: npt.NDArray[Code], orientation: int) -> npt.NDArray[Code]:
+    """Return texels (height, width, …), stored as an orientation says, upright."""
+    bits = orientation - _UPRIGHT
+    if bits & 4:  # rows are the picture's columns
+        texels = texels.swapaxes(0, 1)
+    if bits & 3 in (1, 2):
+        texels = texels[:, ::-1]
+    if bits & 3 in (2, 3):
+        texels = texels[::-1]
+    return np.ascontiguousarray(texels)

@@ -10,9 +10,11 @@ import zlib
 
 import numpy as np
 
-from octex.arrays import Uint8s, Uint16s
+from octex.arrays import Uint8s
 from octex.errors import ImageError
 from octex.jit import kernel
+from octex.source.images.openimage import spread
+from octex.source.images.pyramid import Texels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # by colour type: grey, RGB, grey and alpha, RGBA
@@ -25,7 +27,7 @@ def is_png16(data: bytes) -> bool:
     return data[:8] == SIGNATURE and data[12:16] == b"IHDR" and data[24:25] == b"\x10"
 
 
-def decode_png16(data: bytes, name: str) -> Uint16s:
+def decode_png16(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of a PNG image of 16 bits a channel.
 
     Raises ImageError for damaged data.
@@ -58,11 +60,8 @@ def decode_png16(data: bytes, name: str) -> Uint16s:
             raise ImageError(f"{name}: the image data are damaged (unknown filter); save the image again")
         _unfilter(part, channels * 2)
         stored[y::dy, x::dx] = np.ascontiguousarray(part[:, 1:]).view(">u2").reshape(h, w, channels)
-    texels = np.full((height, width, 4), 65535, np.uint16)
-    texels[..., :3] = stored[..., :3] if channels >= 3 else stored[..., :1]
-    if channels in (2, 4):
-        texels[..., 3] = stored[..., -1]
-    elif transparent is not None:
+    texels = spread(stored)
+    if transparent is not None:
         texels[..., 3] = np.where((stored == transparent).all(axis=2), 0, 65535)
     return texels
 

@@ -8,28 +8,22 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Sequence
 from functools import partial
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Array, Float64s, Floats, Int32s, Int64s
 from octex.errors import ModelError, ModelWarning
-from octex.source.corners import Corners, Frames
-from octex.source.materials import MaterialSource
-from octex.source.models.gltf_animation import fields_at
-from octex.source.models.gltf_file import Document, as_object
-from octex.source.models.gltf_materials import Bound, read_materials
-from octex.source.models.gltf_motion import Placed, motion_of
-from octex.source.models.gltf_pose import Pose
-from octex.source.models.gltf_scene import local_matrix, scene_nodes
-from octex.source.models.options import Options
+from octex.source.corners import Corners
+from octex.source.models.gltf_file import Document, Json, as_object, local_matrix, scene_nodes
+from octex.source.models.gltf_materials import read_materials
+from octex.source.models.gltf_motion import Placed, motion_of, pose_of
+from octex.source.models.reading import Description, Options, Part, assembled
 from octex.source.motion import Motion
 from octex.source.surface import Surface
-from octex.source.tangents import corner_frames, transformed
+from octex.source.tangents import corner_frames
 
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 
@@ -42,7 +36,7 @@ def load_gltf(path: Path, options: Options) -> Surface:
     ``provenance`` holds what the file says of its origin, and the digests of the files that it refers to.
 
     Rest positions are the mesh as it is modelled, without morph targets and skins. With ``options.pose``
-    these and the nodes move the positions, as ``gltf_animation`` and ``gltf_pose`` say.
+    these and the nodes move the positions, as ``gltf_motion`` says.
     Raises ModelError or ImageError, and ArgumentError for a pose that the file lacks.
     """
     document = Document(path)
@@ -63,30 +57,10 @@ class _Shape(NamedTuple):
     positions: Float64s
     triangles: Int32s
     material: int | None
-    attributes: dict[str, Any]
+    attributes: Json
     decoded: dict[str, Array]  # what of them an extension has
     targets: list[Any]  # of morphs
     name: str
-
-
-class _Instance(NamedTuple):
-    """A mesh as a node shows it."""
-
-    mesh: int
-    node: int
-    copy: Float64s  # (4, 4)   of the mesh below the node
-    matrix: Float64s  # (4, 4)   to the world, as it rests
-
-
-class _Primitive(NamedTuple):
-    """A mesh primitive before it is placed in the scene."""
-
-    shape: _Shape
-    bound: Bound
-    colors: Float32s | None  # (n, 4)
-    coordinates: list[Float32s]  # (n, 2)   by slot
-    uv: Float32s | None  # (n, 2)   TEXCOORD_0
-    frames: Frames | None
 
 
 class _Scene:
@@ -98,139 +72,68 @@ class _Scene:
         self._shapes: dict[int, list[_Shape]] = {}
 
     def surface(self) -> Surface:
-        document = self._document
+        document, options = self._document, self._options
         shown = self._shown()
-        placed = [(instance.matrix, shape) for instance, shape in shown]
-        if not placed:
+        if not shown:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-        bound = read_materials(document, (shape.material for _, shape in placed), self._options)
-        is_smooth = any("NORMAL" in shape.attributes for _, shape in placed)
-        is_mapped = any(each.material.normal_slot is not None for each in bound.values())
-        has_normals = is_mapped or (self._options.normals and is_smooth)
-        primitives: dict[str, _Primitive] = {}
-        for _, shape in placed:
-            if shape.name not in primitives:
-                primitives[shape.name] = self._primitive(shape, bound[shape.material], has_normals)
-        each = [primitives[shape.name] for _, shape in placed]
-        vertices, triangles = [], []
-        normals, tangents = [], []
-        first = 0
-        for (matrix, shape), primitive in zip(placed, each, strict=True):
-            linear = matrix[:3, :3]
-            with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
-                # A mirroring transform turns triangles inside out (3.7.4).
-                order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
-                vertices.append(shape.positions @ linear.T + matrix[:3, 3])
-            triangles.append(shape.triangles[:, order] + np.int32(first))
-            first += len(shape.positions)
-            if primitive.frames is not None:
-                turned = transformed(primitive.frames, linear)
-                normals.append(turned.normals._replace(rows=turned.normals.rows[:, order]))
-                tangents.append(turned.tangents._replace(rows=turned.tangents.rows[:, order]))
-        positions, joined = np.concatenate(vertices), np.concatenate(triangles)
-
-        def corners(attributes: list[Float32s | None], default: float) -> Corners | None:
-            """Join an attribute of all primitives; those without it get the default. None if none has it."""
-            width = next((given.shape[1] for given in attributes if given is not None), None)
-            if width is None:
-                return None
-            rows = [
-                np.full((len(shape.positions), width), default, np.float32) if given is None else given
-                for (_, shape), given in zip(placed, attributes, strict=True)
-            ]
-            return Corners(np.concatenate(rows), joined)
-
-        frames = Frames(Corners.joined(normals), Corners.joined(tangents)) if has_normals else None
-        slots = zip_longest(*(primitive.coordinates for primitive in each))
-        numbers = {number: index for index, number in enumerate(bound)}
-        source = MaterialSource(
-            [entry.material for entry in bound.values()],
-            np.repeat(
-                np.array([numbers[shape.material] for _, shape in placed], np.int32),
-                [len(shape.triangles) for _, shape in placed],
-            ),
-            positions,
-            joined,
-            colors=corners([primitive.colors for primitive in each], 1.0),
-            coordinates=[found for slot in slots if (found := corners(list(slot), 0.0)) is not None],
-            frames=frames,
-            name=document.name,
-            filter=self._options.filter,
-            channels=self._options.channels,
-        )
-        uv = None
-        if all(primitive.uv is not None for primitive in each):
-            uv = corners([primitive.uv for primitive in each], 0.0)
-        return Surface(
-            positions if self._options.pose is None else self._posed(self._options.pose, shown),
-            joined,
-            source,
-            rest=None if self._options.pose is None else positions,
-            uv=uv,
-            frames=frames if is_smooth else None,
-            name=document.name,
+        known = read_materials(document, (shape.material for _, shape in shown), options)
+        numbers = {number: place for place, number in enumerate(known)}
+        is_mapped = any(each.material.normal_slot is not None for each in known.values())
+        is_smooth = any("NORMAL" in shape.attributes for _, shape in shown)
+        has_frames = is_mapped or (options.normals and is_smooth)
+        parts: dict[str, Part] = {}
+        for _, shape in shown:
+            if shape.name not in parts:
+                part = self._part(shape, known[shape.material], has_frames)
+                number = np.full(len(shape.triangles), numbers[shape.material], np.int32)
+                parts[shape.name] = part._replace(materials=number)
+        posed = None
+        if options.pose is not None:
+            pose = pose_of(document, options.pose)
+            posed = np.concatenate([pose.positions(placed) for placed, _ in shown])
+        return assembled(
+            [parts[shape.name]._replace(matrix=placed.matrix) for placed, shape in shown],
+            [each.material for each in known.values()],
+            options,
+            document.name,
             provenance=self._provenance(),
+            posed=posed,
         )
 
     def motion(self, rate: float) -> Motion | None:
         """Return how all vertices move, so many frames a second; None without animations."""
-        placed = [
-            Placed(
-                instance.node, instance.copy, instance.matrix, shape.positions, shape.targets,
-                partial(self._attribute, shape), shape.name,
-            )
-            for instance, shape in self._shown()
-        ]  # fmt: skip
-        return motion_of(self._document, placed, rate)
+        return motion_of(self._document, [placed for placed, _ in self._shown()], rate)
 
-    def _shown(self) -> list[tuple[_Instance, _Shape]]:
-        """List the primitives of the scene that have triangles, where nodes show them."""
+    def _shown(self) -> list[tuple[Placed, _Shape]]:
+        """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
         return [
-            (instance, shape)
-            for instance in self._instances()
-            for shape in self._mesh(instance.mesh)
+            (
+                Placed(
+                    number, copy, matrix @ copy, shape.positions, shape.targets,
+                    partial(self._attribute, shape), f"{self._document.name}: {shape.name}",
+                ),
+                shape,
+            )
+            for number, node, matrix in scene_nodes(self._document)
+            if "mesh" in node
+            for copy in self._copies(node)
+            for shape in self._mesh(node["mesh"])
             if len(shape.triangles)
-        ]
+        ]  # fmt: skip
 
     def _provenance(self) -> dict[str, str]:
         """Return what the file says of its origin and licence, and the digests of the files it refers to."""
         asset = self._document.json["asset"]
         extras = asset.get("extras")
-        found = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
+        origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
         if isinstance(extras, dict):
             keys = ("author", "license", "licence")
-            found |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
+            origin |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
         if self._document.files:
-            found["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
-        return found
+            origin["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
+        return origin
 
-    def _posed(self, pose: str, shown: Sequence[tuple[_Instance, _Shape]]) -> Float64s:
-        """Return the positions (n, 3) of all vertices in a pose."""
-        posed = Pose(self._document, fields_at(self._document, pose))
-        return np.concatenate(
-            [
-                posed.positions(
-                    instance.node,
-                    instance.copy,
-                    shape.positions,
-                    shape.targets,
-                    partial(self._attribute, shape),
-                    shape.name,
-                )
-                for instance, shape in shown
-            ]
-        )
-
-    def _instances(self) -> list[_Instance]:
-        """List the meshes of the scene, depth first."""
-        return [
-            _Instance(node["mesh"], number, each, matrix @ each)
-            for number, node, matrix in scene_nodes(self._document)
-            if "mesh" in node
-            for each in self._copies(node)
-        ]
-
-    def _copies(self, node: dict[str, Any]) -> list[Float64s]:
+    def _copies(self, node: Json) -> list[Float64s]:
         """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
         instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
         if instancing is None:
@@ -258,7 +161,7 @@ class _Scene:
             ]
         return self._shapes[number]
 
-    def _shape(self, entry: dict[str, Any], name: str) -> _Shape:
+    def _shape(self, entry: Json, name: str) -> _Shape:
         document = self._document
         attributes = entry["attributes"]
         triangles, decoded = document.draco(entry, f"{document.name}: {name}") or (None, {})
@@ -275,7 +178,7 @@ class _Scene:
             entry.get("targets", []), name,
         )  # fmt: skip
 
-    def _indices(self, entry: dict[str, Any], triangles: Array | None, count: int, name: str) -> Int64s:
+    def _indices(self, entry: Json, triangles: Array | None, count: int, name: str) -> Int64s:
         """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""
         document = self._document
         if triangles is not None:
@@ -299,46 +202,42 @@ class _Scene:
             )
         return indices.astype(np.int64)
 
-    def _primitive(self, shape: _Shape, bound: Bound, has_normals: bool) -> _Primitive:
+    def _part(self, shape: _Shape, known: Description, has_frames: bool) -> Part:
         """Read what a shape's material needs, and what may be of use without one."""
+        positions, triangles = shape.positions, shape.triangles
+        part = Part(positions, triangles, np.zeros(len(triangles), np.int32))
         if not self._options.materials:
-            return _Primitive(shape, bound, None, [], None, None)
-        colors = None
-        given = self._attribute(shape, "COLOR_0", (3, 4))
-        if given is not None:
-            colors = np.ones((len(given), 4), np.float32)
-            colors[:, : given.shape[1]] = given
+            return part
+
+        def bound(rows: Floats | None) -> Corners | None:
+            return None if rows is None else Corners(rows.astype(np.float32), triangles)
+
+        colors = self._attribute(shape, "COLOR_0", (3, 4))
+        if colors is not None and colors.shape[1] == 3:
+            colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
         uv = self._attribute(shape, "TEXCOORD_0", (2,))
         coordinates = []
-        for slot in bound.slots:
-            name = f"TEXCOORD_{slot.number}"
-            given = uv if slot.number == 0 else self._attribute(shape, name, (2,))
-            if given is None:
+        for slot in known.slots:
+            read = uv if slot.name == "TEXCOORD_0" else self._attribute(shape, slot.name, (2,))
+            if read is None:
                 text = (
-                    f"{self._document.name}: a textured material is of meshes without {name}, which read one"
+                    f"{self._document.name}: a textured material is of meshes without {slot.name}, which read"
                 )
-                warnings.warn(text + " texel; give them coordinates", ModelWarning, stacklevel=2)
-                given = np.zeros((len(shape.positions), 2))
+                warnings.warn(text + " one texel; give them coordinates", ModelWarning, stacklevel=2)
+                read = np.zeros((len(positions), 2))
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
-                coordinates.append(slot.applied(given).astype(np.float32))
-        frames = self._frames(shape, bound, coordinates) if has_normals else None
-        return _Primitive(
-            shape, bound, colors, coordinates, None if uv is None else uv.astype(np.float32), frames
+                coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
+        frames = None
+        if has_frames:
+            normals, place = bound(self._attribute(shape, "NORMAL", (3,))), known.material.normal_slot
+            tangents = mapped = None
+            if place is not None:  # tangents mean something only below a normal map
+                tangents, mapped = bound(self._attribute(shape, "TANGENT", (4,))), coordinates[place]
+            frames = corner_frames(positions, triangles, normals, tangents, mapped)
+        is_smooth = "NORMAL" in shape.attributes
+        return Part(
+            positions, triangles, part.materials, bound(colors), coordinates, bound(uv), frames, is_smooth
         )
-
-    def _frames(self, shape: _Shape, bound: Bound, coordinates: Sequence[Float32s]) -> Frames:
-        """Return a primitive's frames in its own space; tangents mean something only below a normal map."""
-
-        def corners(rows: Floats | None) -> Corners | None:
-            return None if rows is None else Corners(rows.astype(np.float32), shape.triangles)
-
-        normals = corners(self._attribute(shape, "NORMAL", (3,)))
-        slot = bound.material.normal_slot
-        if slot is None:
-            return corner_frames(shape.positions, shape.triangles, normals, None, None)
-        tangents = corners(self._attribute(shape, "TANGENT", (4,)))
-        mapped = corners(coordinates[slot])
-        return corner_frames(shape.positions, shape.triangles, normals, tangents, mapped)
 
     def _attribute(self, shape: _Shape, name: str, components: tuple[int, ...]) -> Float64s | None:
         """Return a vertex attribute, None if the primitive has none of this name."""

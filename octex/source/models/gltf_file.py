@@ -1,7 +1,8 @@
-"""A glTF 2.0 or GLB file: its JSON, and the accessors and resources that it refers to.
+"""A glTF 2.0 or GLB file: its JSON, the accessors and resources that it refers to, and its scene.
 
 Accessors are read here and not by trimesh, which takes sparse ones for zeros and leaves normalized integers
-unscaled.
+unscaled. KHR_draco_mesh_compression is decoded by DracoPy (the extra ``draco``), EXT_meshopt_compression and
+its successor KHR_meshopt_compression by meshopt (the extra ``meshopt``).
 """
 
 from __future__ import annotations
@@ -14,16 +15,29 @@ import os
 import reprlib
 import struct
 import urllib.parse
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from octex.arrays import Array
-from octex.errors import ImageError, ModelError
+from octex.arrays import Array, Float64s
+from octex.errors import ImageError, MissingExtraError, ModelError
 from octex.files import read_bytes, referred
-from octex.source.models.gltf_coded import DRACO, MESHOPT, decode_draco, decode_meshopt
 
+Json = dict[str, Any]
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+#: The last of Draco's data types that are integers.
+_LAST_INTEGERS = 8
+# A block of up to 256 rows takes a bit for four bytes of a row, at least.
+_MOST_PER_BYTE = 1024
+
+_LIMIT = float(np.finfo(np.float64).max)
+#: The numbers that fields of nodes have.
+_COUNTS = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
@@ -123,7 +137,7 @@ class Document:
             )
         return items
 
-    def item(self, kind: str, index: Any) -> dict[str, Any]:
+    def item(self, kind: str, index: Any) -> Json:
         """Return one object of a top-level array."""
         items = self.items(kind)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
@@ -183,17 +197,17 @@ class Document:
         if coded is None:
             return self._range(entry, what), entry.get("byteStride")
         if index not in self._decoded:
-            self._decoded[index] = decode_meshopt(bytes(self._range(coded, what)), coded, what)
+            self._decoded[index] = _decode_meshopt(bytes(self._range(coded, what)), coded, what)
         return memoryview(self._decoded[index]), entry.get("byteStride")
 
-    def _range(self, entry: dict[str, Any], what: str) -> memoryview:
+    def _range(self, entry: Json, what: str) -> memoryview:
         start, length = entry.get("byteOffset", 0), entry["byteLength"]
         data = self._buffer(entry["buffer"])
         if start < 0 or length < 0 or start + length > len(data):
             raise ModelError(f"{what} reaches outside its buffer; export it again")
         return memoryview(data)[start : start + length]
 
-    def _meshopt(self, entry: dict[str, Any], what: str) -> dict[str, Any] | None:
+    def _meshopt(self, entry: Json, what: str) -> Json | None:
         """Return where a buffer view's coded bytes are; None where there are plain ones that may be read."""
         extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
         name = next((name for name in MESHOPT if name in extensions), None)
@@ -205,7 +219,7 @@ class Document:
             return None
         return as_object(extensions[name], f"{what}.extensions.{name}")
 
-    def draco(self, primitive: dict[str, Any], what: str) -> tuple[Array, dict[str, Array]] | None:
+    def draco(self, primitive: Json, what: str) -> tuple[Array, dict[str, Array]] | None:
         """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes by their names.
 
         None where there are plain ones that may be read. Raises ModelError for damaged content.
@@ -217,13 +231,8 @@ class Document:
         if DRACO not in self._required and ("bufferView" in position or "sparse" in position):
             return None
         coded = as_object(extensions[DRACO], f"{what}.extensions.{DRACO}")
-        mesh = decode_draco(bytes(self.view(coded["bufferView"])[0]), what)
-        attributes = {}
-        for name, number in as_object(coded["attributes"], f"{what}.extensions.{DRACO}.attributes").items():
-            if number not in mesh.attributes:
-                raise ModelError(f"{what}: its Draco content has no attribute {number}, for {name}")
-            attributes[name] = mesh.attributes[number]
-        return mesh.triangles, attributes
+        names = as_object(coded["attributes"], f"{what}.extensions.{DRACO}.attributes")
+        return _decode_draco(bytes(self.view(coded["bufferView"])[0]), names, what)
 
     def accessor(self, index: int, components: tuple[int, ...], decoded: Array | None = None) -> Array:
         """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
@@ -239,8 +248,8 @@ class Document:
         count = entry["count"]
         if decoded is not None:
             if decoded.shape[1:] != (width,) or (decoded.dtype.kind == "f") != (dtype.kind == "f"):
-                found = f"{decoded.dtype} {decoded.shape}"
-                raise ModelError(f"{what} does not fit what was decoded for it, {found}; export it again")
+                shape = f"{decoded.dtype} {decoded.shape}"
+                raise ModelError(f"{what} does not fit what was decoded for it, {shape}; export it again")
             rows = decoded.astype(dtype)
         elif "bufferView" in entry:
             rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
@@ -280,12 +289,157 @@ class Document:
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
 
 
-def as_object(value: Any, what: str) -> dict[str, Any]:
+def as_object(value: Any, what: str) -> Json:
     """Return a part of the JSON that must be an object, or raise ModelError."""
     if not isinstance(value, dict):
         raise ModelError(f"{what} must be an object, not {reprlib.repr(value)}; export it again")
     return value
 
 
+def as_numbers(values: Any, count: int, what: str, limit: float) -> tuple[float, ...]:
+    """Return so many numbers below a limit, or raise ModelError."""
+    numbers = values if isinstance(values, (list, tuple)) else ()
+    if len(numbers) != count or not all(is_number(number, limit) for number in numbers):
+        raise ModelError(f"{what} must be {count} numbers, not {reprlib.repr(values)}; export it again")
+    return tuple(map(float, numbers))
+
+
+def is_number(value: Any, limit: float) -> bool:
+    """Say whether a part of the JSON is a number below a limit."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < limit
+
+
 def _refuse_constant(constant: str) -> None:
     raise ValueError(f"{constant} is not JSON")
+
+
+def _decode_draco(data: bytes, names: Json, what: str) -> tuple[Array, dict[str, Array]]:
+    """Decode the triangles of a mesh, which errors call ``what``, and attributes, whose unique ids are given.
+
+    Raises ModelError for damaged data, and for points; MissingExtraError without DracoPy.
+    """
+    try:
+        import DracoPy
+    except ImportError:
+        raise MissingExtraError.needed(f"{what}: to decode Draco's meshes", "DracoPy", "draco") from None
+    try:
+        mesh = DracoPy.decode(data)
+        attributes = {int(each["unique_id"]): _as_coded(each) for each in mesh.attributes}
+        triangles = getattr(mesh, "faces", None)
+    except Exception as error:  # DracoPy has errors of its own
+        raise ModelError(f"{what}: its Draco content is damaged ({_line(error)}); export it again") from None
+    if triangles is None:
+        raise ModelError(f"{what}: its Draco content has no triangles; export it again")
+    for name, number in names.items():
+        if number not in attributes:
+            raise ModelError(f"{what}: its Draco content has no attribute {number}, for {name}")
+    return triangles, {name: attributes[number] for name, number in names.items()}
+
+
+def _as_coded(attribute: Json) -> Array:
+    """Return an attribute's rows, of integers if these were encoded: DracoPy gives positions as floats."""
+    rows: Array = attribute["data"]
+    are_whole = attribute["data_type"] <= _LAST_INTEGERS
+    return rows.astype(np.int64) if are_whole and rows.dtype.kind == "f" else rows
+
+
+def _decode_meshopt(data: bytes, entry: Json, what: str) -> bytes:
+    """Decode a buffer view, which errors call ``what``, as its extension says.
+
+    Raises ModelError for damaged data; MissingExtraError without meshopt.
+    """
+    try:
+        import meshopt
+    except ImportError:
+        raise MissingExtraError.needed(f"{what}: to decode meshopt's buffers", "meshopt", "meshopt") from None
+    count, stride = entry["count"], entry["byteStride"]
+    if not 0 <= count * stride <= _MOST_PER_BYTE * len(data):
+        raise ModelError(
+            f"{what}: {len(data)} bytes of meshopt content cannot hold {count} rows of {stride} bytes; "
+            "export it again"
+        )
+    if count == 0:
+        return b""
+    try:
+        rows: Array = meshopt.decode_gltf_buffer(data, count, stride, entry["mode"], entry.get("filter"))
+    except (ValueError, TypeError) as error:
+        raise ModelError(
+            f"{what}: its meshopt content is damaged ({_line(error)}); export it again"
+        ) from None
+    return rows.tobytes()
+
+
+def _line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def scene_nodes(
+    document: Document, posed: Mapping[int, Json] | None = None
+) -> Iterator[tuple[int, Json, Float64s]]:
+    """Yield the scene's nodes, depth first: number, node, and the matrix (4, 4) that takes it to the world.
+
+    A file without scenes shows all its nodes. ``posed`` has fields of nodes by their numbers, instead of
+    those in the file. Raises ModelError for nodes that form no tree.
+    """
+    if document.items("scenes"):
+        number = document.json.get("scene", 0)
+        roots = _links(document, document.item("scenes", number), "nodes", f"scenes[{number}]")
+    else:
+        numbers = range(len(document.items("nodes")))
+        children = {child for each in numbers for child in _children(document, each)}
+        roots = [each for each in numbers if each not in children]
+    seen: set[int] = set()
+    stack = [(root, np.eye(4)) for root in reversed(roots)]
+    while stack:
+        number, parent = stack.pop()
+        if number in seen:
+            raise ModelError(f"{document.name}: nodes[{number}] is reached twice; nodes must form a tree")
+        seen.add(number)
+        node = document.item("nodes", number)
+        if posed:
+            node = {**node, **posed.get(number, {})}
+        for field, count in _COUNTS.items():
+            if field in node:
+                as_numbers(node[field], count, f"{document.name}: nodes[{number}]: {field}", _LIMIT)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = parent @ local_matrix(node)
+        yield number, node, matrix
+        stack.extend((child, matrix) for child in reversed(_children(document, number)))
+
+
+def _children(document: Document, number: int) -> list[int]:
+    return _links(document, document.item("nodes", number), "children", f"nodes[{number}]")
+
+
+def _links(document: Document, record: Json, field: str, place: str) -> list[int]:
+    """Return the numbers of nodes that a record lists, all of which are there."""
+    numbers = record.get(field, [])
+    if not isinstance(numbers, list):
+        raise ModelError(f"{document.name}: {place}: {field} must be a list of indices; export it again")
+    for each in numbers:
+        document.item("nodes", each)
+    return numbers
+
+
+def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Float64s:
+    """Return a node's matrix (column-major in the file), or translation · rotation · scale (3.6.2)."""
+    if "matrix" in fields:
+        return np.array(fields["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(fields.get("rotation", (0, 0, 0, 1)), np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrix(w, x, y, z) * np.array(fields.get("scale", (1, 1, 1)), np.float64)
+    matrix[:3, 3] = fields.get("translation", (0, 0, 0))
+    return matrix
+
+
+def rotation_matrix(w: float, x: float, y: float, z: float) -> Float64s:
+    """Return the matrix (3, 3) of a quaternion of any length; no turn for one of length 0."""
+    length = w * w + x * x + y * y + z * z
+    s = 2 / length if length else 0.0
+    return np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+        ]
+    )

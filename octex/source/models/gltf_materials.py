@@ -10,22 +10,20 @@ these channels.
 
 from __future__ import annotations
 
-import math
 import reprlib
 from collections.abc import Iterable
 from concurrent.futures import Executor, Future
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s
 from octex.errors import ImageError, ModelError
 from octex.parallel import cpu_count, pool_of
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.gltf_file import Document, as_object
-from octex.source.models.options import Options
+from octex.source.models.gltf_file import Document, Json, as_numbers, as_object, is_number
+from octex.source.models.reading import Description, Options, Slot
 
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
@@ -38,7 +36,7 @@ _FARTHEST = 1e18
 class _Part(NamedTuple):
     """An object of the JSON, and its name in errors."""
 
-    entry: dict[str, Any]
+    entry: Json
     name: str
 
     def part(self, key: str) -> _Part:
@@ -53,7 +51,7 @@ class _Part(NamedTuple):
     def number(self, key: str, default: float) -> float:
         """Return a finite number."""
         value = self.entry.get(key, default)
-        if not _is_number(value):
+        if not is_number(value, _FARTHEST):
             raise ModelError(
                 f"{self.name}.{key} must be a number, not {reprlib.repr(value)}; export it again"
             )
@@ -61,43 +59,7 @@ class _Part(NamedTuple):
 
     def numbers(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
         """Return as many finite numbers as the default has."""
-        values = self.entry.get(key, default)
-        is_row = isinstance(values, (list, tuple)) and len(values) == len(default)
-        if not (is_row and all(map(_is_number, values))):
-            raise ModelError(
-                f"{self.name}.{key} must be {len(default)} numbers, not {reprlib.repr(values)}; "
-                "export it again"
-            )
-        return tuple(map(float, values))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _FARTHEST
-
-
-class Slot(NamedTuple):
-    """A set of texture coordinates, and what is done to it before an image is read."""
-
-    number: int  # n of TEXCOORD_n
-    scale: tuple[float, ...] = (1.0, 1.0)
-    rotation: float = 0.0  # radians, counter-clockwise as seen on the image
-    offset: tuple[float, ...] = (0.0, 0.0)
-
-    def applied(self, coordinates: Float64s) -> Float64s:
-        """Return coordinates (n, 2) scaled, turned, then moved (KHR_texture_transform)."""
-        if self == Slot(self.number):
-            return coordinates
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
-        turned = (coordinates * self.scale) @ np.array([[cos, -sin], [sin, cos]])
-        moved: Float64s = turned + self.offset
-        return moved
-
-
-class Bound(NamedTuple):
-    """A material, and the coordinates that each of its textures' slots stands for."""
-
-    material: Material
-    slots: tuple[Slot, ...]
+        return as_numbers(self.entry.get(key, default), len(default), f"{self.name}.{key}", _FARTHEST)
 
 
 class _Reference(NamedTuple):
@@ -112,7 +74,7 @@ class _Reference(NamedTuple):
 
 def read_materials(
     document: Document, numbers: Iterable[int | None], options: Options
-) -> dict[int | None, Bound]:
+) -> dict[int | None, Description]:
     """Return materials by number, None for glTF's default; their images are decoded in parallel, each once.
 
     Inputs of channels that ``options`` does not want are there without their textures.
@@ -131,7 +93,7 @@ def read_materials(
         }
 
 
-def _bound(material: Material, references: dict[str, _Reference], images: _Images) -> Bound:
+def _bound(material: Material, references: dict[str, _Reference], images: _Images) -> Description:
     """Give a material its textures."""
     slots: dict[Slot, int] = {}
     inputs = dict(material.inputs)
@@ -139,17 +101,17 @@ def _bound(material: Material, references: dict[str, _Reference], images: _Image
         place = slots.setdefault(slot, len(slots))
         texture = Texture(images.texels(image), wrap_u, wrap_v, nearest, place)
         inputs[name] = inputs[name]._replace(texture=texture)
-    return Bound(material._replace(inputs=inputs), tuple(slots))
+    return Description(material._replace(inputs=inputs), tuple(slots))
 
 
 def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Part]]:
     """Return a material without textures, and by channel the file's references to them."""
-    given = _Part(
+    record = _Part(
         {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
     )
-    mode = given.entry.get("alphaMode", "OPAQUE")
+    mode = record.entry.get("alphaMode", "OPAQUE")
     if mode not in _ALPHA_MODES:
-        raise ModelError(f"{given.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
+        raise ModelError(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
     inputs: dict[str, Input] = {}
     uses: dict[str, _Part] = {}
 
@@ -165,25 +127,25 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
         if holder.states(key):
             uses[name] = holder.part(key)
 
-    extensions = given.part("extensions")
+    extensions = record.part("extensions")
     is_unlit = extensions.states("KHR_materials_unlit")
     is_older = not is_unlit and extensions.states("KHR_materials_pbrSpecularGlossiness")
     if is_older:
         pbr, texture = extensions.part("KHR_materials_pbrSpecularGlossiness"), "diffuseTexture"
         color = pbr.numbers("diffuseFactor", (1.0,) * 4)
     else:
-        pbr, texture = given.part("pbrMetallicRoughness"), "baseColorTexture"
+        pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
         color = pbr.numbers("baseColorFactor", (1.0,) * 4)
     state("base_color", color[:3], pbr, texture)
     if mode != "OPAQUE":
         state("alpha", color[3:], pbr, texture, (3,))
-    name = given.entry.get("name")
+    name = record.entry.get("name")
     material = Material(
         inputs,
         _ALPHA_MODES[mode],
-        given.number("alphaCutoff", 0.5),
+        record.number("alphaCutoff", 0.5),
         name if isinstance(name, str) else "",
-        given.entry.get("doubleSided") is True,
+        record.entry.get("doubleSided") is True,
     )
     if is_unlit:
         return material, uses
@@ -204,16 +166,16 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
             first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
             tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
             state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
-    if given.states("occlusionTexture"):
-        strength = given.part("occlusionTexture").number("strength", 1.0)
-        state("occlusion", (strength,), given, "occlusionTexture", (0,), (1.0 - strength,))
-    if given.states("emissiveFactor", "emissiveTexture"):
+    if record.states("occlusionTexture"):
+        strength = record.part("occlusionTexture").number("strength", 1.0)
+        state("occlusion", (strength,), record, "occlusionTexture", (0,), (1.0 - strength,))
+    if record.states("emissiveFactor", "emissiveTexture"):
         strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
-        light = tuple(strength * each for each in given.numbers("emissiveFactor", (0.0,) * 3))
-        state("emissive", light, given, "emissiveTexture")
-    if given.states("normalTexture"):
-        scale = given.part("normalTexture").number("scale", 1.0)
-        state("normal", (scale, scale, 1.0), given, "normalTexture")
+        light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
+        state("emissive", light, record, "emissiveTexture")
+    if record.states("normalTexture"):
+        scale = record.part("normalTexture").number("scale", 1.0)
+        state("normal", (scale, scale, 1.0), record, "normalTexture")
     return material, uses
 
 
@@ -225,7 +187,7 @@ def _slot(use: _Part) -> Slot:
             f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}; export it again"
         )
     return Slot(
-        number,
+        f"TEXCOORD_{number}",
         transform.numbers("scale", (1.0, 1.0)),
         transform.number("rotation", 0.0),
         transform.numbers("offset", (0.0, 0.0)),

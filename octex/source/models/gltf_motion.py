@@ -1,36 +1,332 @@
-"""All animations of a glTF file, at frames: what moves its vertices, and how."""
+"""How glTF models move: animations, skins and morph targets (glTF 2.0, 3.7, 3.11 and appendix C)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int64s
-from octex.errors import ModelError
-from octex.source.models.gltf_animation import Moves, animation_names
-from octex.source.models.gltf_file import Document
-from octex.source.models.gltf_pose import Pose, Reader, influences
+from octex.arrays import Array, Float64s, Int64s
+from octex.errors import ArgumentError, ModelError, ModelWarning
+from octex.source.models.gltf_file import Document, Json, as_object, scene_nodes
 from octex.source.motion import Animation, Links, Motion
 
+_COMPONENTS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
+_INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
+#: By how much weights may miss 1 together: four of them, rounded to bytes.
+_ROUNDING = 2 / 255
 #: Frames are a multiple of this, and one, so that every second and every fourth of them begin and end alike.
 _MULTIPLE = 4
 #: Matrices of all frames of an animation; a longer one has fewer frames a second.
 _MOST_MATRICES = 1 << 20
 
 
+class Sampler(NamedTuple):
+    """Values at keys in time, and what lies between them."""
+
+    times: Float64s  # (keys,)   ascending
+    values: Float64s  # (keys, components), or of CUBICSPLINE (keys, 3, components): tangent, value, tangent
+    interpolation: str
+    turns: bool  # whether values are quaternions
+
+    def at(self, time: float) -> Float64s:
+        """Return the value (components,) at a time; before the first key and after the last it stays."""
+        times = self.times
+        is_cubic = self.interpolation == "CUBICSPLINE"
+        if not times[0] < time < times[-1]:
+            end = self.values[0 if time <= times[0] else -1]
+            return _unit(end[1] if is_cubic else end, self.turns)
+        after = int(np.searchsorted(times, time, side="right"))
+        a, b = self.values[after - 1], self.values[after]
+        if self.interpolation == "STEP":
+            return _unit(a, self.turns)
+        step = times[after] - times[after - 1]
+        t = (time - times[after - 1]) / step
+        if is_cubic:
+            c, d = a[1:], b[:2]
+            mixed = (
+                (2 * t**3 - 3 * t**2 + 1) * c[0]
+                + step * (t**3 - 2 * t**2 + t) * c[1]
+                + (-2 * t**3 + 3 * t**2) * d[1]
+                + step * (t**3 - t**2) * d[0]
+            )
+            return _unit(mixed, self.turns)
+        return _slerp(a, b, t) if self.turns else (1 - t) * a + t * b
+
+
+def _unit(values: Float64s, turns: bool) -> Float64s:
+    """Return quaternions at length 1, other values as they are."""
+    length = float(np.linalg.norm(values))
+    return values / length if turns and length else values
+
+
+def _slerp(a: Float64s, b: Float64s, t: float) -> Float64s:
+    """Return the rotation between two, the shorter way round, at an even speed (C.3)."""
+    a, b = _unit(a, True), _unit(b, True)
+    dot = float(a @ b)
+    if dot < 0:
+        b, dot = -b, -dot
+    angle = float(np.arctan2(np.linalg.norm(b - dot * a), dot))
+    if angle < 1e-6:  # where both weights are 0 / 0
+        return _unit((1 - t) * a + t * b, True)
+    return np.asarray((np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle))
+
+
+class Moves:
+    """What an animation changes over time. Raises ModelError for a broken one."""
+
+    def __init__(self, document: Document, number: int) -> None:
+        animation = document.item("animations", number)
+        what = f"{document.name}: animations[{number}]"
+        samplers: dict[int, Sampler] = {}
+        self._channels: dict[tuple[int, str], Sampler] = {}  # by nodes and their fields
+        for index, channel in enumerate(animation["channels"]):
+            target = as_object(channel["target"], f"{what}.channels[{index}].target")
+            path = target["path"]
+            if "node" not in target or path not in _COMPONENTS:  # as extensions have them
+                continue
+            node, chosen = target["node"], channel["sampler"]
+            if "matrix" in document.item("nodes", node) and path != "weights":
+                raise ModelError(f"{what} moves nodes[{node}], which has a matrix; export it again")
+            if (node, path) in self._channels:
+                raise ModelError(f"{what} gives nodes[{node}] its {path} twice; export it again")
+            if not isinstance(chosen, int) or not 0 <= chosen < len(animation["samplers"]):
+                raise ModelError(
+                    f"{what} refers to samplers[{chosen}], which it does not have; export it again"
+                )
+            if chosen not in samplers:
+                place = f"{what}.samplers[{chosen}]"
+                samplers[chosen] = _sampler(
+                    document, as_object(animation["samplers"][chosen], place), path, place
+                )
+            self._channels[node, path] = samplers[chosen]
+        #: How long it takes, in seconds.
+        self.length = max((float(each.times[-1]) for each in self._channels.values()), default=0.0)
+
+    def fields_at(self, time: float) -> dict[int, Json]:
+        """Return fields of animated nodes, by their numbers: translation, rotation, scale and weights."""
+        fields: dict[int, Json] = {}
+        for (node, path), sampler in self._channels.items():
+            fields.setdefault(node, {})[path] = sampler.at(time).tolist()
+        return fields
+
+
+def _sampler(document: Document, entry: Json, path: str, what: str) -> Sampler:
+    times = document.accessor(entry["input"], (1,))[:, 0].astype(np.float64)
+    values = document.accessor(entry["output"], (_COMPONENTS[path],)).astype(np.float64)
+    interpolation = entry.get("interpolation", "LINEAR")
+    if interpolation not in _INTERPOLATIONS:
+        raise ModelError(f"{what} interpolates by {interpolation!r}, which is not one of glTF's")
+    if not len(times) or not np.isfinite(times).all() or times[0] < 0 or not (np.diff(times) > 0).all():
+        raise ModelError(f"{what} has times that do not ascend from 0 on; export it again")
+    a_key = 3 if interpolation == "CUBICSPLINE" else 1
+    width = len(values) // (a_key * len(times)) if path == "weights" else 1
+    if not width or len(values) != width * a_key * len(times):
+        raise ModelError(f"{what} has {len(values)} values for {len(times)} times; export it again")
+    if not np.isfinite(values).all():
+        raise ModelError(f"{what} has values that are not finite; export it again")
+    parts = (a_key, -1) if a_key > 1 else (-1,)
+    return Sampler(times, values.reshape(len(times), *parts), interpolation, path == "rotation")
+
+
+def lengths_of(document: Document) -> dict[str, float]:
+    """Return how long each animation takes, in seconds, by its name, or its number if it has none.
+
+    Raises ModelError for a broken one.
+    """
+    return {name: Moves(document, n).length for n, name in enumerate(_names(document))}
+
+
+def _names(document: Document) -> list[str]:
+    animations = document.items("animations")
+    return [str(as_object(each, document.name).get("name", n)) for n, each in enumerate(animations)]
+
+
+def pose_of(document: Document, pose: str) -> Pose:
+    """Return the pose NAME@SECONDS; the name of an animation, or its number.
+
+    Raises ArgumentError for an animation or a time that the file lacks, ModelError for a broken animation.
+    """
+    names = _names(document)
+    name, at, seconds = pose.rpartition("@")
+    if not names:
+        raise ArgumentError(f"{document.name} has no animations; leave the pose {pose!r} out")
+    number = int(name) if name.isdecimal() and int(name) < len(names) else None
+    number = names.index(name) if name in names else number
+    if not at:
+        fault = f" cannot be posed as {pose!r}: give NAME@SECONDS"
+    elif number is None:
+        fault = f" has no animation {name!r}"
+    else:
+        moves = Moves(document, number)
+        try:
+            time = float(np.float32(seconds))  # in which files keep times
+        except ValueError:
+            time = np.nan
+        if 0.0 <= time <= moves.length:
+            return Pose(document, moves.fields_at(time))
+        last = _seconds(moves.length)
+        fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
+    lengths = lengths_of(document).items()
+    listing = ", ".join(f"{each} (0 to {_seconds(length)} s)" for each, length in lengths)
+    raise ArgumentError(f"{document.name}{fault}; it has {listing}")
+
+
+def _seconds(time: float) -> str:
+    return str(np.float32(time))
+
+
 class Placed(NamedTuple):
     """A mesh primitive as a node of the scene shows it."""
 
     node: int
-    copy: Float64s  # (4, 4)   of the mesh below the node
+    copy: Float64s  # (4, 4)   of the mesh below the node (EXT_mesh_gpu_instancing)
     matrix: Float64s  # (4, 4)   to the world, as it rests
     positions: Float64s  # (n, 3)   of the primitive's own
-    targets: Sequence[Any]
-    read: Reader
-    name: str
+    targets: Sequence[Json]  # of morphs
+    read: Callable[[str, tuple[int, ...]], Float64s | None]  # an attribute of so many components, if there
+    name: str  # in errors
+
+
+class Pose:
+    """The nodes of a scene in a pose; ``fields`` are those of animated nodes."""
+
+    def __init__(self, document: Document, fields: Mapping[int, Json]) -> None:
+        self._document = document
+        self._nodes: dict[int, Json] = {}
+        self._matrices: dict[int, Float64s] = {}
+        for number, node, matrix in scene_nodes(document, fields):
+            self._nodes[number], self._matrices[number] = node, matrix
+        self._joints: dict[int, Float64s] = {}
+
+    def positions(self, placed: Placed) -> Float64s:
+        """Return where the vertices (n, 3) of a primitive are: moved by targets, then by a skin or the node.
+
+        Raises ModelError for weights and joints that do not fit.
+        """
+        bones = self.bones(placed)
+        moved = placed.positions
+        for weight, offsets in zip(self.weights(placed), self.offsets(placed, "POSITION"), strict=True):
+            if offsets is not None:
+                moved = moved + weight * offsets
+        with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+            if self.skin(placed) is None:
+                return moved @ bones[0, :3, :3].T + bones[0, :3, 3]
+            sums = np.zeros_like(moved)
+            for joints, shares in zip(*(each.T for each in influences(placed, len(bones))), strict=True):
+                matrices = bones[joints]
+                turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], moved) + matrices[:, :3, 3]
+                sums += shares[:, None] * turned
+            return sums
+
+    def skin(self, placed: Placed) -> int | None:
+        """Return the skin that moves a primitive; None where its node alone does."""
+        return self._nodes[placed.node].get("skin")
+
+    def bones(self, placed: Placed) -> Float64s:
+        """Return what takes a primitive's vertices to the scene (b, 4, 4): its skin's joints, or its node."""
+        skin = self.skin(placed)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if skin is None:
+                return (self._matrices[placed.node] @ placed.copy)[None]
+            # What a skin moves stands where its joints are, wherever its own node is (3.7.3.3).
+            return np.asarray(placed.copy @ self._joints_of(skin))
+
+    def weights(self, placed: Placed) -> list[float]:
+        """Return the weights of a primitive's morph targets. Raises ModelError for another count."""
+        record, count = self._nodes[placed.node], len(placed.targets)
+        mesh = self._document.item("meshes", record["mesh"])
+        weights: list[float] = (record if "weights" in record else mesh).get("weights", [0.0] * count)
+        if len(weights) != count:
+            raise ModelError(
+                f"{placed.name} has {count} morph targets, and nodes[{placed.node}] weights of "
+                f"{len(weights)}; export it again"
+            )
+        return weights
+
+    def offsets(self, placed: Placed, attribute: str) -> Iterator[Float64s | None]:
+        """Yield what each of a primitive's targets adds to its vertices' attribute (n, 3), or None."""
+        for number, target in enumerate(placed.targets):
+            if attribute not in target:
+                yield None
+                continue
+            offsets, count = self._document.accessor(target[attribute], (3,)), len(placed.positions)
+            if len(offsets) != count:
+                raise ModelError(
+                    f"{placed.name}: targets[{number}] moves {len(offsets)} of {count} vertices; "
+                    "export it again"
+                )
+            yield offsets
+
+    def _joints_of(self, number: int) -> Float64s:
+        """Return what takes vertices at rest to where a skin's joints (j, 4, 4) have them."""
+        if number not in self._joints:
+            skin = self._document.item("skins", number)
+            what = f"{self._document.name}: skins[{number}]"
+            nodes = skin["joints"]
+            lacking = [each for each in nodes if each not in self._matrices]
+            if lacking:
+                raise ModelError(
+                    f"{what} has joint nodes[{lacking[0]}], which the scene does not show; export it again"
+                )
+            if not nodes:
+                raise ModelError(f"{what} has no joints; export it again")
+            inverses = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
+            if "inverseBindMatrices" in skin:
+                rows = self._document.accessor(skin["inverseBindMatrices"], (16,)).astype(np.float64)
+                if len(rows) < len(nodes):
+                    raise ModelError(
+                        f"{what} has {len(rows)} inverse bind matrices for {len(nodes)} joints; "
+                        "export it again"
+                    )
+                inverses = rows[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1)
+            self._joints[number] = np.stack([self._matrices[each] for each in nodes]) @ inverses
+        return self._joints[number]
+
+
+def influences(placed: Placed, n_joints: int) -> tuple[Int64s, Float64s]:
+    """Return the joints (n, k) that move vertices, of all sets of four, and weights (n, k) with sums of 1.
+
+    Weights with another sum are normalized, as viewers do, with ModelWarning; where all are 0 the first joint
+    alone moves the vertex. Raises ModelError for weights that are no such numbers, and joints that are not
+    there.
+    """
+    what = placed.name
+    joints: list[Array] = []
+    every: list[Float64s] = []
+    while (numbers := placed.read(f"JOINTS_{len(joints)}", (4,))) is not None:
+        weight = placed.read(f"WEIGHTS_{len(joints)}", (4,))
+        if weight is None:
+            raise ModelError(f"{what} has JOINTS_{len(joints)} without weights; export it again")
+        joints.append(numbers)
+        every.append(weight)
+    if not joints:
+        raise ModelError(f"{what} has a skin but no JOINTS_0; export it again")
+    numbers, weights = np.concatenate(joints, axis=1), np.concatenate(every, axis=1)
+    sums = weights.sum(axis=1)
+    bad = ~((weights >= 0).all(axis=1) & np.isfinite(sums))
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise ModelError(
+            f"{what}: the weights of vertex {first} are {weights[first].tolist()}, which must be finite and "
+            "not below 0; export it with normalized weights"
+        )
+    off = np.count_nonzero(np.abs(sums - 1) > _ROUNDING)
+    if off:
+        text = f"{what}: the weights of {off:,} of {len(sums):,} vertices do not sum to 1; "
+        warnings.warn(text + "octex normalizes them", ModelWarning, stacklevel=2)
+        weights[sums == 0, 0] = 1.0
+        sums[sums == 0] = 1.0
+    if not (numbers < n_joints).all():
+        first = int(np.argmax((numbers >= n_joints).any(axis=1)))
+        raise ModelError(
+            f"{what}: vertex {first} is moved by joint {int(numbers[first].max())}, but its skin has "
+            f"{n_joints}; export it again"
+        )
+    return numbers.astype(np.int64), weights / sums[:, None]
 
 
 def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
@@ -39,7 +335,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     ``rate`` is how many frames a second has at least. Raises ModelError for skins and targets that are
     broken; of animations that are, the motion has ``faults``.
     """
-    names = animation_names(document)
+    names = _names(document)
     if not names:
         return None
     bones = _Bones(document, placed)
@@ -50,11 +346,11 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
             moves = Moves(document, number)
             steps = min(moves.length * rate, _MOST_MATRICES / bones.count)
             frames = math.ceil(steps / _MULTIPLE) * _MULTIPLE + 1
-            found = [bones.at(moves, time) for time in np.linspace(0.0, moves.length, frames)]
+            poses = [bones.at(moves, time) for time in np.linspace(0.0, moves.length, frames)]
         except (ModelError, KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             faults.append(f"animation {name}: {error if isinstance(error, ModelError) else 'is malformed'}")
             continue
-        made.append(Animation(name, moves.length, *map(np.stack, zip(*found, strict=True))))
+        made.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
     positions = np.concatenate(
         [each.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
     )
@@ -66,42 +362,35 @@ class _Bones:
 
     def __init__(self, document: Document, placed: Sequence[Placed]) -> None:
         self._document, self._placed = document, placed
-        rest = Pose(document, {})
+        self._rest = Pose(document, {})
         self._first: list[int] = []  # the first bone of each primitive
         self._owners: dict[tuple[object, bytes, bytes], tuple[int, Placed]] = {}
-        self._weights: dict[int, tuple[int, int]] = {}  # the first target of each node, and how many
-        self._skins: list[int] = []  # how many bones each primitive has
-        self.count, self._targets = 0, 0
+        self._weights: dict[int, tuple[int, Placed]] = {}  # the first target of each node
+        self._skins: list[int] = []  # how many bones the skin of each primitive has, 0 without one
+        self.count, n_targets = 0, 0
         for each in placed:
-            n_bones = len(rest.bones(each.node, each.copy))
-            is_skinned = rest.is_skinned(each.node)
-            skin: object = document.item("nodes", each.node)["skin"] if is_skinned else ("node", each.node)
-            key = skin, each.copy.tobytes(), each.matrix.tobytes()
+            n_bones, skin = len(self._rest.bones(each)), self._rest.skin(each)
+            moved_by = ("node", each.node) if skin is None else skin
+            key = moved_by, each.copy.tobytes(), each.matrix.tobytes()
             if key not in self._owners:
                 self._owners[key] = self.count, each
                 self.count += n_bones
             self._first.append(self._owners[key][0])
-            self._skins.append(n_bones if is_skinned else 0)
+            self._skins.append(0 if skin is None else n_bones)
             if each.node not in self._weights:
-                self._weights[each.node] = self._targets, len(each.targets)
-                self._targets += len(each.targets)
+                self._weights[each.node] = n_targets, each
+                n_targets += len(each.targets)
 
     def at(self, moves: Moves, time: float) -> tuple[Float64s, Float64s]:
         """Return all bones (b, 3, 4) and the weights of all targets (t,) at a time."""
         pose = Pose(self._document, moves.fields_at(time))
-        bones = [
-            pose.bones(each.node, each.copy) @ np.linalg.pinv(each.matrix)
-            for _, each in self._owners.values()
-        ]
-        name = self._document.name
-        weights = [
-            pose.weights(node, count, f"{name}: the mesh of nodes[{node}]")
-            for node, (_, count) in self._weights.items()
-        ]
-        found = np.concatenate(bones)[:, :3], np.array([each for row in weights for each in row], np.float64)
-        if not (np.isfinite(found[0]).all() and np.isfinite(found[1]).all()):
+        bones = np.concatenate(
+            [pose.bones(each) @ np.linalg.pinv(each.matrix) for _, each in self._owners.values()]
+        )[:, :3]
+        weights = np.array([w for _, each in self._weights.values() for w in pose.weights(each)], np.float64)
+        if not (np.isfinite(bones).all() and np.isfinite(weights).all()):
             raise ModelError("moves vertices beyond all numbers; export it again")
-        return found
+        return bones, weights
 
     def links(self) -> Links:
         """Return what bones move the vertices."""
@@ -109,7 +398,7 @@ class _Bones:
         for each, first, n_bones in zip(self._placed, self._first, self._skins, strict=True):
             joints, weights = np.zeros((len(each.positions), 1), np.int64), np.ones((len(each.positions), 1))
             if n_bones:
-                joints, weights = influences(each.read, n_bones, f"{self._document.name}: {each.name}")
+                joints, weights = influences(each, n_bones)
             chosen = weights > 0
             counts.append(chosen.sum(axis=1))
             numbers.append(joints[chosen] + first)
@@ -128,8 +417,7 @@ class _Bones:
                 sizes = np.linalg.norm(normals @ upright, axis=1)[:, None, None]
                 turned = self._offsets(each, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
-                name = f"{self._document.name}: {each.name}"
-                raise ModelError(f"{name} has targets that are not finite; export it again")
+                raise ModelError(f"{each.name} has targets that are not finite; export it again")
             chosen = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
             counts.append(chosen.sum(axis=1))
             numbers.append(np.nonzero(chosen)[1] + self._weights[each.node][0])
@@ -140,11 +428,11 @@ class _Bones:
 
     def _offsets(self, each: Placed, attribute: str) -> Float64s:
         """Return what the targets of a primitive add to its vertices' attribute (n, targets, 3)."""
-        count = len(each.positions)
-        what = f"{self._document.name}: {each.name}"
-        found = Pose(self._document, {}).offsets(each.targets, count, what, attribute)
-        rows = [np.zeros((count, 3)) if offsets is None else offsets for offsets in found]
-        return np.stack(rows, axis=1).astype(np.float64) if rows else np.zeros((count, 0, 3))
+        offsets = np.zeros((len(each.positions), len(each.targets), 3))
+        for number, added in enumerate(self._rest.offsets(each, attribute)):
+            if added is not None:
+                offsets[:, number] = added
+        return offsets
 
 
 def _firsts(counts: Sequence[Int64s]) -> Int64s:

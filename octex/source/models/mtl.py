@@ -28,21 +28,22 @@ to it. The field's practice is followed:
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from octex.channels import srgb_to_linear
+from octex.arrays import Int64s, Uint16s
+from octex.channels import LUMINANCE, srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
-from octex.source.images.decode import is_translucent
+from octex.source.images.decode import decode_image, is_translucent
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.materials import Input, Material, Texture
-from octex.source.models.imagefiles import ImageFiles, is_grey
-from octex.source.models.options import Options
-from octex.source.models.text import parse_numbers
+from octex.source.models.reading import Description, Options, Slot, parse_numbers
 
 # How many words follow an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {
@@ -51,20 +52,9 @@ _OPTION_WORDS = {
 }  # fmt: skip
 _LANES = {"r": 0, "g": 1, "b": 2, "m": 3}
 
-
-class Transform(NamedTuple):
-    """How a map changes texture coordinates: scaled, then moved; v up."""
-
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-
-
-class Description(NamedTuple):
-    """A material, and the texture coordinates of each slot that its textures name."""
-
-    material: Material = Material({"base_color": Input((1.0, 1.0, 1.0))})
-    transforms: tuple[Transform, ...] = ()
-    assumed: frozenset[str] = frozenset()  # channels that only Ks or Ns speaks for
+# Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.
+_GREY = 8 / 255
+_ROWS = 256  # how many rows of an image are in work at a time
 
 
 class Library(NamedTuple):
@@ -86,8 +76,8 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     materials: dict[str, Description] = {}
     missing = []
     for line in lines:
-        found = beside(path.parent, line)
-        for each in [found] if found is not None else [beside(path.parent, word) for word in line.split()]:
+        file = beside(path.parent, line)
+        for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
             if each is not None:
                 materials |= _parse(each, wanted, images, options)
             elif line not in missing:
@@ -164,7 +154,7 @@ class _Map(NamedTuple):
     """A line of a texture map."""
 
     file: str
-    transform: Transform = Transform()
+    slot: Slot = Slot()
     wrap: int = REPEAT
     lane: str = ""  # of -imfchan; "" where unsaid
     bump: float = 1.0
@@ -184,14 +174,14 @@ class _Describer:
         self._path = path
         self._images = images
         self._options = options
-        self._transforms: list[Transform] = []
+        self._slots: list[Slot] = []
 
     def describe(self) -> Description:
         """Return the material."""
         alpha = self._alpha()
         assumed = set()
         inputs = {"base_color": self._color("base_color", "Kd", "map_Kd") or Input((1.0, 1.0, 1.0))}
-        found = {
+        stated = {
             "alpha": alpha,
             "metallic": self._scalar("metallic", "Pm", "map_Pm", "map_metallic"),
             "roughness": self._scalar("roughness", "Pr", "map_Pr", "map_roughness"),
@@ -200,46 +190,46 @@ class _Describer:
             "specular": self._color("specular", "Ks", "map_Ks"),
             "normal": self._normal(),
         }
-        inputs |= {channel: each for channel, each in found.items() if each is not None}
+        inputs |= {channel: each for channel, each in stated.items() if each is not None}
         if "roughness" not in inputs and "ns" in self._entries:
             inputs["roughness"] = self._from_exponent()
             assumed.add("roughness")
-        if found["specular"] is not None and self._map("map_Ks") is None:
+        if stated["specular"] is not None and self._map("map_Ks") is None:
             assumed.add("specular")
         material = Material(inputs, "opaque" if alpha is None else "blend", name=self._name)
-        return Description(material, tuple(self._transforms), frozenset(assumed))
+        return Description(material, tuple(self._slots), frozenset(assumed))
 
     def _color(self, channel: str, key: str, *maps: str) -> Input | None:
         """Return a colour and its map; None where the material has neither, or no emission."""
-        found = self._map(*maps)
-        if found is None and key.lower() not in self._entries:
+        image = self._map(*maps)
+        if image is None and key.lower() not in self._entries:
             return None
         stated = parse_numbers(self._entries.get(key.lower(), "1"))
         black = stated is not None and stated.max(initial=-np.inf) <= 0.0
-        if black and found is None and channel == "emissive":
+        if black and image is None and channel == "emissive":
             return None
         if not self._options.wants(channel):
             return Input((1.0, 1.0, 1.0))
         color = self._numbers(key, 3) if key.lower() in self._entries else [1.0]
-        if black and found is not None:
+        if black and image is not None:
             color = [1.0]
         if len(color) < 3:
             color = [color[0]] * 3
         if max(color) <= 1.0 or channel != "emissive":
             color = srgb_to_linear(np.clip(color, 0.0, 1.0)).tolist()
         factor = (max(color[0], 0.0), max(color[1], 0.0), max(color[2], 0.0))
-        return Input(factor, None if found is None else self._texture(found))
+        return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str, key: str, *maps: str) -> Input | None:
         """Return a map of single values, else a number; None where the material has neither."""
-        found = self._map(*maps)
-        if found is None and key.lower() not in self._entries:
+        image = self._map(*maps)
+        if image is None and key.lower() not in self._entries:
             return None
         if not self._options.wants(channel):
             return Input((1.0,))
-        if found is None:
+        if image is None:
             return Input((min(max(self._numbers(key, 1)[0], 0.0), 1.0),))
-        texture, lane = self._lane(found)
+        texture, lane = self._lane(image)
         return Input((1.0,), texture, (lane,))
 
     def _alpha(self) -> Input | None:
@@ -251,13 +241,13 @@ class _Describer:
             # MeshLab and others write opacity here: of what would not be seen at all, they mean all.
             opacity = (1.0 - self._numbers("Tr", 1)[0]) or 1.0
         opacity = min(max(opacity, 0.0), 1.0)
-        found = self._map("map_d")
-        if found is None:
+        image = self._map("map_d")
+        if image is None:
             return None if opacity == 1.0 else Input((opacity,))
         if not self._options.wants("alpha"):
             return Input((1.0,))
-        matte = not found.lane and is_translucent(self._images.read(*self._file(found)))
-        texture, lane = self._lane(found._replace(lane="m") if matte else found)
+        matte = not image.lane and is_translucent(self._images.read(*self._file(image)))
+        texture, lane = self._lane(image._replace(lane="m") if matte else image)
         return Input((opacity or 1.0,), texture, (lane,))
 
     def _from_exponent(self) -> Input:
@@ -268,45 +258,45 @@ class _Describer:
 
     def _normal(self) -> Input | None:
         """Return a normal map, or one made of a height map."""
-        given = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
-        found = given or self._map("map_Bump", "bump")
-        if found is None:
+        normal_map = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
+        image = normal_map or self._map("map_Bump", "bump")
+        if image is None:
             return None
         if not self._options.wants("normal"):
             return Input((1.0, 1.0, 1.0))
-        if given is None:
-            texels = self._images.read(*self._file(found))
-            if found.lane or is_grey(texels):
-                if found.lane == "l":
+        if normal_map is None:
+            texels = self._images.read(*self._file(image))
+            if image.lane or is_grey(texels):
+                if image.lane == "l":
                     texels = self._images.luminance(texels)
-                strength = found.bump * found.gain
-                texels = self._images.normals(texels, _LANES.get(found.lane, 0), strength, found.wrap)
-                return Input((1.0, 1.0, 1.0), self._placed(texels, found))
-        return Input((found.bump, found.bump, 1.0), self._texture(found))
+                strength = image.bump * image.gain
+                texels = self._images.normals(texels, _LANES.get(image.lane, 0), strength, image.wrap)
+                return Input((1.0, 1.0, 1.0), self._placed(texels, image))
+        return Input((image.bump, image.bump, 1.0), self._texture(image))
 
-    def _lane(self, found: _Map) -> tuple[Texture, int]:
+    def _lane(self, image: _Map) -> tuple[Texture, int]:
         """Return the texture of a map of single values, and the component that holds them."""
-        texture = self._texture(found)
-        if found.lane == "l":
+        texture = self._texture(image)
+        if image.lane == "l":
             return texture._replace(texels=self._images.luminance(texture.texels)), 0
-        return texture, _LANES.get(found.lane, 0)
+        return texture, _LANES.get(image.lane, 0)
 
-    def _texture(self, found: _Map) -> Texture:
-        path, what = self._file(found)
-        return self._placed(self._images.read(path, what, found.base, found.gain), found)
+    def _texture(self, image: _Map) -> Texture:
+        path, what = self._file(image)
+        return self._placed(self._images.read(path, what, image.base, image.gain), image)
 
-    def _placed(self, texels: Texels, found: _Map) -> Texture:
-        if found.transform not in self._transforms:
-            self._transforms.append(found.transform)
-        return Texture(texels, found.wrap, found.wrap, slot=self._transforms.index(found.transform))
+    def _placed(self, texels: Texels, image: _Map) -> Texture:
+        if image.slot not in self._slots:
+            self._slots.append(image.slot)
+        return Texture(texels, image.wrap, image.wrap, slot=self._slots.index(image.slot))
 
-    def _file(self, found: _Map) -> tuple[Path, str]:
-        path = beside(self._path.parent, found.file)
+    def _file(self, image: _Map) -> tuple[Path, str]:
+        path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
-                f"{self._where}: the image {found.file} is missing; put it beside {self._path.name}"
+                f"{self._where}: the image {image.file} is missing; put it beside {self._path.name}"
             )
-        return path, f"{self._where}: {found.file}"
+        return path, f"{self._where}: {image.file}"
 
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")
@@ -340,12 +330,11 @@ def _parse_map(text: str, where: str) -> _Map | None:
     lane = options.get("-imfchan", "z").lower()
     if lane not in ("l", "z", *_LANES):
         raise ModelError(f"{where} -imfchan is '{lane[:40]}', not one of r, g, b, m, l, z; correct the line")
-    (su, sv), (ou, ov) = numbers("-s", 1.0, 1.0), numbers("-o", 0.0, 0.0)
+    slot = Slot(scale=numbers("-s", 1.0, 1.0), offset=numbers("-o", 0.0, 0.0))
     file = rest.strip().strip('"')
     wrap = CLAMP if options.get("-clamp", "").lower() == "on" else REPEAT
-    transform = Transform((su, sv), (ou, ov))
     bump, mm = numbers("-bm", 1.0), numbers("-mm", 0.0, 1.0)
-    return _Map(file, transform, wrap, "" if lane == "z" else lane, *bump, *mm) if file else None
+    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm) if file else None
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:
@@ -353,3 +342,94 @@ def _floats(text: str, most: int, what: str) -> list[float]:
     if values is None or values.size == 0 or not np.isfinite(values).all():
         raise ModelError(f"{what} is '{text[:40]}', not numbers; correct the line")
     return [float(value) for value in values[:most]]
+
+
+class ImageFiles:
+    """The images of a model's materials, each read and changed once, and the digests of what was read."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files: dict[str, str] = {}
+        self._folder = folder
+        self._texels: dict[tuple[object, ...], Texels] = {}
+
+    def note(self, path: Path, data: bytes) -> None:
+        """Remember that a file was read."""
+        inside = path.is_relative_to(self._folder)
+        name = path.relative_to(self._folder).as_posix() if inside else path.name
+        self.files[name] = hashlib.sha256(data).hexdigest()
+
+    def read(self, path: Path, what: str, base: float = 0.0, gain: float = 1.0) -> Texels:
+        """Return texels whose values t are made base + gain · t, kept in 0 … 1; light above 1 stays."""
+        key = (path, base, gain)
+        if key not in self._texels:
+            if (base, gain) == (0.0, 1.0):
+                data = read_bytes(path)
+                self.note(path, data)
+                self._texels[key] = decode_image(data, what)
+            else:
+                self._texels[key] = _ranged(self.read(path, what), base, gain)
+        return self._texels[key]
+
+    def luminance(self, texels: Texels) -> Texels:
+        """Return an image whose red is another's luminance, taken of stored values, which are no light."""
+        key = ("luminance", id(texels))
+        if key not in self._texels:
+            grey = texels[..., :3].astype(np.float32) @ LUMINANCE.astype(np.float32)
+            grey = np.repeat(grey[..., None], 4, axis=2)
+            self._texels[key] = np.rint(grey).astype(np.uint16) if texels.dtype.kind == "u" else grey
+        return self._texels[key]
+
+    def normals(self, texels: Texels, lane: int, strength: float, wrap: int) -> Texels:
+        """Return the normal map of one lane's heights."""
+        key = ("normals", id(texels), lane, strength, wrap)
+        if key not in self._texels:
+            unit = 65535.0 if texels.dtype.kind == "u" else 1.0
+            self._texels[key] = normals_of_heights(texels[..., lane], strength / unit, wrap)
+        return self._texels[key]
+
+
+def _ranged(texels: Texels, base: float, gain: float) -> Texels:
+    changed: Texels
+    if texels.dtype.kind == "u":
+        codes = np.clip(np.rint(65535.0 * base + gain * np.arange(65536)), 0, 65535)
+        changed = codes.astype(np.uint16)[texels]
+    else:
+        changed = np.maximum(np.float32(base) + np.float32(gain) * texels, np.float32(0))
+    return changed
+
+
+def is_grey(texels: Texels) -> bool:
+    """Say whether red, green and blue are the same all over an image."""
+    limit = _GREY * (65535.0 if texels.dtype.kind == "u" else 1.0)
+    for first in range(0, len(texels), _ROWS):
+        block = texels[first : first + _ROWS, :, :3].astype(np.float32)
+        if (np.ptp(block, axis=2) > limit).any():
+            return False
+    return True
+
+
+def normals_of_heights(
+    heights: npt.NDArray[np.floating | np.unsignedinteger], strength: float, wrap: int
+) -> Uint16s:
+    """Return the tangent-space normal map (height, width, 4) of a height map (height, width), rows down.
+
+    The slopes are central differences, per texel, of ``strength`` × height; at the border the image is
+    continued by ``wrap``, REPEAT or CLAMP. Codes are (x + 1) / 2 of 65535, x right, y up, z out.
+    """
+    height, width = heights.shape
+    texels = np.full((height, width, 4), 65535, np.uint16)
+    columns = _continued(np.arange(-1, width + 1), width, wrap)
+    for first in range(0, height, _ROWS):
+        last = min(first + _ROWS, height)
+        rows = _continued(np.arange(first - 1, last + 1), height, wrap)
+        block = heights[rows][:, columns].astype(np.float32) * np.float32(strength / 2)
+        right = block[1:-1, 2:] - block[1:-1, :-2]
+        up = block[:-2, 1:-1] - block[2:, 1:-1]
+        normals = np.stack([-right, -up, np.ones_like(up)], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        texels[first:last, :, :3] = np.rint((normals + 1) * np.float32(32767.5))
+    return texels
+
+
+def _continued(indices: Int64s, size: int, wrap: int) -> Int64s:
+    return np.clip(indices, 0, size - 1) if wrap == CLAMP else indices % size

@@ -15,19 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Float64s, Int32s, Int64s, Uint8s
 from octex.errors import ModelError, ModelWarning
 from octex.files import read_bytes
 from octex.jit import kernel
-from octex.source.colors import screen_colors
+from octex.source.colors import guessed_colors
 from octex.source.corners import Corners, Creases
-from octex.source.materials import MaterialSource
-from octex.source.models.mtl import Description, Library, Transform, load_materials, wavefront_lines
-from octex.source.models.options import Options
-from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.text import parse_numbers
+from octex.source.models.mtl import Library, load_materials, wavefront_lines
+from octex.source.models.reading import (
+    Description,
+    Options,
+    Part,
+    assembled,
+    cut_shape,
+    frames_below,
+    parse_numbers,
+    slot_coordinates,
+)  # fmt: skip
 from octex.source.surface import Surface, flip_v
-from octex.source.tangents import corner_frames
 
 _LISTED = 5
 
@@ -44,63 +49,38 @@ def load_obj(path: Path, options: Options) -> Surface:
     vertices = _numbers(text.vertices, 3, name, "v")
     positions = np.ascontiguousarray(vertices[:, :3])
     indices, sizes = _faces(text, name)
-    corners, polygons = triangulate(positions, np.ascontiguousarray(indices[:, 0]), sizes)
-    triangles = indices[corners, 0].astype(np.int32)
-    if len(triangles) == 0:
-        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    shape = cut_shape(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
+    triangles, corners = shape.triangles, shape.corners
     colors = uv = frames = None
     if vertices.shape[1] >= 6:
-        colors = Corners(_vertex_colors(vertices[:, 3:6]), triangles)
+        colors = Corners(guessed_colors(vertices[:, 3:6]), triangles)
     numbers, known = np.zeros(len(triangles), np.int32), [Description()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
-        known, numbers, files = _bind(text, path, polygons, len(sizes), options)
+        known, numbers, files = _bind(text, path, shape.numbers, len(sizes), options)
     coordinates: list[Corners] = []
     rows = indices[corners, 1]
-    if options.materials and (any(each.transforms for each in known) or (rows >= 0).all()):
-        uv, *coordinates = _coordinates(text, known, numbers, rows, name)
-    mapped_at = [each.material.normal_slot for each in known]
-    slots = np.array([-1 if slot is None else slot for slot in mapped_at])[numbers]
-    is_mapped = uv is not None and bool((slots >= 0).any())
+    described = dict(enumerate(known))
+    if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
+        upright, bound = _coordinates(text, known, numbers, rows, name)
+        uv = Corners(flip_v(upright), bound)
+        coordinates = slot_coordinates(described, numbers, lambda _: (upright, bound))
+    is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
-        frames = corner_frames(
-            positions,
-            triangles,
-            normals,
-            None,
-            Corners.chosen([*coordinates, uv], slots) if uv is not None and is_mapped else None,
-        )
-    source = MaterialSource(
+        frames = frames_below(described, numbers, positions, triangles, normals, coordinates, uv)
+    part = Part(
+        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None, frames,
+        normals is not None, shape.polygons,
+    )  # fmt: skip
+    return assembled(
+        [part],
         [each.material for each in known],
-        numbers,
-        positions,
-        triangles,
-        colors=colors,
-        coordinates=coordinates,
-        frames=frames,
-        name=name,
-        filter=options.filter,
-        channels=options.channels,
-    )
-    provenance = {"files": json.dumps(files, sort_keys=True)} if files else {}
-    return Surface(
-        positions,
-        triangles,
-        source,
-        uv=uv if (rows >= 0).all() else None,
-        frames=frames if normals is not None else None,
-        polygons=cut_polygons(corners, polygons, sizes),
+        options,
+        name,
+        provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         creases=_creases(text.tags, len(positions), name),
-        name=name,
-        provenance=provenance,
     )
-
-
-def _vertex_colors(given: Float64s) -> Float32s:
-    """Return linear colours of values in 0 … 1, or 0 … 255 if any is above 1; white where there are none."""
-    largest = float(np.nanmax(given, initial=0.0))
-    return screen_colors(np.nan_to_num(given / (255.0 if largest > 1.0 else 1.0), nan=1.0))
 
 
 class _Text:
@@ -220,13 +200,12 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
     for column, listed in ((1, text.coordinates), (2, text.normals)):
         if not listed:  # some exporters count what they leave out
             corners[:, column] = -1
-    _check(corners[:, 0], 0, len(text.vertices), name, "vertex")
-    _check(corners[:, 1], -1, len(text.coordinates), name, "texture coordinate")
+    _check(corners[:, 1], len(text.coordinates), name, "texture coordinate")
     return corners, sizes
 
 
-def _check(used: Int64s, lowest: int, limit: int, name: str, what: str) -> None:
-    if used.size and not lowest <= used.min() <= used.max() < limit:
+def _check(used: Int64s, limit: int, name: str, what: str) -> None:
+    if used.size and not -1 <= used.min() <= used.max() < limit:
         raise ModelError(f"{name}: a face uses a {what} that is not among the {limit}; export it again")
 
 
@@ -318,14 +297,10 @@ def _without_materials(name: str, lost: list[str], library: Library, libraries: 
 
 
 def _coordinates(
-    text: _Text,
-    known: list[Description],
-    numbers: Int32s,
-    rows: Int64s,
-    name: str,
-) -> list[Corners]:
-    """Bind texture coordinates, as they are and then, slot by slot, as each material's maps change them."""
-    textured = np.array([bool(each.transforms) for each in known])[numbers]
+    text: _Text, known: list[Description], numbers: Int32s, rows: Int64s, name: str
+) -> tuple[Float64s, Int32s]:
+    """Return texture coordinates (n, 2), v up, and the row of each corner."""
+    textured = np.array([bool(each.slots) for each in known])[numbers]
     lacking = int((rows[textured] < 0).any(axis=1).sum())
     if lacking:
         said = f"{name} has {lacking} textured triangles without texture coordinates: they read one texel"
@@ -336,22 +311,12 @@ def _coordinates(
     plain = np.where(np.isnan(plain), 0.0, plain)[:, :2]
     if lacking:  # as elsewhere, at (0, 0)
         plain = np.append(plain, np.zeros((1, 2)), axis=0)
-    rows = np.where(rows < 0, max(len(plain) - 1, 0), rows)
-    found = [Corners(flip_v(plain), rows.astype(np.int32))]
-    for slot in range(max(len(each.transforms) for each in known)):
-        values, bound = [found[0].values], rows.copy()
-        for number, each in enumerate(known):
-            if slot < len(each.transforms) and each.transforms[slot] != Transform():
-                scale, offset = each.transforms[slot]
-                bound[numbers == number] += len(plain) * len(values)
-                values.append(flip_v(plain * scale + offset))
-        found.append(Corners(np.concatenate(values), bound.astype(np.int32)))
-    return found
+    return plain, np.where(rows < 0, max(len(plain) - 1, 0), rows).astype(np.int32)
 
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, not numbers where there are none."""
-    _check(rows, -1, len(text.normals), name, "normal")
+    _check(rows, len(text.normals), name, "normal")
     given = _numbers(text.normals, 3, name, "vn")[:, :3]
     lacking = (rows < 0).any(axis=1)
     if lacking.all():

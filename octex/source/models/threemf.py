@@ -26,8 +26,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.meshfiles import colored_surface, cut_shape
-from octex.source.models.options import Options
+from octex.source.models.reading import Options, colored_surface, cut_shape
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -280,10 +279,10 @@ def _tag(element: Element) -> str:
 
 def _within(element: Element, *names: str) -> list[Element]:
     """Return the elements that a path of names leads to."""
-    found = [element]
+    elements = [element]
     for name in names:
-        found = [each for one in found for each in one if _tag(each) == name]
-    return found
+        elements = [each for one in elements for each in one if _tag(each) == name]
+    return elements
 
 
 def _path(element: Element, part: str) -> str:

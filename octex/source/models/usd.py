@@ -9,23 +9,19 @@ from __future__ import annotations
 import json
 import warnings
 from collections import Counter
-from collections.abc import Mapping
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
 from octex.errors import MissingExtraError, ModelError, ModelWarning
 from octex.files import is_absolute
-from octex.source.corners import Corners, Frames, Polygons
-from octex.source.materials import MaterialSource
-from octex.source.models.options import Options
+from octex.source.corners import Corners, Polygons
 from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.usd_materials import Bound, Materials, Slot
+from octex.source.models.reading import Description, Options, Part, assembled, frames_below, slot_coordinates
+from octex.source.models.usd_materials import Materials
 from octex.source.surface import Surface, flip_v
-from octex.source.tangents import corner_frames, transformed
 
 #: How a primvar's values are spread; as in UsdGeom's tokens.
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
@@ -70,20 +66,6 @@ def _refuse_absolute(stage: Any, name: str) -> None:
                 )
 
 
-class _Shape(NamedTuple):
-    """A mesh in its own space, and what is bound to its corners."""
-
-    positions: Float64s
-    triangles: Int32s
-    materials: Int32s  # (m,)   the number of each triangle's
-    colors: Corners | None
-    coordinates: list[Corners]
-    uv: Corners | None
-    frames: Frames | None
-    is_smooth: bool
-    polygons: Polygons
-
-
 class _Scene:
     """Collects the meshes of a stage into one surface."""
 
@@ -94,85 +76,26 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
         self._materials = Materials(name, options)
-        self._lacking: dict[str, list[str]] = {}  # meshes without coordinates that are asked for, by name
+        self._lacking: dict[
+            str, dict[str, None]
+        ] = {}  # meshes without coordinates that are asked for, by name
 
     def surface(self) -> Surface:
         """Return all that is shown."""
-        prims = self._shown()
-        materials = {prim.GetPath(): self._bound(prim) for prim in prims}
-        mapped = any(
-            bound.material.normal_slot is not None
-            for _, every in materials.values()
-            for bound in every.values()
+        prims = [(prim, *self._materials_of(prim)) for prim in self._shown()]
+        has_frames = self._options.normals or any(
+            each.material.normal_slot is not None for _, _, known in prims for each in known.values()
         )
-        shapes = [
-            (self._placed(prim), shape)
-            for prim in prims
-            if len((shape := self._shape(prim, *materials[prim.GetPath()], mapped)).triangles)
-        ]
+        parts = [part for prim in prims if len((part := self._part(*prim, has_frames=has_frames)).triangles)]
         for name, meshes in self._lacking.items():
             more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
-            text = f"{self._name}: {meshes[0]}{more} lack the primvar {name}: images are read at (0, 0) there"
-            warnings.warn(text, ModelWarning, stacklevel=2)
-        if not shapes:
+            text = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
+            warnings.warn(f"{text}: images are read at (0, 0) there", ModelWarning, stacklevel=2)
+        if not parts:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not points or curves")
-        has_normals = mapped or (self._options.normals and any(each.is_smooth for _, each in shapes))
-        positions, triangles, frames, polygons = [], [], [], []
-        first = number = 0
-        for matrix, shape in shapes:
-            linear = matrix[:3, :3]
-            # A mirroring transform turns triangles inside out.
-            order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
-            with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
-                positions.append(shape.positions @ linear.T + matrix[:3, 3])
-            triangles.append(shape.triangles[:, order] + np.int32(first))
-            first += len(shape.positions)
-            polygons.append(
-                Polygons(shape.polygons.numbers + np.int32(number), shape.polygons.corners[:, order])
-            )
-            number += int(shape.polygons.numbers.max()) + 1
-            if shape.frames is not None:
-                turned = transformed(shape.frames, linear)
-                frames.append(Frames(*(each._replace(rows=each.rows[:, order]) for each in turned)))
-
-        def joined(parts: list[Corners | None], default: float) -> Corners | None:
-            """Join what is bound to corners of all meshes; those without it get the default."""
-            if all(part is None for part in parts):
-                return None
-            width = next(part.values.shape[1] for part in parts if part is not None)
-            every = []
-            for part, (matrix, shape) in zip(parts, shapes, strict=True):
-                if part is None:
-                    none = np.full((1, width), default, np.float32)
-                    part = Corners(none, np.zeros(shape.triangles.shape, np.int32))
-                elif np.linalg.det(matrix[:3, :3]) < 0:
-                    part = part._replace(rows=part.rows[:, ::-1])
-                every.append(part)
-            return Corners.joined(every)
-
-        vertices, faces = np.concatenate(positions), np.concatenate(triangles)
-        made = None
-        if has_normals:
-            made = Frames(
-                Corners.joined([each.normals for each in frames]),
-                Corners.joined([each.tangents for each in frames]),
-            )
-        slots = zip_longest(*(shape.coordinates for _, shape in shapes))
-        coordinates = [joined(list(slot), 0.0) for slot in slots]
-        source = MaterialSource(
-            self._materials.every, np.concatenate([shape.materials for _, shape in shapes]), vertices, faces,
-            colors=joined([shape.colors for _, shape in shapes], 1.0),
-            coordinates=[each for each in coordinates if each is not None], frames=made, name=self._name,
-            filter=self._options.filter, channels=self._options.channels,
-        )  # fmt: skip
-        uvs = [shape.uv for _, shape in shapes]
-        whole = Polygons(*(np.concatenate(parts) for parts in zip(*polygons, strict=True)))
         files = self._materials.files
-        return Surface(
-            vertices, faces, source,
-            uv=None if any(each is None for each in uvs) else joined(uvs, 0.0),
-            frames=made if any(shape.is_smooth for _, shape in shapes) else None,
-            polygons=None if len(np.unique(whole.numbers)) == len(faces) else whole, name=self._name,
+        return assembled(
+            parts, [each.material for each in self._materials.known], self._options, self._name,
             provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         )  # fmt: skip
 
@@ -180,7 +103,7 @@ class _Scene:
         """Return the meshes that are visible and meant for renders."""
         from pxr import Usd, UsdGeom
 
-        found = []
+        meshes = []
         others: Counter[str] = Counter()
         every = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
         for prim in every:
@@ -197,14 +120,14 @@ class _Scene:
                 ):
                     continue
                 if prim.IsA(UsdGeom.Mesh):
-                    found.append(prim)
+                    meshes.append(prim)
                 else:
                     others[prim.GetTypeName()] += 1
         if others:
             listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
             text = f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes"
             warnings.warn(text, ModelWarning, stacklevel=2)
-        return found
+        return meshes
 
     def _placed(self, prim: Any) -> Float64s:
         """Return the matrix (4, 4) that takes a mesh to the world, in metres with y up."""
@@ -217,7 +140,7 @@ class _Scene:
         placed[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
         return np.asarray(placed, np.float64)
 
-    def _bound(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Bound]]:
+    def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
         """Return the faces of a mesh that materials other than its own are for, and all of its materials.
 
         These are by number; the mesh's own comes first.
@@ -233,11 +156,11 @@ class _Scene:
             number = self._materials.number(material, both)
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
             faces[number] = np.concatenate([faces.get(number, chosen[:0]), chosen])
-        return faces, {number: self._materials.bound[number] for number in faces}
+        return faces, {number: self._materials.known[number] for number in faces}
 
-    def _shape(
-        self, prim: Any, faces: dict[int, Int64s], materials: Mapping[int, Bound], is_mapped: bool
-    ) -> _Shape:
+    def _part(
+        self, prim: Any, faces: dict[int, Int64s], known: dict[int, Description], *, has_frames: bool
+    ) -> Part:
         from pxr import UsdGeom
 
         mesh, what = UsdGeom.Mesh(prim), f"{self._name}: {prim.GetPath()}"
@@ -251,79 +174,56 @@ class _Scene:
                 f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}; export it again"
             )
         _check_below(corners, len(positions), f"{what} uses a point")
-        cut, polygons = triangulate(positions, corners, sizes)
-        kept = _cut_polygons(cut, polygons, sizes)
-        holes = _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64)
-        is_shown = ~np.isin(polygons, holes)
-        cut, polygons, kept = (
-            cut[is_shown],
-            polygons[is_shown],
-            kept.of(np.flatnonzero(is_shown).astype(np.int32)),
-        )
+        cut, owners = triangulate(positions, corners, sizes)
+        polygons = cut_polygons(cut, owners, sizes)
+        is_shown = ~np.isin(owners, _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64))
+        cut, owners = cut[is_shown], owners[is_shown]
+        polygons = polygons and Polygons(*(each[is_shown] for each in polygons))
+        if len(np.unique(owners)) == len(owners):
+            polygons = None
         if mesh.GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
-            cut, kept = cut[:, ::-1], kept._replace(corners=kept.corners[:, ::-1])
+            cut, polygons = cut[:, ::-1], polygons and polygons._replace(corners=polygons.corners[:, ::-1])
         primvars = _Primvars(prim, self._time, what, corners, sizes, cut)
         triangles = corners[cut].astype(np.int32)
-        own = next(iter(materials))
-        numbers = np.full(len(sizes), own, np.int32)
+        numbers = np.full(len(sizes), next(iter(known)), np.int32)
         for number, chosen in faces.items():
             _check_below(chosen, len(sizes), f"{what} binds a material to a face")
             numbers[chosen] = number
-        numbers = numbers[polygons]
+        part = Part(positions, triangles, numbers[owners], polygons=polygons, matrix=self._placed(prim))
         if not self._options.materials:
-            white = np.zeros(len(triangles), np.int32)
-            return _Shape(positions, triangles, white, None, [], None, None, False, kept)
-        normals = primvars.normals() if is_mapped or self._options.normals else None
-        coordinates = [
-            self._slot(slot, numbers, materials, primvars)
-            for slot in range(max(len(each.slots) for each in materials.values()))
-        ]
-        frames = None
-        if is_mapped or self._options.normals:
-            slots = np.full(len(self._materials.every), -1)
-            for number, bound in materials.items():
-                slot = bound.material.normal_slot
-                slots[number] = -1 if slot is None else slot
-            none = Corners(np.zeros((1, 2), np.float32), np.zeros((len(numbers), 3), np.int32))
-            mapped = Corners.chosen([*coordinates, none], slots[numbers]) if is_mapped else None
-            frames = corner_frames(positions, triangles, normals, None, mapped)
-        first = next((slot.name for bound in materials.values() for slot in bound.slots), "st")
-        uv = primvars.corners(first, 2)
-        return _Shape(
-            positions, triangles, numbers, self._colors(numbers, materials, primvars), coordinates,
-            None if uv is None else uv._replace(values=flip_v(uv.values)), frames, normals is not None, kept,
-        )  # fmt: skip
+            return part._replace(materials=np.zeros(len(triangles), np.int32))
+        nowhere = Corners(np.zeros((1, 2), np.float32), np.zeros_like(triangles))
 
-    def _slot(
-        self, slot: int, numbers: Int32s, materials: Mapping[int, Bound], primvars: _Primvars
-    ) -> Corners:
-        """Bind the coordinates of a slot: each triangle's as its material reads them."""
-        values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
-        for number, bound in materials.items():
-            chosen = numbers == number
-            if slot >= len(bound.slots) or not chosen.any():
-                continue
-            asked: Slot = bound.slots[slot]
-            found = primvars.corners(asked.name, 2)
-            if found is None:
-                self._lacking.setdefault(asked.name, []).append(primvars.place)
-                found = Corners(np.zeros((1, 2), np.float32), np.zeros_like(rows))
-            values.append(flip_v(asked.applied(found.values)))
-            rows[chosen] = found.rows[chosen] + np.int32(first)
-            first += len(found.values)
-        return Corners(np.concatenate(values), rows)
+        def read(name: str) -> Corners:
+            read = primvars.corners(name, 2)
+            if read is None:
+                self._lacking.setdefault(name, {})[str(prim.GetPath())] = None
+            return read or nowhere
 
-    def _colors(self, numbers: Int32s, materials: Mapping[int, Bound], primvars: _Primvars) -> Corners | None:
+        coordinates = slot_coordinates(known, part.materials, read)
+        normals = primvars.normals() if has_frames else None
+        uv = primvars.corners(next((slot.name for each in known.values() for slot in each.slots), "st"), 2)
+        return part._replace(
+            colors=self._colors(part.materials, known, primvars),
+            coordinates=coordinates,
+            uv=uv and uv._replace(values=flip_v(uv.values)),
+            frames=frames_below(known, part.materials, positions, triangles, normals, coordinates, nowhere)
+            if has_frames
+            else None,
+            is_smooth=normals is not None,
+        )
+
+    def _colors(self, numbers: Int32s, known: dict[int, Description], primvars: _Primvars) -> Corners | None:
         """Return displayColor and displayOpacity where a material reads them; white elsewhere."""
         lanes = [primvars.corners("displayColor", 3), primvars.corners("displayOpacity", 1)]
         values = np.ones((len(numbers), 3, 4), np.float32)
-        for columns, found, reads in zip(
+        for columns, corners, reads in zip(
             (slice(3), slice(3, 4)), lanes, ("reads_color", "reads_opacity"), strict=True
         ):
-            reading = [number for number, bound in materials.items() if getattr(bound, reads)]
+            reading = [number for number, each in known.items() if getattr(each, reads)]
             chosen = np.isin(numbers, reading)
-            if found is not None and chosen.any():
-                values[chosen, :, columns] = found.values[found.rows[chosen]]
+            if corners is not None and chosen.any():
+                values[chosen, :, columns] = corners.values[corners.rows[chosen]]
         if (values == 1.0).all():
             return None
         distinct, rows = np.unique(values.reshape(-1, 4), axis=0, return_inverse=True)
@@ -338,7 +238,7 @@ class _Primvars:
     ) -> None:
         from pxr import UsdGeom
 
-        self.what, self.place = what, str(prim.GetPath())
+        self.what = what
         self._mesh, self._api, self._time = UsdGeom.Mesh(prim), UsdGeom.PrimvarsAPI(prim), time
         self._rows = {
             "constant": np.zeros(triangles.shape, np.int64),
@@ -359,10 +259,10 @@ class _Primvars:
 
     def normals(self) -> Corners | None:
         """Return the normals, of which those that are a primvar come first."""
-        found = self.corners("normals", 3)
+        primvar = self.corners("normals", 3)
         values = self._mesh.GetNormalsAttr().Get(self._time)
-        if found is not None or values is None or not len(values):
-            return found
+        if primvar is not None or values is None or not len(values):
+            return primvar
         return self._spread("normals", values, 3, self._mesh.GetNormalsInterpolation(), None)
 
     def _spread(self, name: str, values: Any, width: int, spread: str, indices: Any) -> Corners:
@@ -393,8 +293,3 @@ def _check_below(numbers: Int64s, count: int, what: str) -> None:
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
         worst = numbers.min() if numbers.min() < 0 else numbers.max()
         raise ModelError(f"{what} {worst}, but there are {count}; export the model again")
-
-
-def _cut_polygons(cut: Int64s, polygons: Int64s, sizes: Int64s) -> Polygons:
-    made = cut_polygons(cut, polygons, sizes)
-    return Polygons.of_triangles(len(cut)) if made is None else made

@@ -8,18 +8,17 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from octex.arrays import Float64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
 from octex.errors import ImageError, ModelWarning
 from octex.files import is_absolute
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.options import Options
+from octex.source.models.reading import Description, Options, Slot
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
@@ -34,30 +33,6 @@ _READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
 
 
-class Slot(NamedTuple):
-    """A primvar of texture coordinates, and what is done to it before an image is read (UsdTransform2d)."""
-
-    name: str
-    scale: tuple[float, ...] = (1.0, 1.0)
-    rotation: float = 0.0  # degrees, counter-clockwise
-    translation: tuple[float, ...] = (0.0, 0.0)
-
-    def applied(self, coordinates: Any) -> Float64s:
-        """Return coordinates (n, 2), v up, scaled, turned, then moved."""
-        cos, sin = math.cos(math.radians(self.rotation)), math.sin(math.radians(self.rotation))
-        turned = (coordinates * np.array(self.scale)) @ np.array([[cos, sin], [-sin, cos]])
-        return np.asarray(turned + np.array(self.translation), np.float64)
-
-
-class Bound(NamedTuple):
-    """A material, the coordinates that its textures' slots stand for, and whether it reads vertex colours."""
-
-    material: Material
-    slots: tuple[Slot, ...] = ()
-    reads_color: bool = False
-    reads_opacity: bool = False
-
-
 class Materials:
     """The materials of a stage, numbered as they are met; each image is decoded once."""
 
@@ -65,46 +40,38 @@ class Materials:
         self._name, self._options = name, options
         self._numbers: dict[tuple[str, bool], int] = {}
         self._texels: dict[tuple[str, str], Texels] = {}
-        self.bound: list[Bound] = []
+        self.known: list[Description] = []
         self.files: dict[str, str] = {}
-
-    @property
-    def every(self) -> list[Material]:
-        """All materials met."""
-        return [each.material for each in self.bound]
 
     def number(self, material: Any, double_sided: bool) -> int:
         """Return the number of a material of the stage, of none the same: what it has is displayColor."""
         place = str(material.GetPath()) if material and self._options.materials else ""
         key = place, double_sided
         if key not in self._numbers:
-            bound = self._read(material) if place else _plain()
+            described = self._described(material) if place else _plain()
             name = material.GetPrim().GetName() if place else ""
-            made = bound.material._replace(name=name, double_sided=double_sided)
-            self._numbers[key] = len(self.bound)
-            self.bound.append(bound._replace(material=made))
+            made = described.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.known)
+            self.known.append(described._replace(material=made))
         return self._numbers[key]
 
-    def _read(self, material: Any) -> Bound:
+    def _described(self, material: Any) -> Description:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             place = material.GetPath()
             text = f"{self._name}: the material {place} is no UsdPreviewSurface, so it is white; convert it"
             warnings.warn(text, ModelWarning, stacklevel=2)
             return _plain()
-        return self._described(shader)
-
-    def _described(self, shader: Any) -> Bound:
         inputs: dict[str, Input] = {"base_color": Input(_GREY)}
         slots: dict[Slot, int] = {}
         vertex: set[str] = set()
         has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
         left_out = "metallic" if has_specular else "specular"
         for channel, word in _CHANNELS.items():
-            found = None if channel == left_out else _producer(shader, word)
-            if found is None:
+            producer = None if channel == left_out else _producer(shader, word)
+            if producer is None:
                 continue
-            node, output, value = found
+            node, output, value = producer
             kind = None if node is None else node.GetIdAttr().Get()
             if kind == "UsdUVTexture":
                 made = self._textured(channel, node, output, slots)
@@ -127,7 +94,8 @@ class Materials:
             mode = "opaque"
             inputs.pop("alpha", None)
         material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
-        return Bound(material, tuple(slots), "base_color displayColor" in vertex, reads_opacity)
+        reads_color = "base_color displayColor" in vertex
+        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
 
     def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
         """Return what a channel that reads an image is made of; None for normals of no image."""
@@ -175,10 +143,10 @@ class Materials:
             space, ""
         )
         if (place, "") not in self._texels:
-            found = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
-            if found is None:
+            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
+            if file is None:
                 raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
-            data = bytes(found.GetBuffer())
+            data = bytes(file.GetBuffer())
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
             self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
         if (place, change) not in self._texels:
@@ -186,10 +154,10 @@ class Materials:
         return self._texels[place, change]
 
 
-def _plain() -> Bound:
+def _plain() -> Description:
     """Return the material of what has none: its displayColor, or white."""
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
-    return Bound(material, (), True, False)
+    return Description(material, reads_color=True)
 
 
 def _changed(texels: Texels, change: str) -> Texels:
@@ -227,21 +195,21 @@ def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
 
 def _value(shader: Any, name: str, default: Any) -> Any:
     """Return the value of an input, the default where none is given."""
-    found = _producer(shader, name)
-    return default if found is None or found[2] is None else found[2]
+    producer = _producer(shader, name)
+    return default if producer is None or producer[2] is None else producer[2]
 
 
 def _slot(node: Any) -> Slot:
     """Return the coordinates that an image is read at."""
-    found = _producer(node, "st")
+    producer = _producer(node, "st")
     scale: tuple[float, ...] = (1.0, 1.0)
     translation: tuple[float, ...] = (0.0, 0.0)
     rotation = 0.0
-    if found is not None and found[0] is not None and found[0].GetIdAttr().Get() == "UsdTransform2d":
-        turn = found[0]
+    if producer is not None and producer[0] is not None and producer[0].GetIdAttr().Get() == "UsdTransform2d":
+        turn = producer[0]
         scale = tuple(map(float, _value(turn, "scale", scale)))
         rotation = float(_value(turn, "rotation", rotation))
         translation = tuple(map(float, _value(turn, "translation", translation)))
-        found = _producer(turn, "in")
-    name = "st" if found is None or found[0] is None else str(_value(found[0], "varname", "st"))
-    return Slot(name, scale, rotation, translation)
+        producer = _producer(turn, "in")
+    name = "st" if producer is None or producer[0] is None else str(_value(producer[0], "varname", "st"))
+    return Slot(name, scale, -math.radians(rotation), translation)  # v runs up here

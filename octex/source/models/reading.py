@@ -1,0 +1,317 @@
+"""What readers of models share: what is wanted, numbers in text, coordinates of images, and parts as one."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from octex.errors import ModelError, ModelWarning
+from octex.source.corners import Corners, Creases, Frames, Polygons
+from octex.source.images.decode import global_settings
+from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
+from octex.source.models.polygons import cut_polygons, triangulate
+from octex.source.surface import Surface, flip_v
+from octex.source.tangents import corner_frames, transformed
+
+AnyArray = TypeVar("AnyArray", Float32s, Float64s, Int32s)
+
+
+class Options(NamedTuple):
+    """What to read of a model besides its geometry, and how its images are filtered."""
+
+    materials: bool = True  # without them a surface is white, and no image is read
+    channels: tuple[str, ...] | None = None  # None: every channel that the materials state
+    filter: str = "ewa"
+    without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
+    normals: bool = False  # the model's own, also where no normal map needs them
+    pose: str | None = None  # NAME@SECONDS of an animation; None: as it rests
+
+    def wants(self, channel: str) -> bool:
+        """Say whether a channel is to be read."""
+        is_named = self.channels is None or channel in self.channels
+        return self.materials and is_named and channel not in self.without
+
+    def wants_image(self, channel: str) -> bool:
+        """Say whether a channel's image is to be read; colour is averaged by coverage: alpha comes along."""
+        pair = ("base_color", "alpha")
+        return any(map(self.wants, pair)) if channel in pair else self.wants(channel)
+
+
+def parse_numbers(text: str) -> Float64s | None:
+    """Return the numbers of a text that blanks and line ends part; None if there is anything else."""
+    with global_settings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            return np.fromstring(text, np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            return None
+
+
+def whole_numbers(values: Array) -> Int64s:
+    """Return values as indices; −1 for those that are none."""
+    numbers = values.astype(np.float64)
+    return np.where((np.abs(numbers) < 2**31) & (numbers == np.floor(numbers)), numbers, -1).astype(np.int64)
+
+
+class Slot(NamedTuple):
+    """A set of texture coordinates, and what is done to it before an image is read."""
+
+    name: str = ""  # "" where a model has one set
+    scale: tuple[float, ...] = (1.0, 1.0)
+    rotation: float = 0.0  # radians, counter-clockwise on an image whose v runs down
+    offset: tuple[float, ...] = (0.0, 0.0)
+
+    def applied(self, coordinates: Array) -> Array:
+        """Return coordinates (n, 2) scaled, turned, then moved."""
+        if self == Slot(self.name):
+            return coordinates
+        scaled = coordinates * np.array(self.scale)
+        if self.rotation:
+            cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+            scaled = scaled @ np.array([[cos, -sin], [sin, cos]])
+        return np.asarray(scaled + np.array(self.offset))
+
+
+class Description(NamedTuple):
+    """A material, and the coordinates of each slot that its textures name."""
+
+    material: Material = Material({"base_color": Input((1.0, 1.0, 1.0))})
+    slots: tuple[Slot, ...] = ()
+    assumed: frozenset[str] = frozenset()  # of MTL: channels that only Ks or Ns speaks for
+    reads_color: bool = False  # of USD: vertex colours, and their alpha
+    reads_opacity: bool = False
+
+
+def slot_coordinates(
+    known: Mapping[int, Description], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
+) -> list[Corners]:
+    """Bind coordinates slot by slot, v down: those of each triangle (m,) as the material of its number reads.
+
+    ``read`` gives a set of coordinates (n, 2), v up, by its name, and the row of each corner (m, 3).
+    """
+    bound = []
+    for place in range(max(len(each.slots) for each in known.values())):
+        values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
+        readers: dict[Slot, list[int]] = {}
+        for number, each in known.items():
+            if place < len(each.slots):
+                readers.setdefault(each.slots[place], []).append(number)
+        for slot, materials in readers.items():
+            is_read = np.zeros(max(known) + 1, np.bool_)
+            is_read[materials] = True
+            chosen = is_read[numbers]
+            if chosen.any():
+                coordinates, of_corners = read(slot.name)
+                values.append(flip_v(slot.applied(coordinates)))
+                np.add(of_corners, np.int32(first), out=rows, where=chosen[:, None])
+                first += len(coordinates)
+        bound.append(Corners(np.concatenate(values), rows))
+    return bound
+
+
+def frames_below(
+    known: Mapping[int, Description],
+    numbers: Int32s,
+    positions: Float64s,
+    triangles: Int32s,
+    normals: Corners | None,
+    coordinates: Sequence[Corners],
+    otherwise: Corners | None,
+) -> Frames:
+    """Return frames at corners: along the coordinates of normal maps, along ``otherwise`` without one."""
+    slots = np.full(max(known) + 1, -1)
+    for number, each in known.items():
+        slot = each.material.normal_slot
+        slots[number] = -1 if slot is None else slot
+    places = slots[numbers]
+    mapped = None
+    if otherwise is not None and (slots >= 0).any():
+        mapped = Corners.chosen([*coordinates, otherwise], places)
+    return corner_frames(positions, triangles, normals, None, mapped)
+
+
+class Part(NamedTuple):
+    """A mesh in its own space, what is bound to its corners, and where a scene shows it."""
+
+    positions: Float64s
+    triangles: Int32s
+    materials: Int32s  # (m,)   the number of each triangle's
+    colors: Corners | None = None
+    coordinates: Sequence[Corners] = ()  # by slot
+    uv: Corners | None = None
+    frames: Frames | None = None
+    is_smooth: bool = False  # whether the file has normals
+    polygons: Polygons | None = None
+    matrix: Float64s | None = None  # to the world
+
+    def placed(self) -> Part:
+        """Return the part in the world."""
+        if self.matrix is None:
+            return self
+        linear, rows = self.matrix[:3, :3], self.triangles
+        with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+            positions = self.positions @ linear.T + self.matrix[:3, 3]
+            # A mirroring transform turns triangles inside out (glTF 2.0, 3.7.4).
+            order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
+        turned = self.triangles[:, order]
+
+        def ordered(corners: Corners) -> Corners:
+            return corners._replace(rows=turned if corners.rows is rows else corners.rows[:, order])
+
+        return self._replace(
+            positions=positions,
+            triangles=turned,
+            colors=self.colors and ordered(self.colors),
+            coordinates=[ordered(each) for each in self.coordinates],
+            uv=self.uv and ordered(self.uv),
+            frames=self.frames and Frames(*map(ordered, transformed(self.frames, linear))),
+            polygons=self.polygons and self.polygons._replace(corners=self.polygons.corners[:, order]),
+        )
+
+
+def assembled(
+    parts: Sequence[Part],
+    materials: Sequence[Material],
+    options: Options,
+    name: str,
+    *,
+    provenance: dict[str, str] | None = None,
+    posed: Float64s | None = None,
+    creases: Creases | None = None,
+) -> Surface:
+    """Return the parts of a scene as one surface; ``posed`` are other positions of its vertices (n, 3).
+
+    Where some parts have colours or coordinates, the others are white, and read images at (0, 0). ``uv`` of
+    the surface is what all parts have.
+    """
+    parts = [part.placed() for part in parts]
+    firsts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    positions = _concatenated([part.positions for part in parts])
+    triangles = _concatenated(
+        [part.triangles + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
+    )
+
+    def joined(attributes: Sequence[Corners | None], default: float) -> Corners | None:
+        width = next((each.values.shape[1] for each in attributes if each is not None), None)
+        if width is None:
+            return None
+        every = [
+            Corners(np.full((1, width), default, np.float32), np.zeros_like(part.triangles))
+            if each is None
+            else each
+            for part, each in zip(parts, attributes, strict=True)
+        ]
+        if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
+            return Corners(_concatenated([each.values for each in every]), triangles)
+        return Corners.joined(every)
+
+    is_smooth = any(part.is_smooth for part in parts)
+    is_mapped = any(each.normal_slot is not None for each in materials)
+    shaded = [part.frames for part in parts if part.frames is not None and (is_smooth or is_mapped)]
+    frames = Frames(*(Corners.joined(each) for each in zip(*shaded, strict=True))) if shaded else None
+    source = MaterialSource(
+        materials,
+        _concatenated([part.materials for part in parts]),
+        positions,
+        triangles,
+        colors=joined([part.colors for part in parts], 1.0),
+        coordinates=[
+            each
+            for slot in zip_longest(*(part.coordinates for part in parts))
+            if (each := joined(slot, 0.0)) is not None
+        ],
+        frames=frames,
+        name=name,
+        filter=options.filter,
+        channels=options.channels,
+    )
+    uvs = [part.uv for part in parts]
+    return Surface(
+        positions if posed is None else posed,
+        triangles,
+        source,
+        rest=None if posed is None else positions,
+        uv=None if any(each is None for each in uvs) else joined(uvs, 0.0),
+        frames=frames if is_smooth else None,
+        polygons=Polygons.joined([(part.polygons, len(part.triangles)) for part in parts]),
+        creases=creases,
+        name=name,
+        provenance=provenance,
+    )
+
+
+def _concatenated(arrays: Sequence[AnyArray]) -> AnyArray:
+    """Return arrays as one; a lone one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+class Shape(NamedTuple):
+    """Polygons, cut into triangles."""
+
+    positions: Float64s
+    triangles: Int32s
+    corners: Int64s  # (triangles, 3)   which of all corners of polygons each corner is
+    numbers: Int64s  # (triangles,)     the polygon of each
+    polygons: Polygons | None
+
+    def colors(self, of_vertices: Float32s | None, of_polygons: Float32s | None) -> Corners | None:
+        """Bind the colours of vertices, or else of polygons."""
+        if of_vertices is not None:
+            return Corners(of_vertices, self.triangles)
+        if of_polygons is not None:
+            return Corners(of_polygons, np.repeat(self.numbers.astype(np.int32), 3).reshape(-1, 3))
+        return None
+
+
+def cut_shape(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> Shape:
+    """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
+    if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
+        text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
+        raise ModelError(text)
+    corners, numbers = triangulate(positions, indices, sizes)
+    if len(corners) == 0:
+        raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
+    triangles = indices[corners].astype(np.int32)
+    return Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
+
+
+def colored_surface(
+    name: str,
+    options: Options,
+    shape: Shape,
+    colors: Corners | None,
+    textures: Sequence[Texture | None] = (None,),
+    numbers: Int32s | None = None,
+    coordinates: Corners | None = None,
+) -> Surface:
+    """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
+    if colors is not None and not colors.values[colors.rows, 3].any():
+        colors = colors._replace(values=opaque(colors.values, name))
+    translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
+    mode: AlphaMode = "blend" if translucent else "opaque"
+    materials = [
+        Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
+        for each in textures
+    ]
+    if numbers is None:
+        numbers = np.zeros(len(shape.triangles), np.int32)
+    slots = () if coordinates is None else (coordinates,)
+    part = Part(
+        shape.positions, shape.triangles, numbers, colors, slots, coordinates, polygons=shape.polygons
+    )
+    return assembled([part], materials, options, name)
+
+
+def opaque(colors: Float32s, name: str) -> Float32s:
+    """Return colours with alpha 1: such as some programs write with 0 throughout, and show all the same."""
+    text = f"{name}: all its colours have alpha 0, which would show nothing, so it is left out"
+    warnings.warn(text + "; export them with 255", ModelWarning, stacklevel=2)
+    made = colors.copy()
+    made[:, 3] = 1.0
+    return made
