@@ -314,7 +314,9 @@ def _convert_run(job: Job, run: Run) -> Part:
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
     if job.has_samples:
-        taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
+        taken = take_samples(
+            surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+        )
     return Part(pieces.codes, gaps, levels, top, taken, wanted)
 
 
