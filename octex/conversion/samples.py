@@ -406,7 +406,7 @@ def _place(
     found: Float32s,
     places: Uint16s,
 ) -> None:
-    """Write where samples lie in their cells; make what is ``found`` for means, of one piece, that of all."""
+    """Write the samples' places in their cells; write the means of all pieces over what one piece has."""
     cells = new_array(chosen.order.size, np.int32)
     n = 0
     for cell in range(chosen.counts.size):
@@ -438,7 +438,8 @@ def _place(
         middles[row, 1] += area * (y - middles[row, 1])
         middles[row, 2] += area * (z - middles[row, 2])
         for k in range(values.shape[1]):
-            found[row, k] += (area if k == alpha else weight) * (values[piece, k] - found[row, k])
+            part = area if k == alpha else weight  # a difference of infinities would be no number
+            found[row, k] = (1.0 - part) * np.float64(found[row, k]) + part * np.float64(values[piece, k])
     for n in range(chosen.order.size):
         row = chosen.order[n]
         u, v, w = decode(pieces.codes[cells[row]])
