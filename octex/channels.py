@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, ChannelCodes, Float32s, Float64s, Floats, Uint8s, Uint16s
+from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 
 #: ``srgb``: stored with the sRGB transfer curve; ``linear``: light, as it is; ``data``: not light;
@@ -48,6 +49,9 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: Averages weigh by alpha, but by no less: where nothing covers a cell its colour is still a mean.
 LEAST_COVERAGE = 2.0**-40
 
+#: Values by so much above 1 or below 0 are rounded: half a code of 16 bits is twice that.
+_ROUNDING = 2.0**-18
+
 #: The channels of materials, with glTF's names, in the order in which a texture holds them; and one that says
 #: how fine the others are to be kept, 1 for the finest.
 CHANNELS = {
@@ -70,6 +74,21 @@ def linear_to_srgb(linear: npt.ArrayLike) -> Float64s:
     return np.where(
         linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     )
+
+
+def check_range(values: Floats, form: ChannelFormat, dtype: str, name: str = "") -> None:
+    """Refuse decoded values of a channel of floats that ``dtype`` cannot hold.
+
+    ``name`` says in messages whose channel it is.
+    """
+    if not dtype.startswith("u") or not form.dtype.startswith("float") or form.space == "direction":
+        return
+    for is_beyond, where in ((values > 1 + _ROUNDING, "above 1"), (values < -_ROUNDING, "below 0")):
+        if is_beyond.any():
+            raise ArgumentError(
+                f"{name}{': ' * bool(name)}channel {form.name!r} goes {where}, which {dtype} cannot hold; "
+                "give it the dtype float16 or float32"
+            )
 
 
 @cache

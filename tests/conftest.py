@@ -39,6 +39,14 @@ def no_helpers() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let commands keep what is the user's in a folder of the tests."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let commands draw small previews: theirs have 13 million samples."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import octex
@@ -193,7 +194,7 @@ def test_a_texture_holds_nothing_that_is_not_finite() -> None:
         ({"dtype": {"alpha": "uint8"}}, "unknown channel of dtype 'alpha'; there are: base_color, metallic"),
         (
             {"dtype": "uint16"},
-            "surface: channel 'emissive' may go above 1, which uint16 cannot hold; give it",
+            "surface: channel 'emissive' goes above 1, which uint16 cannot hold; give it",
         ),
         ({"filter": "sharp"}, "unknown filter 'sharp'; there are: nearest, bilinear"),
         ({"sources": {"paint": 0.5}}, "unknown channel 'paint'; there are: base_color, "),
@@ -204,6 +205,24 @@ def test_names_that_are_not_there_and_types_that_do_not_fit_are_refused(
 ) -> None:
     with pytest.raises(ArgumentError, match=message):
         octex.convert(whole(), depth=3, **options)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("fit", [False, True])
+def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_give(
+    dtype: str, fit: bool
+) -> None:
+    def glow(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.clip(2 * points, 0, 1)
+
+    texture = octex.convert(tetrahedron(), 5, sources={"emissive": glow}, dtype={"emissive": dtype}, fit=fit)
+    form = texture.channels["emissive"].format
+    assert (form.dtype, form.space) == (dtype, "srgb")
+    points = tetrahedron().scatter(500, seed=1)
+    assert np.abs(texture.sample(points.rest, "emissive") - glow(points.rest)).max() < 0.1
+    bright = {"emissive": lambda points: 2 * points}
+    with pytest.raises(ArgumentError, match=f"surface: channel 'emissive' goes above 1, which {dtype} "):
+        octex.convert(tetrahedron(), 5, sources=bright, dtype={"emissive": dtype}, fit=fit)
 
 
 def test_sources_of_ones_own_replace_channels_and_add_to_them() -> None:

@@ -163,23 +163,26 @@ def test_the_studio_turns_with_the_camera():
     assert np.allclose(here, there, atol=1e-5)
 
 
-#: Colour, metallic and roughness of balls, and their mean sRGB codes within 0.89 of the radius, seen from
-#: eight sides in three.js 0.170: RoomEnvironment, NeutralToneMapping, exposure 1.
+#: Colour, metallic and roughness of balls; their mean sRGB codes within 0.89 of the radius, seen from eight
+#: sides in three.js 0.170: RoomEnvironment, NeutralToneMapping, exposure 1; and how grey their darkest
+#: twentieth, quarter and half are.
 _ROOM = [
-    ((0.0, 0.0, 0.0), 0, 0.5, (25, 25, 25)),
-    ((0.02, 0.02, 0.02), 0, 0.3, (45, 45, 45)),
-    ((0.18, 0.18, 0.18), 0, 0.6, (126, 126, 126)),
-    ((0.8, 0.8, 0.8), 0, 0.6, (228, 228, 228)),
-    ((0.7, 0.05, 0.05), 0, 0.4, (220, 70, 70)),
-    ((1.0, 0.78, 0.34), 1, 0.2, (207, 180, 114)),
-    ((0.9, 0.9, 0.9), 1, 0.05, (182, 182, 182)),
-    ((0.9, 0.9, 0.9), 1, 0.35, (212, 212, 212)),
-    ((0.3, 0.3, 0.3), 1, 0.4, (126, 126, 126)),
+    ((0.0, 0.0, 0.0), 0, 0.5, (25, 25, 25), (7, 10, 15)),
+    ((0.02, 0.02, 0.02), 0, 0.3, (45, 45, 45), (21, 29, 31)),
+    ((0.18, 0.18, 0.18), 0, 0.6, (126, 126, 126), (92, 98, 121)),
+    ((0.8, 0.8, 0.8), 0, 0.6, (228, 228, 228), (192, 206, 237)),
+    ((0.7, 0.05, 0.05), 0, 0.4, (220, 70, 70), (91, 94, 112)),
+    ((1.0, 0.78, 0.34), 1, 0.2, (207, 180, 114), (106, 148, 176)),
+    ((0.9, 0.9, 0.9), 1, 0.05, (182, 182, 182), (99, 152, 202)),
+    ((0.9, 0.9, 0.9), 1, 0.35, (212, 212, 212), (167, 198, 205)),
+    ((0.3, 0.3, 0.3), 1, 0.4, (126, 126, 126), (78, 100, 107)),
 ]
 
 
-@pytest.mark.parametrize(("color", "metallic", "roughness", "codes"), _ROOM)
-def test_materials_are_as_bright_in_the_studio_as_in_the_room_of_three_js(color, metallic, roughness, codes):
+@pytest.mark.parametrize(("color", "metallic", "roughness", "codes", "greys"), _ROOM)
+def test_materials_are_as_bright_and_as_dark_in_the_studio_as_in_the_room_of_three_js(
+    color, metallic, roughness, codes, greys
+):
     x, y = np.meshgrid(*[np.linspace(-0.89, 0.89, 41)] * 2)
     inside = x**2 + y**2 < 0.89**2
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)[inside]
@@ -189,7 +192,10 @@ def test_materials_are_as_bright_in_the_studio_as_in_the_room_of_three_js(color,
         roughness=np.full(len(normals), roughness),
     )
     light = lit(seen, Environment.studio(), AHEAD, np.zeros_like(normals), normals, normals).reflected
-    assert np.abs(encode(light, "uint8", "srgb").mean(axis=0) - codes).max() < 12
+    found = encode(light, "uint8", "srgb").astype(float)
+    assert np.abs(found.mean(axis=0) - codes).max() < 12
+    darkest = np.quantile(found.mean(axis=1), [0.05, 0.25, 0.5])
+    assert (np.abs(darkest - greys) < 7 + 0.1 * np.array(greys)).all()
 
 
 def test_tone_mapping_keeps_colours_below_white_and_compresses_light_beyond():

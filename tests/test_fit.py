@@ -228,23 +228,38 @@ def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
     assert depth or np.abs(ours - theirs).max() < 128
 
 
-@pytest.mark.parametrize("channel", ["base_color", "roughness"])
-@pytest.mark.parametrize("depth", [0, 1, 2])
-def test_leaves_whose_samples_all_miss_what_is_in_them_keep_their_means(channel: str, depth: int) -> None:
-    x, y = (each.ravel() / 24 for each in np.meshgrid(np.arange(12, 24), np.arange(24)))
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / 24
-    small = (np.stack([x, y], axis=1)[:, None] + square).reshape(-1, 2)
-    flat = np.concatenate([square * [12, 24], small])  # one half is two triangles, the other many
+def tiles(across: int, first: int = 0) -> Surface:
+    """A slanted square of small squares; up to column ``first`` it is two large triangles."""
+    corners = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / across
+    x, y = (each.ravel() / across for each in np.meshgrid(np.arange(first, across), np.arange(across)))
+    small = (np.stack([x, y], axis=1)[:, None] + corners).reshape(-1, 2)
+    flat = np.concatenate([corners * [first, across], small]) if first else small
     vertices = np.column_stack([flat, 0.2 * flat[:, 0] + 0.1 * flat[:, 1]])
-    triangles = (4 * np.arange(len(flat) // 4)[:, None, None] + HALVES).reshape(-1, 3)
+    triangles = 4 * np.arange(len(flat) // 4)[:, None, None] + HALVES
+    return Surface.from_arrays(vertices, triangles.reshape(-1, 3).astype(np.int32))
 
+
+@pytest.mark.parametrize("depth", range(6))
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+@pytest.mark.parametrize(("across", "first"), [(24, 12), (24, 0), (96, 0)])
+def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_than_means(
+    across: int, first: int, channel: str, depth: int
+) -> None:
     def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
         return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
 
-    surface = Surface.from_arrays(vertices, triangles).with_sources({channel: halves})
-    fitted, plain = (octex.convert(surface, depth, channels=[channel], fit=fit) for fit in (True, False))
-    assert np.abs(fitted.rows(channel) - plain.rows(channel)).max() <= 0.01
+    surface = tiles(across, first).with_sources({channel: halves})
+    points = surface.scatter(20_000, seed=1)
+    curve = linear_to_srgb if channel == "base_color" else np.asarray
+    truth = curve(halves(points.rest))
+    errors = []
+    for is_fitted in (False, True):
+        texture = octex.convert(surface, depth, channels=[channel], fit=is_fitted)
+        found = curve(np.clip(texture.sample(points.rest, channel), 0, 1))
+        errors.append(np.sqrt(np.mean((found.reshape(truth.shape) - truth) ** 2)))
+    plain, fitted = errors
+    assert fitted < (1.02 if depth < 3 else 1.0) * plain
 
 
 def test_a_cell_met_without_area_is_fitted_like_others() -> None:
@@ -405,6 +420,35 @@ def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> Non
     shares = samples.shares[np.repeat(counts == 2, counts)].reshape(-1, 2).astype(int)
     assert (np.abs(shares.sum(axis=1) - SHARE_STEPS) <= 1).all()
     assert shares.min() >= 0.09 * SHARE_STEPS
+
+
+def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_has() -> None:
+    surface = tiles(40)
+    rows = np.random.default_rng(2).random((len(surface.triangles), 2))
+    source = FaceSource((ROUGHNESS._replace(dtype="float32"), ALPHA._replace(dtype="float32")), rows)
+    surface = Surface(surface.rest, surface.triangles, source)
+    with ThreadPoolExecutor(1) as pool:
+        full, placement = filled(surface, 3, pool)
+    samples = full.samples
+    assert samples is not None
+    firsts = samples.firsts[:-1]
+    roughness, alpha = samples.values.T
+    shares = samples.shares.astype(float)
+
+    def mean(values: npt.NDArray[np.float64], weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.asarray(np.add.reduceat(values * weights, firsts) / np.add.reduceat(weights, firsts))
+
+    means = [np.concatenate([part.values[n] for part in full.levels[3]])[:, 0] for n in (0, 1)]
+    assert np.abs(mean(alpha, shares) - means[1]).max() < 0.02
+    assert np.abs(mean(roughness, shares * alpha) - means[0]).max() < 0.02
+    points = sample_points(samples, np.arange(len(shares)), placement)
+    middles = np.stack([mean(points[:, axis], shares) for axis in range(3)], axis=1)
+    scattered = surface.scatter(200_000, seed=0).rest
+    cells = np.floor(placement.to_texture_space(scattered) * 8).astype(np.int64)
+    for cell, middle in zip(decode_cells(samples.codes), middles, strict=True):
+        inside = (cells == cell).all(axis=1)
+        if inside.sum() > 1000:
+            assert np.abs(scattered[inside].mean(axis=0) - middle).max() < 0.03 * placement.size / 8
 
 
 def test_samples_of_fine_types_are_fine() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -319,37 +320,68 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
 
 
 @needs_jit
-def test_a_page_whose_server_ends_says_so_and_goes_on_with_the_next_one(browser: Any, tmp_path: Path) -> None:
-    surface, path = colored(ball(8)), tmp_path / "ball.octex"
-    octex.convert(surface, depth=3).save(path)
-    code = (
-        "import sys, octex, pathlib, octex.viewer; path = pathlib.Path(sys.argv[1]);"
-        "viewer = octex.viewer.Viewer(lambda: octex.open(path), path, None, port=int(sys.argv[2]));"
-        "viewer.token = sys.argv[3]; print(viewer.port, flush=True); viewer.run()"
-    )
+def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
+    browser: Any, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
+    octex.convert(surface, depth=5).save(path)
+    octex.convert(surface, depth=1).save(other)
 
-    def served(port: int) -> subprocess.Popen[str]:
-        words = [sys.executable, "-c", code, str(path), str(port), "t" * 22]
-        return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    def served(*words: str | Path) -> tuple[subprocess.Popen[str], str]:
+        code = "import sys; from octex.cli.main import main; sys.exit(main(['view', *sys.argv[1:]]))"
+        call = [sys.executable, "-c", code, *map(str, words), "--no-browser", "--quiet"]
+        server = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
+        request.addfinalizer(lambda: ended(server))
+        assert server.stdout is not None
+        return server, server.stdout.readline().strip()
 
     def ended(server: subprocess.Popen[str]) -> None:
         with server:
             server.kill()
 
-    first = served(0)
-    assert first.stdout is not None
-    port = int(first.stdout.readline())
-    page = opened(browser, f"http://127.0.0.1:{port}/{'t' * 22}/", (600, 400))
+    def until_said(text: str) -> None:
+        said = f"document.getElementById('status').textContent.includes({text!r})"
+        page.wait_for_function(said, timeout=20_000)
+
+    def until_depth(depth: int) -> None:
+        shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isComplete"
+        page.wait_for_function(shown, timeout=60_000)
+
+    server, url = served(path)
+    page = opened(browser, url, (800, 600))
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.locator("#filter").select_option("nearest")
+    page.evaluate("viewer.camera.orbit(1, 0)")
     assert page.locator("#status").inner_text() == ""
-    ended(first)
-    page.wait_for_function("document.getElementById('status').textContent.includes('lost')", timeout=20_000)
+    ended(server)
+    until_said("The connection is lost; it is tried again in")
     page.keyboard.press("ArrowLeft")  # what has come is still shown
-    octex.convert(surface, depth=2).save(path)
-    second = served(port)
-    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 2", timeout=60_000)
+    turn = page.evaluate("viewer.camera.turn")
+
+    port = str(urlsplit(url).port)
+    asked.clear()
+    server, _ = served(other, "--port", port)
+    until_said("Another program has its port")
+    assert asked
+    assert all(urlsplit(each).path == "/proof" for each in asked)  # the token is not sent
+    ended(server)
+
+    octex.convert(surface, depth=4).save(path)
+    server, again = served(path)
+    assert again == url
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    until_depth(4)
     assert page.locator("#status").inner_text() == ""
+    assert page.locator("#filter").input_value() == "nearest"
+    assert page.evaluate("viewer.camera.turn") == pytest.approx(turn)
+    ended(server)
+    until_said("The connection is lost")
+    server, _ = served(path)  # nothing has changed
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=20_000)
+    until_depth(4)
     page.close()
-    ended(second)
 
 
 def test_floats_are_shown_in_the_range_that_they_have() -> None:

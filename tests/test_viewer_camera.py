@@ -119,19 +119,22 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
 
 
 @needs_jit
-def test_a_page_whose_server_has_another_address_says_so_and_is_silent(browser: Any, tmp_path: Path) -> None:
-    path = tmp_path / "ball.octex"
+def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(
+    browser: Any, tmp_path: Path
+) -> None:
+    path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
-    with served(Viewer(lambda: octex.open(path), path, None)) as first:
+    with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
         page = opened(browser, first.url, (600, 300))
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         first.token = "another"
         first._ended.set()  # its pages lose their lines
-        page.wait_for_function("document.getElementById('status').textContent.includes('another address')")
-        count = len(asked)
+        page.wait_for_function("document.getElementById('status').textContent.includes('new address')")
         page.wait_for_timeout(2500)
-        assert len(asked) == count
+        assert all("/proof?" in each for each in asked)
+        assert len(asked) < 5
+        assert lines == []
         page.close()
 
 
@@ -143,14 +146,14 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser: A
     with served(viewer):
         page = opened(browser, viewer.url, (600, 300))
         page.route("**/events", lambda route: route.abort())
-        page.route("**/style.css", lambda route: route.abort())
+        page.route("**/proof*", lambda route: route.abort())
         viewer._ended.set()
         for seconds in (1, 2, 4):
             said = f"document.getElementById('status').textContent.includes('tried again in {seconds} s')"
             page.wait_for_function(said, timeout=20_000)
         viewer._ended.clear()
         page.unroute("**/events")
-        page.unroute("**/style.css")
+        page.unroute("**/proof*")
         page.wait_for_function("document.getElementById('status').textContent === ''", timeout=20_000)
         page.close()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import json
 import os
 import signal
@@ -22,6 +23,7 @@ from octex.cli.main import main
 from octex.errors import ExitCode, OutputError
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, server
+from octex.viewer.key import user_key
 from tests.painted import ball
 from tests.small_textures import eight_colors
 
@@ -197,6 +199,59 @@ def test_the_server_stops_when_the_last_page_is_gone(served: Served) -> None:
 def test_a_port_that_is_taken_is_said(served: Served) -> None:
     with pytest.raises(OutputError, match=f"port {served.viewer.port} of 127.0.0.1: .*; choose another"):
         Viewer(served.read, served.path, None, port=served.viewer.port)
+
+
+def test_with_a_key_the_address_of_a_path_is_the_same_each_time(tmp_path: Path) -> None:
+    def made(name: str, key: bytes, port: int = 0) -> Viewer:
+        eight_colors().save(tmp_path / name)
+        return Viewer(eight_colors, tmp_path / name, None, port=port, key=key)
+
+    def closed(viewer: Viewer) -> str:
+        viewer._server.server_close()
+        return viewer.url
+
+    first = closed(made("a.octex", b"key"))
+    viewer = made("a.octex", b"key")
+    assert viewer.url == first
+    second = made("a.octex", b"key")  # at the same time
+    assert (second.token, second.port != viewer.port) == (viewer.token, True)
+    tokens = [viewer.token]
+    for name, key in (("b.octex", b"key"), ("a.octex", b"other"), ("a.octex", b""), ("a.octex", b"")):
+        each = made(name, key)
+        tokens.append(each.token)
+        closed(each)
+    assert len(set(tokens)) == len(tokens)
+    assert {len(token) for token in tokens} == {22}
+    assert viewer.packed().header["version"] != second.packed().header["version"]
+    assert [closed(viewer), closed(second)][0] == first
+
+
+def test_a_proof_of_the_token_is_given_without_it_to_the_own_page_alone(served: Served) -> None:
+    status, body = served.ask("proof?abc", token="")
+    assert (status, body.decode()) == (200, hmac.digest(served.viewer.token.encode(), b"abc", "sha256").hex())
+    assert served.ask("proof?abc", token="", Origin="https://evil.example")[0] == 403
+    assert served.ask("proof?abc", token="", Host="rebound.example")[0] == 403
+    assert served.ask("proof", token="")[0] == 403
+
+
+def test_the_key_is_made_once_and_is_for_its_user_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    key, path = user_key(), tmp_path / "state" / "octex" / "viewer.key"
+    assert len(key) == 32
+    assert user_key() == key == path.read_bytes()
+    assert [each.name for each in path.parent.iterdir()] == [path.name]
+    if os.name == "posix":
+        assert path.stat().st_mode & 0o777 == 0o600
+        path.chmod(0o644)  # others may have read it
+        assert user_key() != key
+        assert path.stat().st_mode & 0o777 == 0o600
+    path.write_bytes(b"short")
+    assert len(user_key()) == 32
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    assert user_key() == b""
 
 
 def test_ctrl_c_ends_the_command(

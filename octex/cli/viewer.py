@@ -58,7 +58,10 @@ VIEW = Command(
             type=whole_number,
         ),
         option(
-            "--port", "the server's port on 127.0.0.1 (default: any free one)", metavar="N", type=port_number
+            "--port",
+            "the server's port on 127.0.0.1 (default: the file's own, if it is free)",
+            metavar="N",
+            type=port_number,
         ),
         option("--no-browser", "print the page's address, and do not open a browser", action="store_true"),
         *(each for each in RUNNING if each.word in ("--threads", "--quiet")),
@@ -113,9 +116,10 @@ def _view(options: argparse.Namespace, program: str) -> int:
                 return texture
 
         from octex.viewer import Viewer
+        from octex.viewer.key import user_key
 
-        port = options.port or 0
-        viewer = Viewer(read, options.TEXTURE, surface, motion=motion, port=port, log=progress.note)
+        port, key = options.port or 0, user_key()
+        viewer = Viewer(read, options.TEXTURE, surface, motion=motion, port=port, key=key, log=progress.note)
     say(viewer.url)
     if not options.no_browser:
         webbrowser.open(viewer.url)

@@ -157,7 +157,7 @@ def convert(
         surface = whole.with_channels(names)
     if cells is not None:
         surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
-    stored = formats_as(surface.channels, dtype, surface.name)
+    stored = formats_as(surface.channels, dtype)
     placement, depth = placed(surface, depth, cell)
     wanted = None if detail is None else wanted_levels(detail, whole, depth)
     has_samples = fit or most is not None

@@ -21,17 +21,7 @@ from octex.conversion import large
 from octex.conversion.cubes import CubeLookups, Heads
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
-from octex.conversion.solve import (
-    Codes,
-    Equations,
-    approach,
-    compare_samples,
-    covered,
-    diagonal,
-    residuals,
-    sweep,
-    transpose,
-)
+from octex.conversion.solve import Codes, Equations, approach, covered, diagonal, residuals, sweep, transpose
 from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
@@ -280,21 +270,16 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
             found = means.copy()
             rows = lookups.residuals(found, wanted, shares, components, is_light)
             equations = equations or lookups.equations()
-            is_flat, is_outside = compare_samples(equations, wanted, means)
-            stays = is_outside | is_fixed[:, None]
             approach(equations, rows, found)
-            np.copyto(found[: lookups.unknowns, :3], means[: lookups.unknowns, :3], where=stays)
+            found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
             rows = lookups.residuals(found, wanted, shares, components, is_light)
-            sums = diagonal(equations, rows)
+            sums, is_flat = diagonal(equations, rows, wanted)
             sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
             to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
             for turn in range(SWEEPS):
                 codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-                sweep(
-                    *(equations, rows, sums, is_flat, stays, means, components),
-                    *(*limits, codes, turn % 2, found),
-                )
+                sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
             values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
             coverage = values[:, group.columns[0]].copy()

@@ -7,17 +7,16 @@ from typing import TypeAlias
 
 from octex.channels import ONE, ChannelFormat
 from octex.checks import as_choice, as_entries
-from octex.errors import ArgumentError
 
 #: A stored type for all channels, for some by their names, or the source's own.
 Dtypes: TypeAlias = str | Mapping[str, str] | None
 
 
-def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> tuple[ChannelFormat, ...]:
-    """Return how the channels of a source, which messages call ``name``, are stored.
+def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFormat, ...]:
+    """Return how the channels of a source are stored.
 
     ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
-    unknown names and types, and an integer type for light whose source may go above 1.
+    unknown names and types. Whether an integer type holds a source's values shows when these are read.
     """
     names = [channel.name for channel in channels]
     wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
@@ -34,9 +33,6 @@ def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes, name: str) -> t
         if chosen.startswith("float"):
             space = "linear" if space == "srgb" else space
         elif space == "linear" and channel.dtype.startswith("float"):
-            raise ArgumentError(
-                f"{name}: channel {channel.name!r} may go above 1, which {chosen} cannot hold; "
-                "give it the dtype float16 or float32"
-            )
+            space = "srgb"
         formats.append(channel._replace(space=space, dtype=chosen))
     return tuple(formats)

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s, bit_counts
-from octex.channels import ALPHA, ChannelFormat, encode
+from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.accumulate import (
     SumColumns,
@@ -299,6 +299,10 @@ def _convert_run(job: Job, run: Run) -> Part:
     # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
     widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
     values = surface.evaluate_all(pieces.triangles, pieces.barycentric, widths)
+    end = 0
+    for given, stored in zip(surface.channels, job.channels, strict=True):
+        start, end = end, end + given.components
+        check_range(values[:, start:end], given, stored.dtype, surface.name)
     n_entries = count_entries(pieces.flags)
     sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(pieces.codes, pieces.flags, sums)
@@ -314,7 +318,9 @@ def _convert_run(job: Job, run: Run) -> Part:
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
     taken = None
     if job.has_samples:
-        taken = take_samples(surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels)
+        taken = take_samples(
+            surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+        )
     return Part(pieces.codes, gaps, levels, top, taken, wanted)
 
 

@@ -53,7 +53,7 @@ def convert_points(
     for name in names or ():
         as_choice(name, [form.name for form in forms], "channel")
     forms = [form for form in forms if names is None or form.name in names]
-    stored = formats_as(forms, dtype, cloud.name)
+    stored = formats_as(forms, dtype)
     bounds = np.array([cloud.points.min(axis=0), cloud.points.max(axis=0)])
     if cell is not None:
         placement, depth = Placement.with_cell(bounds, cell)

@@ -1,8 +1,9 @@
 """Points of the surface with the source's values: what leaves are fitted to, and fields are measured against.
 
 A finest cell gives points for each facing of the surface in it: the middle of the largest piece that faces
-so, and of the next if it is not much smaller. More are not worth their time where cells are small (0.3 dB for
-eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
+so, and the middle of all other pieces, with their mean. Samples thus miss nothing that the cell's mean has,
+also where the source differs from piece to piece. More are not worth their time where cells are small (0.3 dB
+for eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
-from octex.channels import ChannelFormat
+from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
+from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, popcount
@@ -32,7 +33,8 @@ MOST_POINTS = 1 + 3 * 8
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
-#: A second piece is a sample if its area is at least this part of the largest's.
+#: The largest piece and the others are two samples if neither is smaller than this part of the other. Else
+#: the largest is the only sample, or the mean of all pieces is.
 LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
 SAME_WIDTH = 1.2
@@ -81,6 +83,17 @@ class Taken(NamedTuple):
     values: npt.NDArray[np.float16 | np.float32]
 
 
+class Chosen(NamedTuple):
+    """The pieces that samples are taken from, in the order in which a source is read fastest."""
+
+    counts: Uint8s  # (cells,)   how many samples each has
+    shares: Uint8s  # (n,)   of the samples, cell by cell
+    order: Int32s  # (n,)   the sample of each piece below
+    pieces: Int64s  # (n,)
+    is_mean: Bools  # (n,)   whether the sample is a mean of other pieces too
+    means: Int64s  # (entries, 2)   the mean's row, and the piece that it leaves out; −1: there is none
+
+
 def take_samples(
     surface: Surface,
     grid: Int32s,
@@ -90,25 +103,29 @@ def take_samples(
     depth: int,
     cell: float,
     channels: Sequence[ChannelFormat],
+    alpha: int,
 ) -> Taken:
     """Take the samples of a run's pieces, whose ``values`` were read over ``widths``.
 
-    ``cell`` is the edge of a cell of ``depth`` in rest units, ``channels`` are as they are stored.
+    ``cell`` is the edge of a cell of ``depth`` in rest units, ``channels`` are as they are stored. ``alpha``
+    is the column that holds coverage, or −1.
 
     A sample is read over a width w with w² = cell² − texel², but half a cell at least: the field is as wide
     as a cell, and the source already as wide as a texel. What a piece was read over will do if it, and the
-    texel with it, is nearly as wide.
+    texel with it, is nearly as wide. Means are of what their pieces were read over.
     """
-    counts, order, chosen, shares = _largest(pieces.flags, pieces.entries, pieces.areas)
-    triangles = pieces.triangles.take(chosen)
+    chosen = _choose(pieces.flags, pieces.entries, pieces.areas)
+    triangles = pieces.triangles.take(chosen.pieces)
     texels = surface.source.texel_edges(triangles).astype(np.float64) ** 2
     wanted = np.maximum(cell * cell - texels, (LEAST_WIDTH * cell) ** 2)
-    found, given = values.take(chosen, axis=0), widths.take(chosen).astype(np.float64) ** 2
+    found, given = values.take(chosen.pieces, axis=0), widths.take(chosen.pieces).astype(np.float64) ** 2
+    places = np.empty((len(triangles), 3), np.uint16)
+    _place(grid, surface.triangles, pieces, chosen, values, alpha, depth, found, places)
     same, one, other = SAME_WIDTH**2, given + texels, wanted + texels
-    differ = np.flatnonzero((one * same < other) | (one > same * other))
+    differ = np.flatnonzero(((one * same < other) | (one > same * other)) & ~chosen.is_mean)
     found[differ] = surface.evaluate_all(
         triangles[differ],
-        pieces.barycentric.take(chosen[differ], axis=0),
+        pieces.barycentric.take(chosen.pieces[differ], axis=0),
         np.sqrt(wanted[differ]).astype(np.float32),
     )
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
@@ -117,12 +134,11 @@ def take_samples(
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
     bits = np.uint32 if is_fine else np.uint16
-    _reorder(found.astype(rows.dtype).view(bits), order, rows.view(bits))
-    places = np.empty((len(order), 3), np.uint16)
-    _place(grid, surface.triangles, pieces, chosen, order, counts, depth, places)
-    normals = np.empty((len(order), 3), np.int8)
-    _reorder(face_normals(grid, surface.triangles, triangles).view(np.uint8), order, normals.view(np.uint8))
-    return Taken(counts, places, normals, shares, rows)
+    _reorder(found.astype(rows.dtype).view(bits), chosen.order, rows.view(bits))
+    faces = face_normals(grid, surface.triangles, triangles)
+    normals = np.empty_like(faces)
+    _reorder(faces.view(np.uint8), chosen.order, normals.view(np.uint8))
+    return Taken(chosen.counts, places, normals, chosen.shares, rows)
 
 
 def join(
@@ -244,25 +260,25 @@ def _last_not_above(firsts: Int64s, sample: np.int64) -> np.int64:
 
 
 @kernel
-def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, Int32s, Int64s, Uint8s]:
-    """Choose the largest piece of each entry, and the next if it is not much smaller.
-
-    Returns how many samples each cell has; the chosen pieces' samples and numbers, in the pieces' order; and
-    each sample's share of its cell's area.
-    """
+def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
+    """Choose the samples of each entry: its largest piece, and the mean of the others."""
     counts = np.empty(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
         n_entries += popcount(np.uint64(flags[cell]))
     largest = np.empty((n_entries, 2), np.int64)
+    means = np.empty((n_entries, 2), np.int64)
     for entry in range(n_entries):
-        largest[entry, 0] = largest[entry, 1] = -1
+        largest[entry, 0] = largest[entry, 1] = means[entry, 0] = means[entry, 1] = -1
     totals = np.empty(n_entries, np.float64)
+    sizes = np.empty(n_entries, np.int32)
     for entry in range(n_entries):  # numpy's zeros compile for a quarter of a second a type
         totals[entry] = 0.0
+        sizes[entry] = 0
     for piece in range(entries.size):
         entry = entries[piece]
         totals[entry] += areas[piece]
+        sizes[entry] += 1
         if largest[entry, 0] < 0 or areas[piece] > areas[largest[entry, 0]]:
             largest[entry, 1] = largest[entry, 0]
             largest[entry, 0] = piece
@@ -280,15 +296,17 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
             whole += totals[i]
         for i in range(entry, end):
             firsts[i] = n_samples
-            area = areas[largest[i, 0]]
-            next_area = areas[largest[i, 1]] if largest[i, 1] >= 0 else 0.0
+            one = largest[i, 0]
+            area = areas[one]
+            others = totals[i] - area if sizes[i] > 1 else 0.0
             share = totals[i] / whole * SHARE_STEPS
-            if next_area < LEAST_PART * area:
-                largest[i, 1] = -1
+            if others < LEAST_PART * area or area < LEAST_PART * others:
+                largest[i, int(others < area)] = -1
+                largest[i, int(others >= area)] = one
                 shares[n_samples] = max(int(share + 0.5), 1)
                 n_samples += 1
             else:
-                part = area / (area + next_area)
+                part = area / totals[i]
                 shares[n_samples] = max(int(share * part + 0.5), 1)
                 shares[n_samples + 1] = max(int(share * (1.0 - part) + 0.5), 1)
                 n_samples += 2
@@ -296,14 +314,19 @@ def _largest(flags: Uint8s, entries: Int32s, areas: Float64s) -> tuple[Uint8s, I
         entry = end
     order = np.empty(n_samples, np.int32)
     chosen = np.empty(n_samples, np.int64)
+    is_mean = np.empty(n_samples, np.bool_)
     n = 0
-    for piece in range(entries.size):  # in the order in which a source is read fastest
+    for piece in range(entries.size):
         entry = entries[piece]
-        if largest[entry, 0] == piece or largest[entry, 1] == piece:
-            order[n] = firsts[entry] + (largest[entry, 1] == piece)
+        is_last = largest[entry, 1] == piece
+        if is_last or largest[entry, 0] == piece:
+            order[n] = firsts[entry] + (is_last and largest[entry, 0] >= 0)
             chosen[n] = piece
+            is_mean[n] = is_last and sizes[entry] > 2
+            if is_mean[n]:
+                means[entry, 0], means[entry, 1] = n, largest[entry, 0]
             n += 1
-    return counts, order, chosen, shares[:n_samples].copy()
+    return Chosen(counts, shares[:n_samples].copy(), order, chosen, is_mean, means)
 
 
 @kernel
@@ -352,35 +375,74 @@ def _step(position: float, cell: int) -> int:
     return min(max(int((position - cell) * PLACE_STEPS), 0), PLACE_STEPS - 1)
 
 
+@inlined
+def _middle(
+    grid: Int32s, corners: Int32s, pieces: Pieces, piece: np.uint64, scale: float
+) -> tuple[float, float, float]:
+    """Return the middle of a piece, in cells."""
+    triangle = pieces.triangles[piece]
+    a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
+    p, q, r = (
+        pieces.barycentric[piece, 0] * scale,
+        pieces.barycentric[piece, 1] * scale,
+        pieces.barycentric[piece, 2] * scale,
+    )
+    return (
+        p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0],
+        p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1],
+        p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2],
+    )
+
+
 @kernel
 def _place(
     grid: Int32s,
     corners: Int32s,
     pieces: Pieces,
-    chosen: Int64s,
-    order: Int32s,
-    counts: Uint8s,
+    chosen: Chosen,
+    values: Float32s,
+    alpha: int,
     depth: int,
+    found: Float32s,
     places: Uint16s,
 ) -> None:
-    """Write where chosen pieces lie in their cells; the middle of piece chosen[i] is sample order[i]."""
-    cells = np.empty(order.size, np.int32)
+    """Write the samples' places in their cells; write the means of all pieces over what one piece has."""
+    cells = np.empty(chosen.order.size, np.int32)
     n = 0
-    for cell in range(counts.size):
-        for _ in range(counts[cell]):
+    for cell in range(chosen.counts.size):
+        for _ in range(chosen.counts[cell]):
             cells[n] = cell
             n += 1
     scale = 1.0 / (1 << (GRID_BITS - depth))
-    for i in range(order.size):
-        row, piece = order[i], np.uint64(chosen[i])
-        triangle = pieces.triangles[piece]
-        a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
-        p, q, r = (
-            pieces.barycentric[piece, 0] * scale,
-            pieces.barycentric[piece, 1] * scale,
-            pieces.barycentric[piece, 2] * scale,
-        )
+    middles = np.empty((chosen.order.size, 3), np.float64)
+    totals = np.empty((chosen.order.size, 2), np.float64)  # the areas of means, and their coverage
+    for n in range(chosen.order.size):
+        piece = np.uint64(chosen.pieces[n])
+        middles[n, 0], middles[n, 1], middles[n, 2] = _middle(grid, corners, pieces, piece, scale)
+        totals[n, 0] = totals[n, 1] = pieces.areas[piece]
+        if alpha >= 0:
+            totals[n, 1] *= max(np.float64(values[piece, alpha]), LEAST_COVERAGE)
+    for one in range(pieces.entries.size):
+        row, apart = chosen.means[pieces.entries[one], 0], chosen.means[pieces.entries[one], 1]
+        if row < 0 or one == apart or one == chosen.pieces[row]:
+            continue
+        piece = np.uint64(one)
+        area = pieces.areas[piece]
+        weight = area if alpha < 0 else area * max(np.float64(values[piece, alpha]), LEAST_COVERAGE)
+        totals[row, 0] += area
+        totals[row, 1] += weight
+        area /= totals[row, 0]
+        weight /= totals[row, 1]
+        x, y, z = _middle(grid, corners, pieces, piece, scale)
+        middles[row, 0] += area * (x - middles[row, 0])
+        middles[row, 1] += area * (y - middles[row, 1])
+        middles[row, 2] += area * (z - middles[row, 2])
+        for k in range(values.shape[1]):
+            part = area if k == alpha else weight  # a difference of infinities would be no number
+            found[row, k] = (1.0 - part) * np.float64(found[row, k]) + part * np.float64(values[piece, k])
+    for n in range(chosen.order.size):
+        row = chosen.order[n]
         u, v, w = decode(pieces.codes[cells[row]])
-        places[row, 0] = _step(p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0], u)
-        places[row, 1] = _step(p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1], v)
-        places[row, 2] = _step(p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2], w)
+        places[row, 0] = _step(middles[n, 0], u)
+        places[row, 1] = _step(middles[n, 1], v)
+        places[row, 2] = _step(middles[n, 2], w)

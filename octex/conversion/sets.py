@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import encode
+from octex.channels import check_range, encode
 from octex.checks import as_entries, as_names, as_path, is_path
 from octex.conversion.convert import as_fineness, convert, placed, surface_of
 from octex.conversion.detail import DetailFunction, channel_of
@@ -129,7 +129,8 @@ def _single_cell(
     found = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
     means = by_channel(surface.channels, found.mean(axis=0, keepdims=True))
     made = {}
-    for form in formats_as(surface.channels, dtype, surface.name):
+    for given, form in zip(surface.channels, formats_as(surface.channels, dtype), strict=True):
+        check_range(means[form.name], given, form.dtype, surface.name)
         values = encode(means[form.name], form.dtype, form.space)
         made[form.name] = Channel(form, values, values[:0], values[:0])
     return OctreeTexture(Octree.from_leaves([0], 0), made, placement, surface.bounds, surface.provenance)

@@ -26,9 +26,6 @@ LEAST_WEIGHT = np.float32(0.03)
 _DARK = np.float32(0.0015)
 #: Samples of a leaf that differ by less, relative to the largest, are one value: two steps of float16.
 _SAME = np.float32(2.0**-10)
-#: A mean lies outside of its samples' values if it does so by more, relative to the largest, and by more than
-#: they differ. At 2⁻⁶ a model's own images lose up to 0.03 dB.
-_OUTSIDE = np.float32(2.0**-4)
 _BINS = 4096
 _ZERO = np.float32(0)
 
@@ -161,54 +158,29 @@ def residuals(
 
 
 @kernel
-def diagonal(equations: Equations, rows: Float32s) -> Float32s:
-    """Return dᵢ of each unknown."""
+def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[Float32s, Bools]:
+    """Return dᵢ of each unknown, and whether all its samples have one value."""
     starts, samples, weights = equations
     sums = np.empty(starts.size - 1, np.float32)
+    is_flat = np.empty(starts.size - 1, np.bool_)
     for leaf in range(starts.size - 1):
         total = np.float32(0)
-        for i in range(starts[leaf], starts[leaf + 1]):
-            total += weights[i] * weights[i] * rows[np.uint64(samples[i]), 3]
-        sums[leaf] = total
-    return sums
-
-
-@inlined
-def _is_outside(low: np.float32, high: np.float32, mean: np.float32) -> bool:
-    largest = max(abs(low), abs(high), abs(mean))
-    return bool(max(low - mean, mean - high) > high - low + _OUTSIDE * largest)
-
-
-@kernel
-def compare_samples(equations: Equations, targets: Float32s, means: Float32s) -> tuple[Bools, Bools]:
-    """Say which unknowns' samples all have one value, and which of their means lie outside of these.
-
-    ``means`` (leaves, 4); what lies outside is said of each component (unknowns, 3).
-
-    Samples are points: where a source has detail finer than the pieces that these are taken from, all of them
-    may miss what the mean has.
-    """
-    starts, samples, _ = equations
-    is_flat = np.empty(starts.size - 1, np.bool_)
-    is_outside = np.empty((starts.size - 1, 3), np.bool_)
-    for leaf in range(starts.size - 1):
         low_x = low_y = low_z = np.float32(np.inf)
         high_x = high_y = high_z = np.float32(-np.inf)
         for i in range(starts[leaf], starts[leaf + 1]):
-            sample = np.uint64(samples[i])
+            sample, weight = np.uint64(samples[i]), weights[i]
+            total += weight * weight * rows[sample, 3]
             x, y, z = targets[sample, 0], targets[sample, 1], targets[sample, 2]
             low_x, high_x = min(low_x, x), max(high_x, x)
             low_y, high_y = min(low_y, y), max(high_y, y)
             low_z, high_z = min(low_z, z), max(high_z, z)
+        sums[leaf] = total
         is_flat[leaf] = (
             high_x - low_x <= _SAME * max(abs(low_x), abs(high_x))
             and high_y - low_y <= _SAME * max(abs(low_y), abs(high_y))
             and high_z - low_z <= _SAME * max(abs(low_z), abs(high_z))
         )
-        is_outside[leaf, 0] = _is_outside(low_x, high_x, means[leaf, 0])
-        is_outside[leaf, 1] = _is_outside(low_y, high_y, means[leaf, 1])
-        is_outside[leaf, 2] = _is_outside(low_z, high_z, means[leaf, 2])
-    return is_flat, is_outside
+    return sums, is_flat
 
 
 @kernel
@@ -245,7 +217,6 @@ def sweep(
     rows: Float32s,
     sums: Float32s,
     is_flat: Bools,
-    stays: Bools,
     means: Float32s,
     components: int,
     low: float,
@@ -256,9 +227,8 @@ def sweep(
 ) -> None:
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
-    Those that ``stays`` (unknowns, 3) marks do not change. With ``codes`` they become stored numbers. Leaves
-    whose samples have one value then stay at their means if they are less than two codes away: what others
-    are rounded by is no reason to stir them.
+    With ``codes`` they become stored numbers. Leaves whose samples have one value then stay at their means if
+    they are less than two codes away: what others are rounded by is no reason to stir them.
     """
     starts, samples, weights = equations
     is_rounding = codes.values.size > 0
@@ -286,9 +256,8 @@ def sweep(
             x = _rounded(x, means[leaf, 0], codes, scale, is_flat[leaf])
             y = _rounded(y, means[leaf, 1], codes, scale, is_flat[leaf])
             z = _rounded(z, means[leaf, 2], codes, scale, is_flat[leaf])
-        x = a if stays[leaf, 0] else x
-        y = (b if stays[leaf, 1] else y) if components > 1 else zero
-        z = (c if stays[leaf, 2] else z) if components > 2 else zero
+        y = y if components > 1 else zero
+        z = z if components > 2 else zero
         if x == a and y == b and z == c:
             continue
         values[leaf, 0], values[leaf, 1], values[leaf, 2] = x, y, z

@@ -9,7 +9,7 @@ import numpy as np
 
 import octex
 from octex.arrays import Array
-from octex.channels import ALPHA, ChannelFormat, decode, encode
+from octex.channels import ALPHA, ChannelFormat, check_range, decode, encode
 from octex.checks import as_choice, as_names
 from octex.conversion.formats import Dtypes, formats_as
 from octex.editing.averages import average, with_summed_areas
@@ -44,7 +44,7 @@ def convert_voxels(
     wanted = names if channels is None else as_names(channels, "channels")
     for name in wanted:
         as_choice(name, names, "channel")
-    forms = formats_as([voxels.values[name].form for name in names if name in wanted], dtype, voxels.name)
+    forms = formats_as([voxels.values[name].form for name in names if name in wanted], dtype)
     deepest = int(voxels.depths.max())
     codes, depths = encode_cells(voxels.coords), voxels.depths
     order = np.argsort(codes << 3 * (deepest - depths.astype(np.int64)), kind="stable")
@@ -61,7 +61,9 @@ def convert_voxels(
     made = {}
     for form in forms:
         rows = np.zeros((tree.n_cells, form.components), form.dtype)
-        rows[leaves] = _stored(voxels.values[form.name], form)[order]
+        given = voxels.values[form.name]
+        check_range(given.rows, given.form, form.dtype, voxels.name)
+        rows[leaves] = _stored(given, form)[order]
         none = np.empty((0, form.components), form.dtype)
         made[form.name] = Channel(form, rows, none, none)
     edges = np.ldexp(voxels.size, -voxels.depths.astype(np.int32))[:, None]

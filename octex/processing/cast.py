@@ -7,14 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from octex.arrays import Array
-from octex.channels import ONE, ChannelFormat, decode, encode
+from octex.channels import ONE, ChannelFormat, check_range, decode, encode
 from octex.checks import as_choice, as_entries, as_names
 from octex.errors import ArgumentError
 from octex.processing.edit import noted
 from octex.texture import Channel, OctreeTexture, as_texture
-
-#: Values by so much above 1 or below 0 are rounded: half a code of 16 bits is twice that.
-_ROUNDING = 2.0**-18
 
 
 def cast(
@@ -75,13 +72,6 @@ def _recoded(values: Array, form: ChannelFormat, made: ChannelFormat) -> Array:
     for begin in range(0, len(values), 1 << 14):
         here = slice(begin, begin + (1 << 14))
         block = decode(values[here], form.space)
-        if made.dtype.startswith("u") and form.space != "direction" and form.dtype.startswith("float"):
-            beyond = ((block > 1 + _ROUNDING, "above 1"), (block < -_ROUNDING, "below 0"))
-            for is_beyond, where in beyond:
-                if is_beyond.any():
-                    raise ArgumentError(
-                        f"channel {form.name!r} goes {where}, which {made.dtype} cannot hold; "
-                        "give it the dtype float16 or float32"
-                    )
+        check_range(block, form, made.dtype)
         found[here] = encode(block, made.dtype, made.space)
     return found

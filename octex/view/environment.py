@@ -95,7 +95,7 @@ class Environment:
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
-        """Return the built-in one: two lamps beside the camera, two strips, a bright ceiling.
+        """Return the built-in one: dark walls, a bright floor and ceiling, two lamps and two strips.
 
         It is grey, follows the camera and is tone mapped. Materials look about as bright as in three.js'
         RoomEnvironment with its neutral tone mapping.
@@ -178,12 +178,13 @@ def _means(many: int, few: int) -> Float64s:
 def _studio() -> Float64s:
     """Return the built-in light; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
-    light = 0.44 + 0.46 * _ramp(directions[..., 1], -0.3, 0.9)
+    up = directions[..., 1]
+    light = 0.22 + 0.49 * _ramp(up, -0.05, -0.45) + 0.43 * _ramp(up, 0.1, 0.7)
     for centre, across, size, strength in (
-        ((-0.62, 0.60, 0.50), (0.30, 0.30), 0.10, 7.5),  # the key lamp
-        ((0.45, 0.75, 0.50), (0.16, 0.16), 0.06, 5.0),  # a smaller one above
-        ((0.93, 0.20, 0.30), (0.10, 0.55), 0.06, 4.5),  # a strip at the right
-        ((-0.45, 0.35, -0.82), (0.12, 0.50), 0.06, 5.0),  # and one behind
+        ((-0.62, 0.60, 0.50), (0.30, 0.30), 0.10, 9.3),  # the key lamp
+        ((0.45, 0.75, 0.50), (0.16, 0.16), 0.06, 6.5),  # a smaller one above
+        ((0.93, 0.20, 0.30), (0.10, 0.55), 0.06, 2.0),  # a strip at the right
+        ((-0.45, 0.35, -0.82), (0.12, 0.50), 0.06, 4.6),  # and one behind
     ):
         middle = np.array(centre) / np.linalg.norm(centre)
         right = np.cross((0.0, 1.0, 0.0), middle)

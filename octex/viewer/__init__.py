@@ -25,6 +25,7 @@ page/       the page: plain modules and shaders, as they are served
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions
 export      one file that has all of that in it
+key         a secret of the user, which makes a file's address the same each time
 server      the page, for this machine alone
 """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import hmac
 import json
@@ -34,6 +35,7 @@ _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _FILES = {"": "index.html", "style.css": "style.css"}
 _FILES |= {name: name for name in MODULES} | {f"shaders/{name}": f"shaders/{name}" for name in SHADERS}
+_PROOF = "/proof"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -46,6 +48,8 @@ _FIRST = 20
 _QUICK = 1
 #: Changes that are kept for pages that do not have them yet; those of pages further behind load all anew.
 _MOST_CHANGES = 32
+#: The ports of which one is a path's: below those that systems lend to anybody.
+_PORTS = range(20_000, 32_768)
 #: Different refusals that are logged.
 _MOST_REFUSALS = 1000
 
@@ -64,8 +68,9 @@ class Viewer:
     ``open_texture`` reads the texture: anew when ``path``, its file or folder, has changed, and after
     ``changed``. Pages are then sent the cells that differ: a session of painting is shown by
     ``Viewer(painter.texture, path, surface)`` and a call of ``changed`` after each stroke. ``log`` is called
-    with a line for each refusal. ``port`` 0 is any that is free. Raises OutputError if it is taken, and
-    ArgumentError for a surface that is not the texture's.
+    with a line for each refusal. ``port`` 0 is any that is free. With a ``key`` (`key.user_key`) a viewer of
+    the same path has the same address each time, unless its port is taken: pages of the one before go on.
+    Raises OutputError if the given port is taken, and ArgumentError for a surface that is not the texture's.
     """
 
     def __init__(
@@ -76,11 +81,13 @@ class Viewer:
         *,
         motion: Motion | None = None,
         port: int = 0,
+        key: bytes = b"",
         log: Callable[[str], None] = print,
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
         self._motion = motion
         self._lock = threading.RLock()
+        self._own = secrets.token_hex(4)  # in versions: the next viewer may show another texture of this path
         self._calls = 0  # of ``changed``
         self._refused: set[str] = set()
         self._news = threading.Condition()
@@ -93,19 +100,30 @@ class Viewer:
         self._pages, self._had_page = 0, False
         self._left = time.monotonic()
         self._ended = threading.Event()
-        self.token = secrets.token_urlsafe(16)
-        try:
-            self._server = _Server((_ADDRESS, port), type("Handler", (_Handler,), {"viewer": self}))
-        except OSError as error:
-            raise OutputError(
-                f"port {port} of {_ADDRESS}: {error.strerror or error}; choose another"
-            ) from error
+        name = os.fsencode(path.resolve())
+        secret = hmac.digest(key, name, "sha256") if key else secrets.token_bytes(32)
+        self.token = base64.urlsafe_b64encode(secret[:16]).decode().rstrip("=")
+        usual = _PORTS[int.from_bytes(secret[16:], "big") % len(_PORTS)]
+        self._server = self._listening([port] if port else [usual, 0] if key else [0])
         self.port = self._server.server_address[1]
 
     @property
     def url(self) -> str:
         """Where the page is."""
         return f"http://{_ADDRESS}:{self.port}/{self.token}/"
+
+    def proof(self, asked: str) -> str:
+        """Return what only who has the token can say to a page that asks."""
+        return hmac.digest(self.token.encode(), asked.encode(), "sha256").hex()
+
+    def _listening(self, ports: list[int]) -> _Server:
+        """Return a server at the first of the ports that is free."""
+        for port in ports:
+            try:
+                return _Server((_ADDRESS, port), type("Handler", (_Handler,), {"viewer": self}))
+            except OSError as error:
+                why = error
+        raise OutputError(f"port {ports[-1]} of {_ADDRESS}: {why.strerror or why}; choose another") from why
 
     def run(self, alone: float = _ALONE) -> None:
         """Serve until there was no page for some seconds, or until the process is told to end.
@@ -189,9 +207,10 @@ class Viewer:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
             found = [path.stat() for path in paths]
             latest = max(status.st_mtime_ns for status in found)
-            return f"{self._calls}-{latest}-{sum(status.st_size for status in found)}"
+            size = sum(status.st_size for status in found)
+            return f"{self._calls}-{self._own}-{latest}-{size}"
         except OSError:
-            return f"{self._calls}-gone"
+            return f"{self._calls}-{self._own}-gone"
 
     def follow(self, send: Callable[[str], None]) -> None:
         """Tell a page of changes until it is gone."""
@@ -257,11 +276,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.viewer.refuse(_printable(format % args))
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, its data, or the line of events."""
+        """Answer with a file of the page, its data, the line of events, or a proof of the token."""
         path = self._admitted()
         if path is None:
             return
-        if path in _FILES:
+        if path == _PROOF:
+            self._answer(self.viewer.proof(self.path.partition("?")[2]).encode(), "text/plain")
+        elif path in _FILES:
             name = _FILES[path]
             self._answer(page_text(name).encode(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         elif path == "events":
@@ -272,7 +293,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
     def _admitted(self) -> str | None:
-        """Return what a request asks for, below the token; refuse what comes from elsewhere."""
+        """Return what a request asks for, below the token; refuse what comes from elsewhere.
+
+        A page that has lost its server asks for a proof without the token: it may be another server by now.
+        """
         token, slash, path = self.path.partition("?")[0].removeprefix("/").partition("/")
         own = {f"{_ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
@@ -285,6 +309,8 @@ class _Handler(BaseHTTPRequestHandler):
             why = "another site asks"
         elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
             why, status = "it has a body", HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+        elif self.path.startswith(f"{_PROOF}?"):
+            return _PROOF
         elif not slash or not hmac.compare_digest(token.encode(), self.viewer.token.encode()):
             why = "the token is missing or wrong"
         if why:

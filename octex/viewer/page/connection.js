@@ -1,9 +1,18 @@
 // The line to the server, which tells the version of the texture that is shown. Where it is lost the page says so and
-// tries again, each time after a longer pause.
+// tries again, each time after a longer pause, and when somebody comes back to the page.
 
 import { isServed } from "./data.js";
 
-const FIRST = 1000, MOST = 60000; // milliseconds until it is tried again
+const FIRST = 1000, MOST = 15000; // milliseconds until it is tried again
+
+// Whether the server has the page's token. It is not sent: another program may have the port by now.
+async function isOurs() {
+  const asked = crypto.randomUUID(), token = location.pathname.split("/")[1], bytes = (text) => new TextEncoder().encode(text);
+  const answer = await fetch(`/proof?${asked}`, { cache: "no-store" });
+  const key = await crypto.subtle.importKey("raw", bytes(token), { name: "HMAC", hash: "SHA-256" }, false, ["sign"]);
+  const proof = new Uint8Array(await crypto.subtle.sign("HMAC", key, bytes(asked)));
+  return (await answer.text()) === Array.from(proof, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
 
 export function watch(status, follow) {
   if (!isServed) return;
@@ -19,12 +28,12 @@ export function watch(status, follow) {
     events.addEventListener("changing", (event) => (status.textContent = event.data));
     events.addEventListener("error", () => {
       events.close(); // browsers would try again all the time
-      wait();
+      wait("Is octex view still running?");
     });
   };
 
-  const wait = () => {
-    status.textContent = `The connection is lost; it is tried again in ${pause / 1000} s. Is octex view still running?`;
+  const wait = (why) => {
+    status.textContent = `The connection is lost; it is tried again in ${pause / 1000} s. ${why}`;
     waiting = setTimeout(retry, pause);
     pause = Math.min(2 * pause, MOST);
   };
@@ -32,14 +41,15 @@ export function watch(status, follow) {
   const retry = async () => {
     clearTimeout(waiting);
     waiting = null;
-    const answer = await fetch("style.css", { cache: "no-store" }).catch(() => null);
-    if (!answer) wait();
-    else if (answer.ok) connect();
-    else status.textContent = "octex view was started again and has another address now: open the one that it printed.";
+    const isBack = await isOurs().catch(() => null);
+    if (isBack) connect();
+    else wait(isBack === null ? "Is octex view still running?" : "Another program has its port: octex view prints its new address.");
   };
 
-  document.addEventListener("visibilitychange", () => {
+  const look = () => {
     if (waiting !== null && !document.hidden) retry();
-  });
+  };
+  document.addEventListener("visibilitychange", look);
+  window.addEventListener("focus", look);
   connect();
 }
