@@ -252,7 +252,7 @@ def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path
     with ThreadPoolExecutor(4) as pool:
         parts = list(pool.map(lambda some: there.sample(some), np.split(far[::-1], 4)))
     np.testing.assert_array_equal(np.concatenate(parts), here.sample(far[::-1]))
-    assert not there._remote.is_whole  # type: ignore[attr-defined]
+    assert not there.source.file.is_whole  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])

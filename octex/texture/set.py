@@ -30,7 +30,8 @@ from octex.texture.lookup import (
     in_blocks,
     placed,
 )
-from octex.texture.texture import OctreeTexture, as_metadata, open_texture
+from octex.texture.open import open_texture
+from octex.texture.texture import OctreeTexture, as_metadata
 
 #: So many parts are named where a set is shown.
 _SHOWN = 5
@@ -228,11 +229,11 @@ class TextureSet(Mapping[str, OctreeTexture]):
     def _ready_for(
         self, given: Given, channel: list[str] | None = None, lens: Lens | None = None
     ) -> Iterator[tuple[int, OctreeTexture]]:
-        """Yield the parts in use and their textures, as `OctreeTexture._ready_for` returns them."""
+        """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
         for part, count in enumerate(np.bincount(given["parts"]).tolist()):
             if count:
-                texture = self[self.names[part]]
-                yield part, texture._ready_for(count, channel, lens, partial(_sound_rows, given, part))
+                texture, own = self[self.names[part]], partial(_sound_rows, given, part)
+                yield part, texture.source.prepare(texture, count, channel, lens, own)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""

@@ -36,7 +36,7 @@ class Octree:
     is checked by ``validate``.
     """
 
-    __slots__ = ("arrays", "kept", "split")
+    __slots__ = ("arrays", "kept", "level_cells", "level_nodes", "split")
 
     def __init__(
         self, arrays: TreeArrays, split: SplitTable | None = None, kept: KeptTable | None = None
@@ -45,6 +45,7 @@ class Octree:
         self.split = no_split() if split is None else split
         self.kept = no_kept() if kept is None else kept
         check_layout(self.arrays, self.split, self.kept)
+        self.level_cells, self.level_nodes = arrays.level_cells, arrays.level_nodes
 
     def __repr__(self) -> str:
         return f"<Octree of depth {self.max_depth}: {self.n_leaves:,} leaves, {self.n_nodes:,} nodes>"
@@ -112,17 +113,17 @@ class Octree:
     @property
     def max_depth(self) -> int:
         """The level of the deepest cell."""
-        return self.arrays.level_cells.size - 2
+        return self.level_cells.size - 2
 
     @property
     def n_cells(self) -> int:
         """Number of leaves and nodes."""
-        return int(self.arrays.level_cells[-1])
+        return int(self.level_cells[-1])
 
     @property
     def n_nodes(self) -> int:
         """Number of cells with children (in the empty tree, the root)."""
-        return int(self.arrays.level_nodes[-1])
+        return int(self.level_nodes[-1])
 
     @property
     def n_leaves(self) -> int:
@@ -136,8 +137,8 @@ class Octree:
 
     def cells_by_depth(self) -> list[tuple[int, int]]:
         """Numbers of leaves and of nodes at each level."""
-        cells = np.diff(self.arrays.level_cells)
-        nodes = np.diff(self.arrays.level_nodes)
+        cells = np.diff(self.level_cells)
+        nodes = np.diff(self.level_nodes)
         return list(zip((cells - nodes).tolist(), nodes.tolist(), strict=True))
 
     def walk(self) -> Iterator[tuple[Int64s, Bools]]:
