@@ -32,9 +32,10 @@ from octex.jit import kernel, new_array
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
+from octex.tree.children import rank
 from octex.tree.edit import among
 from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
-from octex.tree.octree import Octree, distinct, rank
+from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values

@@ -16,15 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount
+from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
+from octex.tree.children import children_before, masks_of, rank
 from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree, distinct, rank
+from octex.tree.octree import Octree, distinct
 from octex.tree.split import counts_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
@@ -150,7 +151,7 @@ def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
     found = [codes[:0]]
     for deeper in range(level + 1, tree.max_depth + 1):
-        firsts, begins = _children_before(tree, begins)
+        firsts, begins = children_before(tree.arrays.groups, begins)
         own = cells[
             (cells >= tree.arrays.level_cells[deeper]) & (cells < tree.arrays.level_cells[deeper + 1])
         ]
@@ -196,32 +197,12 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
     where = locate(tree, tiles.codes, tiles.level)
     there = (where.levels == tiles.level) & ~where.is_leaf
     counts = np.zeros(there.size, np.int64)
-    begins = where.nodes[there]
+    groups, begins = tree.arrays.groups, where.nodes[there]
     ends = begins + 1
     for _ in range(tiles.level, tree.max_depth):
-        (first, begins), (last, ends) = _children_before(tree, begins), _children_before(tree, ends)
+        (first, begins), (last, ends) = children_before(groups, begins), children_before(groups, ends)
         counts[there] += last - first
     return counts
-
-
-def _children_before(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the first child cell, and the first child node, of nodes (n,) or of what comes after them."""
-    child_cells, child_nodes = np.empty((2, nodes.size), np.int64)
-    _find_children(tree.arrays.groups, nodes, child_cells, child_nodes)
-    return child_cells, child_nodes
-
-
-@kernel
-def _find_children(groups: Uint64s, nodes: Int64s, child_cells: Int64s, child_nodes: Int64s) -> None:
-    for n in range(nodes.size):
-        group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
-        # Beyond the last node all masks are empty; beyond the last group all children come before.
-        below = ~np.uint64(0)
-        if nodes[n] >> 3 == group:
-            below = (np.uint64(1) << np.uint64(8 * (nodes[n] & 7))) - np.uint64(1)
-        first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
-        child_nodes[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
-        child_cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
@@ -356,8 +337,8 @@ def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], 
         first, last = np.zeros((2, 2, runs.owners.size), np.int64)
         for number, tree in enumerate(trees):
             own = runs.owners == number
-            first[:, own] = _children_before(tree, runs.begins[own])
-            last[:, own] = _children_before(tree, runs.ends[own])
+            first[:, own] = children_before(tree.arrays.groups, runs.begins[own])
+            last[:, own] = children_before(tree.arrays.groups, runs.ends[own])
         counts.append((int((last[0] - first[0]).sum()), int((runs.ends - runs.begins).sum())))
         if not counts[-1][0]:
             return counts, cells, nodes
@@ -390,8 +371,7 @@ def _joined(
     n_nodes = int(level_nodes[-1])
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word, own in enumerate(masks):
-        packed = [np.ascontiguousarray(each.tree.arrays.groups[:, word]).view(np.uint8) for each in textures]
-        own[:n_nodes] = nodes.of(packed)
+        own[:n_nodes] = nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
     _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
     groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
     groups[:, 0], groups[:, 1] = (own.view("<u8") for own in masks)

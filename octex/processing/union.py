@@ -13,9 +13,10 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
+from octex.tree.children import rank
 from octex.tree.edit import facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
-from octex.tree.octree import Octree, rank
+from octex.tree.octree import Octree
 
 #: Where a tree has nothing.
 NOTHING = -1

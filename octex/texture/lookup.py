@@ -48,8 +48,8 @@ _LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
-class LookupOptions(TypedDict, total=False):
-    """How points are looked at: see `OctreeTexture.sample`."""
+class FootprintOptions(TypedDict, total=False):
+    """What lookups average over: see `OctreeTexture.sample`."""
 
     width: npt.ArrayLike | None
     normals: npt.ArrayLike | None
@@ -59,6 +59,11 @@ class LookupOptions(TypedDict, total=False):
     blur: float
     sharpness: float
     bleed_threshold: float
+
+
+class LookupOptions(FootprintOptions, total=False):
+    """How points are looked at: see `OctreeTexture.sample`."""
+
     normalize: bool
     threads: int | None
     executor: Executor | None
@@ -165,6 +170,26 @@ class Lens(NamedTuple):
             most = np.finfo(np.float32).max
             normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
         return Query(self.filter, footprints, normals)
+
+
+def asked(
+    points: npt.ArrayLike | SurfacePoints,
+    filter: str,
+    gradient: bool = False,
+    /,
+    width: npt.ArrayLike | None = None,
+    normals: npt.ArrayLike | None = None,
+    dPdx: npt.ArrayLike | None = None,
+    dPdy: npt.ArrayLike | None = None,
+    **options: Any,
+) -> tuple[Lens, dict[str, Array]]:
+    """Return what is asked of points, and what is given of them; see `OctreeTexture.sample`.
+
+    Raises ArgumentError for what does not fit.
+    """
+    lens = Lens(filter, **options)
+    shape = {"normals": normals, "width": width, "dPdx": dPdx, "dPdy": dPdy}
+    return lens, lens.given(points, gradient=gradient, **shape)
 
 
 class _Fault(NamedTuple):

@@ -18,14 +18,14 @@ from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
 from octex.texture.lookup import (
-    ANISOTROPY,
-    BLEED_THRESHOLD,
     Answers,
+    FootprintOptions,
     Given,
     Lens,
     LookUp,
     LookupOptions,
     SurfacePoints,
+    asked,
     check_apart,
     in_blocks,
     placed,
@@ -160,17 +160,10 @@ class TextureSet(Mapping[str, OctreeTexture]):
         *,
         gradient: bool = False,
         out: Any = None,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         threads: int | None = None,
         executor: Executor | None = None,
+        **options: Unpack[FootprintOptions],
     ) -> Any:
         """Look up rest positions (n, 3), or points of a surface, each in the texture of its part.
 
@@ -184,10 +177,8 @@ class TextureSet(Mapping[str, OctreeTexture]):
         Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
         channel that a part in use lacks, or has with other components than the rest.
         """
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
-        given = lens.given(points, normals=normals, gradient=gradient, **footprint)
+        lens, given = asked(points, filter, gradient, **options)
         given["parts"] = self._numbers(parts, len(given["points"]))
         used = np.flatnonzero(np.bincount(given["parts"])).tolist()
         components = self._components(used or [0], channel)

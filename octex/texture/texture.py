@@ -18,7 +18,6 @@ from octex.channels import decode
 from octex.checks import (
     as_choice,
     as_depth,
-    as_entries,
     as_flag,
     as_path,
     as_reals,
@@ -32,17 +31,19 @@ from octex.field.listing import TapList, joined, list_blends
 from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
 from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
-from octex.texture.channel import Channel
+from octex.texture.channel import Channel, as_channels
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
     Answers,
+    FootprintOptions,
     Given,
     Lens,
     LookUp,
     LookupOptions,
     SurfacePoints,
+    asked,
     block_in_space,
     check_apart,
     each_block,
@@ -100,7 +101,7 @@ class OctreeTexture:
         self.placement = Placement.checked(placement)
         self.bounds = _as_bounds(bounds)
         self.metadata = MappingProxyType(as_metadata(metadata))
-        self._hold(tree, _as_channels(channels, tree), Source())
+        self._hold(tree, as_channels(channels, tree), Source())
 
     def _hold(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> None:
         self.tree, self.source = tree, source
@@ -116,7 +117,7 @@ class OctreeTexture:
 
         Raises ArgumentError if tree and channels do not fit together.
         """
-        return self.over(tree, _as_channels(channels, tree), Source())
+        return self.over(tree, as_channels(channels, tree), Source())
 
     def over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
         """Return a texture like ``with_cells``, of parts that are known to fit together."""
@@ -203,61 +204,42 @@ class OctreeTexture:
         threads: int | None = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up the field at rest positions (n, 3), float32 or float64, or at points of a surface.
+        """Look up the field at rest positions (n, 3), or at points of a surface: what has ``rest`` (n, 3).
 
-        These are what ``Surface.scatter`` returns, or a record of hits: anything with ``rest`` (n, 3), and
-        normals at rest, ``rest_normals`` or ``normals`` (n, 3), which count as given if none are.
-
+        ``Surface.scatter`` returns such points; their ``rest_normals``, or ``normals``, count as given.
         Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
-        integers. A list of channel names gives a dict. Every point has a value: off the surface, where none
-        of the cells that a filter reads is stored, that of coarser averages; outside the root cell, that of
-        the nearest point inside.
+        integers; a dict for a list of channels. Blending is done in linear light, weighed by ``alpha`` where
+        there is one. Every point has a value: off the surface that of coarser averages, outside the root cell
+        that of the nearest point inside.
 
-        width     side of the square to average over, in the model's units: one for all, or (n,). Averages of
-                  the source are read at the two levels whose cells suit it, and blended; they weigh by the
-                  root of the area in their cells. None: the leaves.
-        dPdx, dPdy  instead of a width: how rest positions change from one pixel to the next, (n, 3) each. The
-                  footprint is then the pixel's parallelogram: several looks along its longer axis, and, but
-                  for ``nearest`` and ``linear``, two across.
-        anisotropy  how much longer than wide such a footprint may be, up to 256; a narrower one is widened
-                  (for dPdx and dPdy alone)
-        blur      width that is added to both sides of a footprint, in the model's units
-        sharpness  0 … 1: from the mean over the footprint to a kernel of variance zero, whose results may
-                  leave the range of the stored values. Leaves are not sharpened.
-        normals   shading normals (n, 3) of any length, in rest space. What faces away from them weighs
-                  nothing, and cells where a front and a back meet answer with what faces the normal; where
-                  nothing faces it (double-sided materials), everything counts.
-        bleed_threshold  for footprints without normals (paper 3.5.2): a coarse cell whose means over opposite
-                  facings differ by this or more, in any component as it is answered, is left to the next
-                  finer level.
-
-        filter    what lies between the stored values. ``quadratic``: a spline over 3×3×3 cells, with
-                  continuous slopes across every change of depth (the neighbourhood of paper 3.4, after
-                  Kobbelt et al. 1997). ``quartic``: likewise over 5×5×5 cells, continuous to the third
-                  derivative. ``linear``: the paper's own rule, which jumps where the depth changes.
-                  ``nearest``: what is stored of the leaf that holds the point; else of the nearest cell among
-                  the 27 around it at the deepest level that has one there.
-        normalize directions come back as unit vectors; without, as the means that are stored, whose length,
-                  1 where all directions agree, tells how far they spread. A mean of zero stays zeros in
-                  floats; integers have no code for zero, so it has no direction worth the name there.
-        gradient  return a pair: the values, and their derivatives by rest position, float32
-                  (n, components, 3), per unit of the model's length. ``nearest`` has none.
-        out       where to write and what to return: a C-ordered float32 array of the answer's shape, a dict
-                  of them for a list of channels, with ``gradient`` a pair of either; else new arrays
+        filter    ``quadratic``: a spline over 3×3×3 cells, smooth across changes of depth (paper 3.4).
+                  ``quartic``: one over 5×5×5. ``linear``: the paper's rule, which jumps where the depth
+                  changes. ``nearest``: the leaf that holds the point, else the nearest of 27 cells.
+        width     side of the square to average over, in the model's units: one, or (n,). It blends the
+                  averages of two levels, weighed by the root of the area in a cell. None: the leaves.
+        dPdx, dPdy  instead of a width, (n, 3): how rest positions change from pixel to pixel. The footprint
+                  is the pixel's parallelogram: several looks along its longer axis, and, but for
+                  ``nearest`` and ``linear``, two across.
+        anisotropy  most that it may be longer than wide, up to 256; a narrower one is widened
+        blur      width that is added to both sides of a footprint
+        sharpness  0 … 1: from the footprint's mean to a kernel of variance zero, whose results may leave the
+                  range of the stored values
+        normals   shading normals (n, 3) in rest space. What faces away from them weighs nothing, and a cell
+                  answers with the side that faces them; where nothing faces them, everything counts.
+        bleed_threshold  for footprints without normals (paper 3.5.2): a coarse cell whose opposite sides
+                  differ by this or more is left to the next finer level.
+        normalize directions are unit vectors; without, the stored means, shorter where directions differ
+        gradient  return a pair: values, and derivatives by rest position (n, components, 3). Not of `nearest`
+        out       where to write: C-ordered float32 arrays, one, a dict of them or, with ``gradient``, a pair
 
         Who works in parallel: ``threads``, so many, by default all processors for large batches and the
         calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
-        The result is the same. To other processes the texture travels with each block of points.
+        The result is the same. To other processes the texture travels with each block of points. Where leaves
+        have several depths, points asked for together may change an answer by 10⁻⁶ of the values around.
 
-        Blending is done in linear light. Where the texture has a channel ``alpha``, all others weigh by it.
-
-        Where leaves have several depths, points that lie close together are answered together: what else is
-        asked for may change an answer by rounding, up to 10⁻⁶ of the largest value around; threads do not.
-
-        Memory does not grow with the points but for the answers. Raises ArgumentError for positions that are
-        not finite (n, 3), naming the first row (``out`` is then written in part), likewise for normals,
-        widths and derivatives, for unknown channels and filters, listing those there are, for gradients of
-        ``nearest``, and for an ``out`` that does not fit.
+        Memory grows with the answers alone. Raises ArgumentError for what is not finite, naming the first row
+        (``out`` is then written in part), for unknown channels and filters, and for an ``out`` that does not
+        fit.
         """
         if (
             (width is normals is dPdx is dPdy is out is None and threads is None and executor is None)
@@ -267,14 +249,16 @@ class OctreeTexture:
             answer = self._plain(points, channel, filter)
             if answer is not None:
                 return answer
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
-        given = lens.given(points, normals=normals, gradient=gradient, **footprint)
+        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
+        shape = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
+        given = lens.given(points, normals=normals, gradient=gradient, **shape)
         answers = Answers(self._components, channel, len(given["points"]), gradient, out)
         if out is not None:
             check_apart(given.values(), answers.arrays)
-        here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
+        here = self
+        if self.source.path:  # not memory
+            here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             look_up_block = partial(block_in_space, look_up_block, self.placement)
@@ -312,7 +296,8 @@ class OctreeTexture:
         known = self._known_plain[key]
         if known is None:
             return None
-        self.source.prepare(self, len(points))
+        if self.source.path:
+            self.source.prepare(self, len(points))
         return known.at(points)
 
     def _sampled(
@@ -373,16 +358,9 @@ class OctreeTexture:
         channel: str = "base_color",
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
         threads: int | None = None,
         executor: Executor | None = None,
+        **options: Unpack[FootprintOptions],
     ) -> TapList:
         """List what ``sample`` blends at rest positions (n, 3): which rows of ``rows(channel)``, how much.
 
@@ -407,8 +385,7 @@ class OctreeTexture:
         All other arguments, and what is raised, are as for ``sample``; ``nearest`` has one tap a point but in
         footprints.
         """
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
+        lens, given = asked(points, filter, **options)
         as_choice(channel, self.channels, "channel")
         here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         blocks = each_block(given, [], partial(here._listed, channel, lens), threads, executor)
@@ -449,15 +426,8 @@ class OctreeTexture:
         channel: str | list[str] | tuple[str, ...] = "base_color",
         filter: str = "quadratic",
         *,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
         block_size: int = 1 << 16,
+        **options: Unpack[FootprintOptions],
     ) -> Int64s:
         """List the bytes of its file that ``sample`` needs for these points, before it reads them.
 
@@ -474,8 +444,7 @@ class OctreeTexture:
         mapping = self.source.here(self).source.mapping
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
+        lens, given = asked(points, filter, **options)
         here = self.source.prepare(self, 0, channel, lens, lambda: given)
         spans, reads = Spans(mapping, block_size), lookup_reads(here, channel, lens, given)
         for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
@@ -579,27 +548,14 @@ def _as_bounds(bounds: npt.ArrayLike) -> Float64s:
     return locked(corners)
 
 
-def _as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Channel]:
-    """Return channels, read-only, or raise ArgumentError for no tree, and for those that do not fit it."""
-    if not isinstance(tree, Octree):
-        raise ArgumentError(f"tree must be an Octree, not {tree!r}")
-    given = as_entries(channels, "channels")
-    for name, channel in given.items():
-        if not isinstance(channel, Channel):
-            raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
-        channel.check(name, tree)
-    return {name: channel.locked() for name, channel in given.items()}
-
-
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
     """Return provenance, or raise ArgumentError for what is no text by name."""
-    found: dict[str, str] = {}
-    if metadata is not None:
-        is_mapping = isinstance(metadata, Mapping)
-        if not is_mapping or not all(isinstance(text, str) for pair in metadata.items() for text in pair):
-            raise ArgumentError("metadata must map strings to strings")
-        found = dict(metadata)
-    return found
+    found = {} if metadata is None else metadata
+    if not isinstance(found, Mapping) or not all(
+        isinstance(text, str) for pair in found.items() for text in pair
+    ):
+        raise ArgumentError("metadata must map strings to strings")
+    return dict(found)
 
 
 def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s, bit_counts
 from octex.checks import as_depth
 from octex.errors import ArgumentError
-from octex.jit import kernel, new_array, new_zeros, popcount, trailing_zeros
+from octex.jit import kernel, new_array, new_zeros, trailing_zeros
+from octex.tree.children import children, rank
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -344,16 +345,6 @@ def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
 
 
 @kernel
-def rank(groups: Uint64s) -> None:
-    """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
-    child_node = child_cell = np.int64(1)
-    for g in range(groups.shape[0]):
-        groups[g, 2] = np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32)
-        child_node += popcount(groups[g, 0])
-        child_cell += popcount(groups[g, 0] | groups[g, 1])
-
-
-@kernel
 def _cut(groups: Uint64s, first: int, end: int) -> None:
     """Make the child nodes of nodes first … end−1, a level's, leaves and drop the nodes from ``end`` on."""
     for node in range(first, 8 * groups.shape[0]):
@@ -375,12 +366,11 @@ def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: 
     is_node = new_zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
-        g, shift = node >> 3, np.uint64(8 * (node & 7))
-        left = (groups[g, 0] | groups[g, 1]) >> shift & np.uint64(0xFF)
+        nodes, left, _, _ = children(groups, node)
         while left != np.uint64(0) and n < n_children:
             octant = trailing_zeros(left)
             left &= left - np.uint64(1)
             child_codes[n] = codes[node - first] << 3 | octant
-            is_node[n] = groups[g, 0] >> (shift + np.uint64(octant)) & np.uint64(1) != 0
+            is_node[n] = nodes >> np.uint64(octant) & np.uint64(1) != 0
             n += 1
     return child_codes, is_node
