@@ -17,6 +17,7 @@ from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
 from octex.texture.lookup import Given, Lens, each_block
 from octex.tree.beside import with_boundary
+from octex.tree.children import children_before
 from octex.tree.octree import Octree, count_before, distinct
 
 if TYPE_CHECKING:
@@ -156,12 +157,11 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
 
 def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:
     """Return the child nodes of some nodes: whose they are, 0 …, their Morton codes, and their numbers."""
-    groups, shifts = tree.arrays.groups[nodes >> 3], (8 * (nodes & 7)).astype(np.uint64)
-    masks = (groups[:, 0] >> shifts).astype(np.uint8)
-    before = bit_counts(groups[:, 0] & ((np.uint64(1) << shifts) - np.uint64(1)))
+    groups = tree.arrays.groups
+    masks = (groups[nodes >> 3, 0] >> (8 * (nodes & 7)).astype(np.uint64)).astype(np.uint8)
     parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
     counts = bit_counts(masks).astype(np.int64)
-    firsts = (groups[:, 2] & np.uint64(0xFFFFFFFF)).astype(np.int64) + before - (np.cumsum(counts) - counts)
+    firsts = children_before(groups, nodes)[1] - (np.cumsum(counts) - counts)
     numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)
     return parents, codes[parents] << 3 | octants, numbers
 

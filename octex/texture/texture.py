@@ -212,25 +212,26 @@ class OctreeTexture:
         there is one. Every point has a value: off the surface that of coarser averages, outside the root cell
         that of the nearest point inside.
 
-        filter    ``quadratic``: a spline over 3×3×3 cells, smooth across changes of depth (paper 3.4).
-                  ``quartic``: one over 5×5×5. ``linear``: the paper's rule, which jumps where the depth
-                  changes. ``nearest``: the leaf that holds the point, else the nearest of 27 cells.
-        width     side of the square to average over, in the model's units: one, or (n,). It blends the
-                  averages of two levels, weighed by the root of the area in a cell. None: the leaves.
-        dPdx, dPdy  instead of a width, (n, 3): how rest positions change from pixel to pixel. The footprint
-                  is the pixel's parallelogram: several looks along its longer axis, and, but for
-                  ``nearest`` and ``linear``, two across.
-        anisotropy  most that it may be longer than wide, up to 256; a narrower one is widened
-        blur      width that is added to both sides of a footprint
-        sharpness  0 … 1: from the footprint's mean to a kernel of variance zero, whose results may leave the
-                  range of the stored values
-        normals   shading normals (n, 3) in rest space. What faces away from them weighs nothing, and a cell
-                  answers with the side that faces them; where nothing faces them, everything counts.
+        filter           ``quadratic``: a spline over 3×3×3 cells, smooth across changes of depth (paper 3.4).
+                         ``quartic``: over 5×5×5. ``linear``: the paper's rule, which jumps where the depth
+                         changes. ``nearest``: the leaf that holds the point, else the nearest of 27 cells.
+        width            side of the square to average over, in the model's units: one, or (n,). Averages of
+                         two levels are blended, weighed by the root of a cell's area. None: the leaves.
+        dPdx, dPdy       instead of a width, (n, 3): how rest positions change from pixel to pixel. Several
+                         looks along the pixel's longer axis, and, but for ``nearest`` and ``linear``, two
+                         across, cover its parallelogram.
+        anisotropy       most that it may be longer than wide, up to 256; a narrower one is widened
+        blur             width that is added to both sides of a footprint
+        sharpness        0 … 1: from the footprint's mean to a kernel of variance zero, whose results may
+                         leave the range of the stored values
+        normals          shading normals (n, 3) in rest space. What faces away from them weighs nothing, and
+                         a cell shows the side that faces them; where nothing faces them, all counts.
         bleed_threshold  for footprints without normals (paper 3.5.2): a coarse cell whose opposite sides
-                  differ by this or more is left to the next finer level.
-        normalize directions are unit vectors; without, the stored means, shorter where directions differ
-        gradient  return a pair: values, and derivatives by rest position (n, components, 3). Not of `nearest`
-        out       where to write: C-ordered float32 arrays, one, a dict of them or, with ``gradient``, a pair
+                         differ by this or more is left to the next finer level
+        normalize        make directions unit vectors; else the stored means, shorter where they spread
+        gradient         return a pair: values, and derivatives by rest position (n, components, 3); not of
+                         ``nearest``
+        out              where to write: C-ordered float32 arrays, one, a dict of them, or a pair of either
 
         Who works in parallel: ``threads``, so many, by default all processors for large batches and the
         calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
