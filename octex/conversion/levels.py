@@ -26,7 +26,7 @@ from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
-from octex.editing.codes import differ
+from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel, new_array
 from octex.parallel import Progress, memory_size, ordered_map

@@ -23,7 +23,7 @@ from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before, masks_of, rank
-from octex.tree.edit import among, locate, places, with_all_above
+from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import counts_of
@@ -209,7 +209,7 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     """Return a texture of all cells down to the tiles' level, and of the open tiles."""
     tree, level = texture.tree, tiles.level
     codes, is_node = next(islice(tree.walk(), level, None))
-    is_open = is_node & _are_open(codes, tiles)
+    is_open = is_node & among(codes, tiles.codes)
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
     levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
@@ -219,14 +219,6 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     )
     made = _joined([texture], texture, level, levels, runs, is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
-
-
-def _are_open(codes: Int64s, tiles: Tiles) -> Bools:
-    """Say which of all cells of the tiles' level, ascending, are open tiles."""
-    found = np.zeros(codes.size, np.bool_)
-    at = places(tiles.codes, codes)
-    found[at[at >= 0]] = True
-    return found
 
 
 def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
@@ -262,7 +254,7 @@ def put_together(
     codes, is_node = next(islice(top.tree.walk(), level, None))
     owners = np.ones(codes.size, np.int64)
     for number, (tiles, _) in enumerate(drafts, 2):
-        owners[_are_open(codes, tiles)] = number
+        owners[among(codes, tiles.codes)] = number
     cells, nodes = np.full((2, codes.size), -1, np.int64)  # each tile's numbers in its texture
     for number, each in enumerate(textures[1:], 1):
         of_tile = owners == number

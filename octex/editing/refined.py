@@ -12,8 +12,7 @@ import numpy as np
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
 from octex.editing.averages import stored_rows, weighted_means
-from octex.editing.codes import differ
-from octex.editing.split import with_split
+from octex.editing.split import differ, with_split
 from octex.field.neighborhood import refined_taps
 from octex.jit import kernel
 from octex.parallel import ordered_map

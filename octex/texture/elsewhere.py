@@ -6,10 +6,9 @@ blocks of areas and channels, no deeper than asked for; these are decoded into m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from threading import RLock
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,62 +29,25 @@ _GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _ = TREE_NAMES
 _LISTS = {_FLAGS: "cell", SPLIT_NAMES[0]: "split", SPLIT_NAMES[1]: "split", KEPT_NAME: "kept"}
 
 
-class Elsewhere(Protocol):
-    """A file elsewhere. What fetches says whether there was anything to fetch."""
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all of it is here."""
-
-    def rows(self) -> Rows:
-        """Return what gathers rows."""
-
-    def fetch_rows(self, rows: Any) -> bool:
-        """Fetch what was gathered."""
-
-    def fetch_tables(self, tree: Octree, level: int) -> bool:
-        """Fetch what says which cells down to a level are split or kept."""
-
-    def fetch_all(self) -> None:
-        """Fetch all of it."""
-
-    def checked_once(self) -> AbstractContextManager[None]:
-        """Look once, at the end of the block, whether the file has changed meanwhile."""
-
-
-def fetch_arrays(file: Elsewhere, *arrays: Array) -> None:
-    """Fetch whole arrays of a file, or what of them is viewed."""
-    rows = file.rows()
-    for array in arrays:
-        rows.until(array, len(array))
-    file.fetch_rows(rows)
-
-
 class RenderFile(RemoteFile):
     """A render file elsewhere, of whose mapping arrays are views."""
 
-    def rows(self) -> Spans:
-        """Return what gathers rows."""
-        return Spans(self.mapping, BLOCK)
-
-    def fetch_rows(self, rows: Spans) -> bool:
-        """Fetch what was gathered."""
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = Spans(self.mapping, BLOCK)
+        gather(rows)
         return self.fetch(rows.ranges())
 
     def fetch_tables(self, tree: Octree, level: int) -> bool:
-        """Fetch what says which cells down to a level are split or kept."""
-        split, n_cells, rows = tree.split, int(tree.level_cells[level + 1]), self.rows()
-        rows.until(tree.kept.cells, tree.kept.cells.size)
-        rows.until(tree.arrays.flags, n_cells if tree.kept.cells.size else 0)
-        n_split = _LEAST_SPLIT  # of the table, in the cells' order: in steps like those of its search
-        rows.until(split.cells, n_split + 1)
-        was_more = self.fetch_rows(rows)
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        split, n_cells, n_split = tree.split, int(tree.level_cells[level + 1]), _LEAST_SPLIT
+        kept: list[Array] = [tree.kept.cells, tree.arrays.flags[:n_cells]] if tree.kept.cells.size else []
+        was_more = fetch_arrays(self, *kept, split.cells[: n_split + 1])
+        # Of the table, which is in the cells' order, in steps like those of its search.
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2
-            rows.until(split.cells, n_split + 1)
-            was_more |= self.fetch_rows(rows)
-        rows.until(split.facings, n_split + 1)
-        return self.fetch_rows(rows) or was_more
+            was_more |= fetch_arrays(self, split.cells[: n_split + 1])
+        return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
 
 
 class _Wanted:
@@ -146,18 +108,16 @@ class Archive:
         """Whether all of it is decoded."""
         return self.decoding.is_whole
 
-    def rows(self) -> _Wanted:
-        """Return what gathers rows."""
-        return _Wanted(self)
-
-    def fetch_rows(self, rows: _Wanted) -> bool:
-        """Fetch what was gathered."""
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = _Wanted(self)
+        gather(rows)
         with self._decoded():
             was_more = self.decoding.decode_structure(rows.level)
             return self.decoding.decode(rows.tables) or was_more
 
     def fetch_tables(self, _tree: Octree, level: int) -> bool:
-        """Fetch what says which cells down to a level are split or kept."""
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
         with self._decoded():
             return self.decoding.decode_structure(level)
 
@@ -196,3 +156,17 @@ class Archive:
                 raise TextureFileError(f"{self._remote.address}: {error}") from error
             except (MemoryError, OverflowError):
                 raise TextureFileError(f"{self._remote.address}: needs more memory than there is") from None
+
+
+#: A file elsewhere.
+Elsewhere = RenderFile | Archive
+
+
+def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
+    """Fetch whole arrays of a file, or what of them is viewed; say whether there was anything to fetch."""
+
+    def gather(rows: Rows) -> None:
+        for array in arrays:
+            rows.until(array, len(array))
+
+    return file.fetch_rows(gather)

@@ -26,7 +26,7 @@ from octex.tree.octree import Octree, distinct
 #: Bytes that are fetched first: the header, and what says which cells there are down to some level.
 _FIRST = 1 << 14
 
-Fetch = Callable[..., None]
+Fetch = Callable[..., object]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
@@ -87,11 +87,8 @@ class RemoteSource(Source):
 
     def levels(self, _texture: OctreeTexture, level: int) -> OctreeTexture:
         """Fetch the levels 0 … ``level``, and return the texture that has them."""
-        arrays = self._here.tree.arrays
         with self._fetching:
-            rows = self.file.rows()
-            rows.nodes(arrays.groups, np.arange(int(arrays.level_nodes[level])))
-            was_more = self.file.fetch_rows(rows)
+            was_more = self._fetch_groups(np.arange(int(self._here.tree.level_nodes[level])))
             self._renew(self.file.fetch_tables(self._here.tree, level) or was_more)
             tree = self._here.tree.truncated(level)
             values = [array for channel in self._here.channels.values() for array in channel.of(tree)[1:]]
@@ -127,9 +124,8 @@ class RemoteSource(Source):
             is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
             is_more |= self._fetch_nodes(cells, lens.filter)
             if not (is_first or is_more):
-                rows = self.file.rows()
-                add_reads(rows, self._here, reads, lens, given)
-                is_more = self.file.fetch_rows(rows)
+                gather = partial(add_reads, self._here, reads, lens, given)
+                is_more = self.file.fetch_rows(gather)
             self._renew(is_more)
             is_more |= is_first
             is_first = False
@@ -152,11 +148,14 @@ class RemoteSource(Source):
             return False
         was_fetched = False
         for nodes in nodes_read(self._here.tree, cells, filter):
-            rows = self.file.rows()
-            rows.nodes(self._here.tree.arrays.groups, nodes)
-            was_fetched |= self.file.fetch_rows(rows)
+            was_fetched |= self._fetch_groups(nodes)
         self._reached = filter, cells
         return was_fetched
+
+    def _fetch_groups(self, nodes: Int64s) -> bool:
+        """Fetch the groups of some nodes; say whether there was anything to fetch."""
+        groups = self._here.tree.arrays.groups
+        return self.file.fetch_rows(lambda rows: rows.nodes(groups, nodes))
 
     def _renew(self, has_more: bool) -> None:
         """Forget what was indexed of the texture, if more of it has come."""
@@ -206,6 +205,9 @@ class _Channel(Channel):
 
     def __iter__(self) -> Any:
         return map(self.__getitem__, range(4))
+
+    def _replace(self, **changes: Any) -> Channel:  # type: ignore[override]
+        return Channel(*self)._replace(**changes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Channel, tuple(self)

@@ -167,7 +167,7 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    spans: Rows, texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given, spans: Rows
 ) -> None:
     """Add the rows that lookups read, but for the groups of nodes."""
     alpha = [] if texture._read()[1] is None else [texture.channels["alpha"]]

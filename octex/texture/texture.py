@@ -450,7 +450,7 @@ class OctreeTexture:
         spans, reads = Spans(mapping, block_size), lookup_reads(here, channel, lens, given)
         for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
             spans.nodes(here.tree.arrays.groups, nodes)
-        add_reads(spans, here, reads, lens, given)
+        add_reads(here, reads, lens, given, spans)
         return spans.ranges()
 
     def contains(
