@@ -22,7 +22,7 @@ from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.children import children_before, masks_of, rank
+from octex.tree.children import children_before, groups_of, masks_of
 from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
@@ -365,9 +365,6 @@ def _joined(
     for word, own in enumerate(masks):
         own[:n_nodes] = nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
     _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
-    groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
-    groups[:, 0], groups[:, 1] = (own.view("<u8") for own in masks)
-    rank(groups)
     trees = [each.tree for each in textures]
     flags = cells.of([tree.arrays.flags for tree in trees])
     areas = cells.of([tree.arrays.areas for tree in trees])
@@ -378,7 +375,9 @@ def _joined(
         split_runs.of([tree.split.facings for tree in trees]),
         row_runs.of([tree.split.areas for tree in trees]),
     )
-    tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells))
+    tree = Octree(
+        TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
+    )
     channels = {}
     for name, channel in top.channels.items():
         own_channels = [each.channels[name] for each in textures]

@@ -46,6 +46,15 @@ def masks_of(groups: Uint64s, word: int) -> Uint8s:
     return np.ascontiguousarray(groups[:, word]).astype("<u8", copy=False).view(np.uint8)
 
 
+def groups_of(masks: Uint8s) -> Uint64s:
+    """Return the groups of nodes by such masks (2, a multiple of 8) of each."""
+    groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
+    for word in range(2):
+        groups[:, word] = masks[word].view("<u8")
+    rank(groups)
+    return groups
+
+
 def node_cells(groups: Uint64s, n_nodes: int) -> Int64s:
     """Return the cell numbers of all nodes, ascending."""
     cells = np.zeros(n_nodes, np.int64)

@@ -12,7 +12,7 @@ from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64
 from octex.checks import as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, new_array, new_zeros, trailing_zeros
-from octex.tree.children import children, rank
+from octex.tree.children import children, groups_of
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -273,14 +273,12 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
     n_cells = int(level_cells[-1])
     if n_cells > MAX_CELLS:
         raise ArgumentError(f"{n_cells} cells are more than a tree can number; use a smaller depth")
-    groups = np.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
+    n_nodes = int(level_nodes[-1])
+    packed = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word in range(2):
-        packed = np.zeros(groups.shape[0] * 8, np.uint8)
-        np.concatenate([pair[word] for pair in reversed(masks)], out=packed[: int(level_nodes[-1])])
-        groups[:, word] = packed.view("<u8")
-    rank(groups)
+        np.concatenate([pair[word] for pair in reversed(masks)], out=packed[word, :n_nodes])
     flags, areas = np.zeros((2, n_cells), np.uint8)
-    return TreeArrays(groups, level_cells, level_nodes, flags, areas)
+    return TreeArrays(groups_of(packed), level_cells, level_nodes, flags, areas)
 
 
 @kernel
