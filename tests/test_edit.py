@@ -166,7 +166,7 @@ def test_nodes_and_their_first_children_are_those_of_a_search_through_all_cells(
     numbers = {key: n for n, key in enumerate(cells)}
     assume(tree.n_leaves)
     nodes = [key for key, is_leaf in cells.items() if not is_leaf]
-    assert node_cells(tree.arrays.groups, tree.n_nodes).tolist() == [numbers[key] for key in nodes]
+    assert node_cells(tree.arrays).tolist() == [numbers[key] for key in nodes]
     below = [[numbers[child] for child in children(key) if child in cells] for key in nodes]
     firsts, counts = children_of(tree.arrays.groups, np.arange(tree.n_nodes))
     assert firsts.tolist() == list(map(min, below))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s
 from octex.channels import (
     ALPHA,
     CHANNELS,
@@ -219,15 +219,6 @@ def weighted_means(starts: Int64s, weights: Float32s, stored: Array, space: Colo
     alike = np.zeros(weights.size, np.uint8), np.ones(1)
     _means(starts[:-1], np.diff(starts), *alike, weights, *_as_codes(stored, space), means)
     return means.astype(np.float32)
-
-
-def stored_rows(channel: Channel, rows: Uint32s) -> Array:
-    """Return what is stored in rows (m,) of cells, and after them of kept coefficients."""
-    n_cells, is_kept = len(channel.values), rows >= len(channel.values)
-    found = channel.values[np.minimum(rows, n_cells - 1)]
-    if is_kept.any():
-        found[is_kept] = channel.kept_values[rows[is_kept] - n_cells]
-    return found
 
 
 def _as_codes(stored: Array, space: ColorSpace) -> tuple[Array, Float32s]:

@@ -28,7 +28,7 @@ class Nodes(NamedTuple):
 
 def all_nodes(tree: Octree) -> Nodes:
     """Return all nodes of a tree."""
-    return Nodes(np.arange(tree.n_nodes), node_cells(tree.arrays.groups, tree.n_nodes))
+    return Nodes(np.arange(tree.n_nodes), node_cells(tree.arrays))
 
 
 def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:

@@ -11,7 +11,7 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
-from octex.editing.averages import stored_rows, weighted_means
+from octex.editing.averages import weighted_means
 from octex.editing.split import differ, with_split
 from octex.field.neighborhood import refined_taps
 from octex.jit import kernel
@@ -146,7 +146,7 @@ def _blended(
     """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
 
     def shown(channel: Channel) -> Array:
-        stored = stored_rows(channel, taps.rows)
+        stored = channel.rows(taps.rows)
         if there is not None:
             stored[there] = channel.split_values[own]
         return stored

@@ -50,7 +50,7 @@ def blur(
     arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
     made = {name: Channel(texture.channels[name].format, *own) for name, own in arrays.items()}
     is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree.arrays.groups, tree.n_nodes)] = False
+    is_leaf[node_cells(tree.arrays)] = False
     rows = rows_of(tree.split)
     rows = rows.of(is_leaf[rows.cells])
     is_plain = is_leaf.copy()

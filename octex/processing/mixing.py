@@ -46,7 +46,7 @@ class Mixing:
         self._amount, self._executor = amount, executor
         self._texture = first  # for its placement and formats
         self._tree, *origins = unite(first.tree, second.tree)
-        self._nodes = node_cells(self._tree.arrays.groups, self._tree.n_nodes)
+        self._nodes = node_cells(self._tree.arrays)
         self._codes: Int64s | None = None
         # What is taken whole or not at all needs no values below the other's leaves.
         self._first, self._second = (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Integers
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
 from octex.checks import as_choice, as_entries, locked
 from octex.errors import ArgumentError
@@ -62,6 +62,17 @@ class Channel(NamedTuple):
             split_values=self.split_values[: tree.split.areas.size],
             kept_values=self.kept_values[: tree.kept.cells.size],
         )
+
+    def rows(self, numbers: Integers) -> Array:
+        """Return what is stored in rows (n,): those of cells, then of kept nodes, then of split facings."""
+        found = self.values.take(numbers, axis=0, mode="clip")
+        begin = len(self.values)
+        for part in (self.kept_values, self.split_values):
+            beyond = np.flatnonzero(numbers >= begin)
+            if beyond.size and len(part):
+                found[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
+            begin += len(part)
+        return found
 
     def locked(self) -> Channel:
         """Return the same values as read-only views; itself, if they are."""

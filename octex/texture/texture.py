@@ -409,16 +409,9 @@ class OctreeTexture:
         not there.
         """
         known = self.channels[as_choice(channel, self.channels, "channel")]
-        parts = [known.values, known.kept_values, known.split_values]
-        count = sum(map(len, parts))
+        parts = known.values, known.kept_values, known.split_values
         if numbers is not None:
-            wanted = as_row_numbers(numbers, count)
-            begin, taken = 0, np.empty((wanted.size, known.format.components), known.values.dtype)
-            for part in parts:
-                here = (wanted >= begin) & (wanted < begin + len(part))
-                taken[here] = part[wanted[here] - begin]
-                begin += len(part)
-            parts = [taken]
+            return decode(known.rows(as_row_numbers(numbers, sum(map(len, parts)))), known.format.space)
         return decode(np.concatenate(parts), known.format.space)
 
     def blocks(

@@ -6,7 +6,7 @@ import numpy as np
 
 from octex.arrays import Int64s, Uint8s, Uint64s
 from octex.jit import inlined, kernel, popcount
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import FACING_FLAGS, TreeArrays
 
 
 @inlined
@@ -47,7 +47,7 @@ def masks_of(groups: Uint64s, word: int) -> Uint8s:
 
 
 def groups_of(masks: Uint8s) -> Uint64s:
-    """Return the groups of nodes by such masks (2, a multiple of 8) of each."""
+    """Return the groups of nodes by their masks, as `masks_of` returns them (2, a multiple of 8)."""
     groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
     for word in range(2):
         groups[:, word] = masks[word].view("<u8")
@@ -55,10 +55,10 @@ def groups_of(masks: Uint8s) -> Uint64s:
     return groups
 
 
-def node_cells(groups: Uint64s, n_nodes: int) -> Int64s:
+def node_cells(arrays: TreeArrays) -> Int64s:
     """Return the cell numbers of all nodes, ascending."""
-    cells = np.zeros(n_nodes, np.int64)
-    _list_nodes(groups, cells)
+    cells = np.zeros(int(arrays.level_nodes[-1]), np.int64)
+    _list_nodes(arrays.groups, arrays.flags.size - 1, cells)
     return cells
 
 
@@ -82,7 +82,7 @@ def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) 
         facings = 0
         for child in range(begin, end):
             facings |= int(np.int64(flags[child]))
-        cell = min(cells[node], np.int64(flags.size) - 1)
+        cell = cells[node]
         made[cell] = int(np.int64(flags[cell])) & ~FACING_FLAGS | facings & FACING_FLAGS
         end = begin
 
@@ -101,14 +101,14 @@ def _count_before(groups: Uint64s, nodes: Int64s, cells: Int64s, numbers: Int64s
 
 
 @kernel
-def _list_nodes(groups: Uint64s, cells: Int64s) -> None:
-    """Write the cells of the nodes after the root."""
+def _list_nodes(groups: Uint64s, last: int, cells: Int64s) -> None:
+    """Write the cells of the nodes after the root, none beyond the ``last`` cell."""
     found, cell = 1, np.int64(1)
     for node in range(cells.size):
         left, stored, _, _ = children(groups, node)
         while left != np.uint64(0) and found < cells.size:
             lowest = left & (~left + np.uint64(1))
             left ^= lowest
-            cells[found] = cell + popcount(stored & (lowest - np.uint64(1)))
+            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), last)
             found += 1
         cell += popcount(stored)

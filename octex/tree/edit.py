@@ -261,5 +261,5 @@ def facings_of_nodes(tree: Octree) -> Uint8s:
     """Return the cells' flags (cells,) with the facings of nodes made anew: those of their children."""
     groups, flags = tree.arrays.groups, tree.arrays.flags.copy()
     if tree.max_depth:
-        gather_facings(groups, node_cells(groups, tree.n_nodes), flags, flags)
+        gather_facings(groups, node_cells(tree.arrays), flags, flags)
     return flags

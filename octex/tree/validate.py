@@ -99,7 +99,7 @@ def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> Non
 
 def _node_cells(arrays: TreeArrays) -> Int64s:
     """Return the cells of the nodes that have children."""
-    return node_cells(arrays.groups, int(arrays.level_nodes[-1]) if arrays.level_cells.size > 2 else 0)
+    return node_cells(arrays) if arrays.level_cells.size > 2 else np.empty(0, np.int64)
 
 
 def _check_structure(arrays: TreeArrays) -> None:

@@ -103,7 +103,7 @@ def _rows_of(owners: Int64s, old_owners: Int64s, old: Int64s, is_known: Bools) -
 def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
     """Return the masks (cells, 2) and the areas of cells that are nodes; 0 of leaves."""
     arrays = tree.arrays
-    nodes = node_cells(arrays.groups, tree.n_nodes)
+    nodes = node_cells(arrays)
     masks, areas = np.zeros((tree.n_cells, 2), np.uint8), np.zeros(tree.n_cells, np.uint8)
     for word in range(2):
         masks[nodes, word] = masks_of(arrays.groups, word)[: nodes.size]
