@@ -251,9 +251,9 @@ class OctreeTexture:
             if answer is not None:
                 return answer
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
-        shape = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
-        given = lens.given(points, normals=normals, gradient=gradient, **shape)
+        look = {"anisotropy": anisotropy, "blur": blur, "sharpness": sharpness}
+        shape = width, normals, dPdx, dPdy
+        lens, given = asked(points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look)
         answers = Answers(self._components, channel, len(given["points"]), gradient, out)
         if out is not None:
             check_apart(given.values(), answers.arrays)

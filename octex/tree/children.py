@@ -109,6 +109,6 @@ def _list_nodes(groups: Uint64s, last: int, cells: Int64s) -> None:
         while left != np.uint64(0) and found < cells.size:
             lowest = left & (~left + np.uint64(1))
             left ^= lowest
-            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), last)
+            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), np.int64(last))
             found += 1
         cell += popcount(stored)
