@@ -108,7 +108,8 @@ def encode(values: Floats, dtype: str, space: ColorSpace) -> Array:
     codes = np.empty(flat.size, dtype)
     if dtype == "float32":
         largest = float(np.finfo(np.float32).max)
-        np.clip(np.where(flat == flat, flat, 0.0), -largest, largest, out=codes, casting="same_kind")
+        np.clip(flat, -largest, largest, out=codes, casting="same_kind")
+        codes[codes != codes] = 0.0
     elif dtype == "float16":
         _encode_half(flat, codes.view(np.uint16))
     elif space != "srgb":

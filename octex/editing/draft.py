@@ -11,7 +11,6 @@ is copying runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -147,7 +146,7 @@ def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
     """Return the tiles that hold cells; none for cells above them."""
     if not cells.size:
         return cells
-    codes, is_node = next(islice(tree.walk(), level, None))
+    codes, is_node = tree.walked_to(level)
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
     found = [codes[:0]]
     for deeper in range(level + 1, tree.max_depth + 1):
@@ -208,7 +207,7 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     """Return a texture of all cells down to the tiles' level, and of the open tiles."""
     tree, level = texture.tree, tiles.level
-    codes, is_node = next(islice(tree.walk(), level, None))
+    codes, is_node = tree.walked_to(level)
     is_open = is_node & among(codes, tiles.codes)
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
@@ -251,7 +250,7 @@ def put_together(
     ``texture``. ``top`` says which tiles there are.
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
-    codes, is_node = next(islice(top.tree.walk(), level, None))
+    codes, is_node = top.tree.walked_to(level)
     owners = np.ones(codes.size, np.int64)
     for number, (tiles, _) in enumerate(drafts, 2):
         owners[among(codes, tiles.codes)] = number

@@ -55,7 +55,7 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
         source = Source(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
     here, fetch = opened(source), partial(fetch_arrays, file)
     channels = {name: _Channel.over(channel, fetch) for name, channel in here.channels.items()}
-    return here.over(_Tree(here.tree, fetch), channels, RemoteSource(here, file))
+    return here._over(_Tree(here.tree, fetch), channels, RemoteSource(here, file))
 
 
 class RemoteSource(Source):
@@ -160,7 +160,7 @@ class RemoteSource(Source):
     def _renew(self, has_more: bool) -> None:
         """Forget what was indexed of the texture, if more of it has come."""
         if has_more:
-            self._here = self._here.over(self._here.tree, self._here.channels, self._here.source)
+            self._here = self._here._over(self._here.tree, self._here.channels, self._here.source)
 
 
 class _Tree(Octree):

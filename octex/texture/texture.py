@@ -117,9 +117,9 @@ class OctreeTexture:
 
         Raises ArgumentError if tree and channels do not fit together.
         """
-        return self.over(tree, as_channels(channels, tree), Source())
+        return self._over(tree, as_channels(channels, tree), Source())
 
-    def over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
+    def _over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
         """Return a texture like ``with_cells``, of parts that are known to fit together."""
         made = object.__new__(OctreeTexture)
         made.placement, made.bounds, made.metadata = self.placement, self.bounds, self.metadata

@@ -160,11 +160,11 @@ class Octree:
 
     def level_codes(self, level: int) -> Int64s:
         """Morton codes of all cells of a level, in order. Raises ArgumentError if there is no such level."""
-        return self._walked_to(level)[0]
+        return self.walked_to(level)[0]
 
     def is_node(self, level: int) -> Bools:
-        """Say of each cell of a level whether it is a node. Raises ArgumentError like ``level_codes``."""
-        return self._walked_to(level)[1]
+        """Say of each cell of a level whether it is a node. Raises ArgumentError if there is none such."""
+        return self.walked_to(level)[1]
 
     def leaves(self, level: int) -> Int64s:
         """Numbers of the leaves of a level. Raises ArgumentError like ``level_codes``."""
@@ -175,7 +175,8 @@ class Octree:
         is_node = np.concatenate([is_node for _, is_node in self.walk()])
         return np.flatnonzero(~is_node)
 
-    def _walked_to(self, level: int) -> tuple[Int64s, Bools]:
+    def walked_to(self, level: int) -> tuple[Int64s, Bools]:
+        """Return what ``walk`` yields for a level. Raises ArgumentError if there is none such."""
         if as_depth(level, "level") > self.max_depth:
             raise ArgumentError(f"there is no level {level}: the deepest is {self.max_depth}")
         return next(islice(self.walk(), level, None))
