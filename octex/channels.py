@@ -126,7 +126,9 @@ def encode(values: Floats, dtype: str, space: ColorSpace) -> Array:
     flat = np.ascontiguousarray(values, np.float64).reshape(-1)
     codes = np.empty(flat.size, dtype)
     if dtype == "float32":
-        _encode_single(flat, codes)
+        largest = float(np.finfo(np.float32).max)
+        np.clip(flat, -largest, largest, out=codes, casting="same_kind")
+        codes[codes != codes] = 0.0
     elif dtype == "float16":
         _encode_half(flat, codes.view(np.uint16))
     elif space != "srgb":
@@ -165,16 +167,6 @@ def _encode_unit(
 ) -> None:
     for i in range(values.size):
         codes[i] = unit_code(values[i], scale, shift, one)
-
-
-@kernel
-def _encode_single(values: Float64s, codes: Float32s) -> None:
-    for i in range(values.size):
-        value = values[i] if values[i] == values[i] else 0.0
-        codes[i] = np.float32(min(max(value, -_LARGEST_SINGLE), _LARGEST_SINGLE))
-
-
-_LARGEST_SINGLE = float(np.finfo(np.float32).max)
 
 
 @kernel

@@ -14,7 +14,7 @@ import math
 import mmap
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -32,15 +32,14 @@ _DTYPES = {
 _NAMES = {name: code for code, name in _DTYPES.items()}
 _PAGE = 4096
 _LONGEST_HEADER = 100_000_000  # safetensors' own limit
+_NO_HEADER = "is not an octree texture file (it does not begin with a safetensors header)"
 _METADATA = "__metadata__"
 
 
 class Contents(NamedTuple):
     """What stands in a file."""
 
-    tensors: dict[
-        str, Array
-    ]  # views of the mapping, in the file's order; writable, but never written to the file
+    tensors: dict[str, Array]  # views, in the file's order; writable, but never written to the file
     metadata: dict[str, str]
     mapping: mmap.mmap
 
@@ -98,42 +97,30 @@ def read(path: str | os.PathLike[str]) -> Contents:
     """
     try:
         with open_file(path) as file:
-            length = os.fstat(file.fileno()).st_size
-            entries, metadata = _fitting(_read_header(file.read, length), length)
+            if os.fstat(file.fileno()).st_size < 8:
+                raise TextureFileError(f"{path}: {_NO_HEADER}")
             mapping = _mapped(file)
-        return _contents(mapping, entries, metadata)
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except _HeaderError as error:
-        raise TextureFileError(f"{path}: {error}") from error
-
-
-def described(text: bytes) -> tuple[dict[str, Entry], dict[str, str], int]:
-    """Return the tensors that a header describes, whose offsets begin at 0, the metadata, and all bytes.
-
-    ``text`` is the header without its first 8 bytes. Raises TextureFileError if it is damaged.
-    """
-    try:
-        return _parsed(text, 0)
-    except _HeaderError as error:
-        raise TextureFileError(str(error)) from error
+    return read_mapped(mapping, str(path))
 
 
 def read_mapped(mapping: mmap.mmap, name: str) -> Contents:
     """Read the header of a file that is mapped already; ``name`` is for errors, which are as in ``read``."""
+    size, begin = len(mapping), header_length(mapping)
     try:
-        mapping.seek(0)
-        return _contents(mapping, *_fitting(_read_header(mapping.read, len(mapping)), len(mapping)))
-    except _HeaderError as error:
+        if size < 8 or not 2 <= begin - 8 <= _LONGEST_HEADER:
+            raise TextureFileError(_NO_HEADER)
+        if begin > size:
+            raise TextureFileError(f"is cut off inside its header ({size} bytes); copy or make it again")
+        entries, metadata, end = described(mapping[8:begin], begin)
+        if end != size:
+            raise TextureFileError(
+                f"has {size} bytes, but its header describes {end}: cut off or damaged; copy or make it again"
+            )
+    except TextureFileError as error:
         raise TextureFileError(f"{name}: {error}") from error
-
-
-def _contents(mapping: mmap.mmap, entries: dict[str, Entry], metadata: dict[str, str]) -> Contents:
     return Contents({name: view(mapping, entry) for name, entry in entries.items()}, metadata, mapping)
-
-
-class _HeaderError(Exception):
-    """Say what is wrong, without the file's name."""
 
 
 class Entry(NamedTuple):
@@ -144,41 +131,26 @@ class Entry(NamedTuple):
     offset: int
 
 
-def _read_header(read: Callable[[int], bytes], file_length: int) -> bytes:
-    length = int.from_bytes(read(8), "little")
-    if file_length < 8 or not 2 <= length <= _LONGEST_HEADER:
-        raise _HeaderError("is not an octree texture file (it does not begin with a safetensors header)")
-    if length > file_length - 8:
-        raise _HeaderError(f"is cut off inside its header ({file_length} bytes); copy or make it again")
-    return read(length)
+def described(text: bytes, begin: int = 0) -> tuple[dict[str, Entry], dict[str, str], int]:
+    """Return the tensors that a header describes, which begin at a byte, the metadata, and where they end.
 
-
-def _fitting(text: bytes, file_length: int) -> tuple[dict[str, Entry], dict[str, str]]:
-    """Return the tensors and metadata of a header, which must describe as many bytes as a file has."""
-    tensors, metadata, end = _parsed(text, 8 + len(text))
-    if end != file_length:
-        raise _HeaderError(
-            f"has {file_length} bytes, but its header describes {end}: cut off or damaged; "
-            "copy or make it again"
-        )
-    return tensors, metadata
-
-
-def _parsed(text: bytes, begin: int) -> tuple[dict[str, Entry], dict[str, str], int]:
-    """Return the tensors, which begin at a byte, the metadata, and where the tensors end."""
+    ``text`` is the header without its first 8 bytes. Raises TextureFileError if it is damaged.
+    """
     try:
         entries = json.loads(text, object_pairs_hook=without_duplicates)
     except (ValueError, RecursionError) as error:
-        raise _HeaderError(f"its header is not JSON ({error}): another type of file, or damaged") from error
+        raise TextureFileError(
+            f"its header is not JSON ({error}): another type of file, or damaged"
+        ) from error
     metadata = entries.pop(_METADATA, {}) if isinstance(entries, dict) else None
     if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
-        raise _HeaderError("its header is damaged: the metadata are not strings")
+        raise TextureFileError("its header is damaged: the metadata are not strings")
     tensors: dict[str, Entry] = {}
     end = 0
-    for name, entry in sorted(entries.items(), key=_first_offset):
-        dtype, shape, first, last = _checked_entry(name, entry)
+    checked = [(name, *_checked_entry(name, entry)) for name, entry in entries.items()]
+    for name, dtype, shape, first, last in sorted(checked, key=lambda entry: entry[3:]):
         if first != end or last - first != math.prod(shape) * dtype.itemsize:
-            raise _HeaderError(f"its header is damaged: the bytes of {name!r} do not fit its shape")
+            raise TextureFileError(f"its header is damaged: the bytes of {name!r} do not fit its shape")
         tensors[name] = Entry(dtype, shape, begin + first)
         end = last
     return tensors, metadata, begin + end
@@ -192,26 +164,21 @@ def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return entries
 
 
-def _first_offset(item: tuple[str, Any]) -> tuple[int, int]:
-    _, _, first, last = _checked_entry(*item)
-    return first, last
-
-
 def _checked_entry(name: str, entry: Any) -> tuple[np.dtype[Any], tuple[int, ...], int, int]:
     """Return the type, the shape and the first and last byte of a tensor.
 
     numpy holds no larger shape than these, also where one of the sizes is 0.
     """
     if not name or name != name.encode(errors="replace").decode():
-        raise _HeaderError(f"its header is damaged: a tensor cannot have the name {name!r}")
+        raise TextureFileError(f"its header is damaged: a tensor cannot have the name {name!r}")
     if not isinstance(entry, dict) or not {"dtype", "shape", "data_offsets"} <= entry.keys():
-        raise _HeaderError(f"its header is damaged: {name!r} lacks its dtype, shape or data_offsets")
+        raise TextureFileError(f"its header is damaged: {name!r} lacks its dtype, shape or data_offsets")
     dtype, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
     if not isinstance(dtype, str) or dtype not in _DTYPES:
-        raise _HeaderError(f"{name!r} has the dtype {dtype!r}, which octex does not read")
+        raise TextureFileError(f"{name!r} has the dtype {dtype!r}, which octex does not read")
     is_shape = _is_whole(shape) and len(shape) <= 8 and math.prod(size or 1 for size in shape) < 2**48
     if not is_shape or not _is_whole(offsets) or len(offsets) != 2:
-        raise _HeaderError(f"its header is damaged: {name!r} has impossible shape or data_offsets")
+        raise TextureFileError(f"its header is damaged: {name!r} has impossible shape or data_offsets")
     return np.dtype(_DTYPES[dtype]).newbyteorder("<"), tuple(shape), offsets[0], offsets[1]
 
 

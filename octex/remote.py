@@ -111,12 +111,6 @@ class RemoteFile:
         """Fetch all that is not here."""
         self.fetch(np.array([[0, self.size]]))
 
-    def fetch_arrays(self, *arrays: Array) -> None:
-        """Fetch arrays; what is no view of the mapping is here."""
-        views = [array for array in arrays if array.nbytes and self.holds(array)]
-        begins = np.array([array.ctypes.data - self._first for array in views], np.int64)
-        self.fetch(np.stack([begins, begins + [array.nbytes for array in views]], axis=1))
-
     def holds(self, array: Array) -> bool:
         """Say whether an array is empty or a view of the mapping."""
         return not array.nbytes or 0 <= array.ctypes.data - self._first < self.size

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import chdir
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -42,7 +42,12 @@ class Call(NamedTuple):
         """Every argument of the function, also those that are not given."""
         kinds = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
         parameters = inspect.signature(self.function).parameters.values()
-        return [each.name for each in parameters if each.kind in kinds]
+        names = [each.name for each in parameters if each.kind in kinds]
+        for each in parameters:
+            if each.kind is inspect.Parameter.VAR_KEYWORD:  # as a TypedDict names them
+                (options,) = get_args(get_type_hints(self.function)[each.name])
+                names += get_type_hints(options)
+        return names
 
 
 class World(NamedTuple):

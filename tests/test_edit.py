@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 
 from octex.errors import ArgumentError
 from octex.tree.beside import boundary, near, with_boundary
+from octex.tree.children import children_of, node_cells
 from octex.tree.edit import (
     Edited,
     among,
     cull,
     facings_of_nodes,
-    first_children,
     locate,
-    nodes_by_level,
     places,
     raised,
     rebuilt,
@@ -166,13 +165,12 @@ def test_nodes_and_their_first_children_are_those_of_a_search_through_all_cells(
     cells = keys_of(tree)
     numbers = {key: n for n, key in enumerate(cells)}
     assume(tree.n_leaves)
-    of_levels = nodes_by_level(tree)
-    assert len(of_levels) == tree.max_depth + 1
-    for level, found in enumerate(of_levels):
-        nodes = [key for key, is_leaf in cells.items() if key[0] == level and not is_leaf]
-        assert found.tolist() == [numbers[key] for key in nodes]
-        firsts = [min(numbers[child] for child in children(key) if child in cells) for key in nodes]
-        assert first_children(tree, level).tolist() == firsts
+    nodes = [key for key, is_leaf in cells.items() if not is_leaf]
+    assert node_cells(tree.arrays).tolist() == [numbers[key] for key in nodes]
+    below = [[numbers[child] for child in children(key) if child in cells] for key in nodes]
+    firsts, counts = children_of(tree.arrays.groups, np.arange(tree.n_nodes))
+    assert firsts.tolist() == list(map(min, below))
+    assert counts.tolist() == list(map(len, below))
 
 
 @given(trees(), seeds)

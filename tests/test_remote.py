@@ -133,6 +133,17 @@ def test_a_texture_elsewhere_answers_as_here(seed: int, ending: str, tmp_path: P
     np.testing.assert_array_equal(sent.sample(points, names[0]), here.sample(points, names[0]))
 
 
+def test_a_channel_elsewhere_is_replaced_by_one_here() -> None:
+    files = fsspec.filesystem("memory")
+    files.pipe("/octex/a.octz", next(iter(sorted(GOLDEN.glob("*.octz")))).read_bytes())
+    channel = octex.open("memory://octex/a.octz").channels["base_color"]
+    values = channel.values.copy()
+    changed = channel._replace(values=255 - values)
+    assert type(changed) is octex.texture.Channel
+    np.testing.assert_array_equal(changed.values, 255 - values)
+    assert len(changed.split_values) == len(channel.split_values)
+
+
 @pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.octz")), ids=lambda path: path.name)
 def test_archives_of_every_version_are_read_in_part(path: Path) -> None:
     fsspec.filesystem("memory").pipe("/octex/a.octz", path.read_bytes())
@@ -252,7 +263,7 @@ def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path
     with ThreadPoolExecutor(4) as pool:
         parts = list(pool.map(lambda some: there.sample(some), np.split(far[::-1], 4)))
     np.testing.assert_array_equal(np.concatenate(parts), here.sample(far[::-1]))
-    assert not there._remote.is_whole  # type: ignore[attr-defined]
+    assert not there.source.file.is_whole  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])

@@ -47,7 +47,7 @@ def test_a_texture_in_a_store_answers_as_here(store: str, tmp_path: Path) -> Non
     points = here.placement.origin + here.placement.size * np.random.default_rng(0).random((50, 3))
     views = {"width": here.placement.size / 16, "normals": points - points.mean(axis=0)}
     np.testing.assert_array_equal(there.sample(points, **views), here.sample(points, **views))
-    assert there._remote._is_here.mean() < 0.6
+    assert there.source.file._is_here.mean() < 0.6
     np.testing.assert_array_equal(there.sample(points), here.sample(points))
     assert json.dumps(there.info()) == json.dumps(here.info())
     there.save(tmp_path / "b.octex")

@@ -9,7 +9,7 @@ from octex import jit
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
-from octex.tree.search import Positions, child, find, in_leaves, nearest_cells
+from octex.tree.search import Positions, child, in_leaves, nearest_cells
 from tests import naive
 from tests.strategies import Leaves, leaf_sets, points_around
 
@@ -50,19 +50,6 @@ def test_children_are_found_from_the_masks(leaves: Leaves) -> None:
             expected = numbers.get((level + 1, below), -1)
             expected_node = nodes.index(expected) if expected in nodes else -1
             assert child_of(tree.arrays, node, octant) == (expected, expected_node)
-
-
-@given(trees_and_points(), st.integers(0, 21))
-def test_find_gives_the_deepest_cell_that_holds_a_point(
-    drawn: tuple[Leaves, np.ndarray], max_level: int
-) -> None:
-    leaves, points = drawn
-    tree = Octree.from_leaves(*leaves)
-    cells = naive.cells_of(leaves.places())
-    for x, y, z in points.tolist():
-        number = naive.find(cells, (x, y, z), max_level)
-        level = cells[number].level if number >= 0 else -1
-        assert find(tree.arrays, x, y, z, max_level) == (number, level)
 
 
 @given(trees_and_points())
@@ -134,5 +121,3 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     nearest_cells(arrays, points, *UNIT, cells, np.empty(50, np.bool_))
     assert cells.min() >= 0 and cells.max() < tree.n_cells
     in_leaves(arrays, Positions.of(points), *UNIT, np.empty(50, np.bool_))
-    for x, y, z in points.tolist():
-        assert 0 <= find(arrays, x, y, z, 21)[0] < tree.n_cells

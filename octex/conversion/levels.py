@@ -26,15 +26,16 @@ from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
-from octex.editing.codes import differ
+from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
 from octex.jit import kernel
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
+from octex.tree.children import rank
 from octex.tree.edit import among
 from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
-from octex.tree.octree import Octree, distinct, rank
+from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values

@@ -15,7 +15,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
-from octex.editing.codes import SLOPE
+from octex.editing.split import SLOPE
 from octex.jit import inlined, kernel
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2

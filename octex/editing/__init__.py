@@ -1,7 +1,6 @@
 """What every change of a texture shares.
 
-codes       the scale on which facings are told apart
-split       what cells show each way: rows of split cells, read and changed
+split       what cells show each way: rows of split cells, told apart, read and changed
 nodes       some nodes of a tree, and their rows, level by level
 averages    a node's value: the mean of what is below it, and its residual; areas that are sums
 refined     cells below leaves: what the field refines to, and in which facings

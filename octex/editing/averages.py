@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s
 from octex.channels import (
     ALPHA,
     CHANNELS,
@@ -32,7 +32,7 @@ from octex.jit import decoded, kernel
 from octex.texture import Channel, OctreeTexture
 from octex.texture.blend import NO_TABLE
 from octex.tree.areas import AREAS, area_codes
-from octex.tree.edit import children_of
+from octex.tree.children import children_of
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, counts_of, find_rows, rows_of
 
@@ -193,7 +193,7 @@ def child_means(
     their areas, and by ``alpha`` (cells, 1), as stored.
     """
     means = np.zeros((numbers.size, values.shape[1]))
-    firsts, counts = children_of(tree, numbers)
+    firsts, counts = children_of(tree.arrays.groups, numbers)
     if alpha is None and (values.dtype.kind == "u" or _is_plain(values, space)):
         _means(firsts, counts, tree.arrays.areas, AREAS, NO_TABLE, *_as_codes(values, space), means)
         return means
@@ -219,26 +219,6 @@ def weighted_means(starts: Int64s, weights: Float32s, stored: Array, space: Colo
     alike = np.zeros(weights.size, np.uint8), np.ones(1)
     _means(starts[:-1], np.diff(starts), *alike, weights, *_as_codes(stored, space), means)
     return means.astype(np.float32)
-
-
-def stored_rows(channel: Channel, rows: Uint32s) -> Array:
-    """Return what is stored in rows (m,) of cells, and after them of kept coefficients."""
-    n_cells, is_kept = len(channel.values), rows >= len(channel.values)
-    found = channel.values[np.minimum(rows, n_cells - 1)]
-    if is_kept.any():
-        found[is_kept] = channel.kept_values[rows[is_kept] - n_cells]
-    return found
-
-
-def row_means(channel: Channel, starts: Int64s, rows: Uint32s, weights: Float32s) -> Float32s:
-    """Return the means of runs of rows (m,), as `stored_rows` has them, decoded; see `weighted_means`."""
-    values, space = channel.values, channel.format.space
-    if values.dtype.kind != "u" and not _is_plain(values, space):
-        return weighted_means(starts, weights, stored_rows(channel, rows), space)
-    means = np.zeros((starts.size - 1, values.shape[1]), np.float32)
-    codes, table = _as_codes(values, space)
-    _average_rows_of(starts, rows, weights, codes, channel.kept_values, table, means)
-    return means
 
 
 def _as_codes(stored: Array, space: ColorSpace) -> tuple[Array, Float32s]:
@@ -276,34 +256,6 @@ def _means(
                 means[n, k] += share * np.float64(decoded(table, codes[child, k]))
         for k in range(codes.shape[1] if total > 0.0 else 0):
             means[n, k] /= total
-
-
-@kernel
-def _average_rows_of(
-    starts: Int64s,
-    rows: Uint32s,
-    weights: Float32s,
-    codes: ChannelValues,
-    kept_codes: ChannelValues,
-    table: Float32s,
-    means: Float32s,
-) -> None:
-    """Average runs of rows of cells, and after them of kept coefficients."""
-    sums = np.empty(codes.shape[1], np.float64)
-    for n in range(starts.size - 1):
-        total = 0.0
-        sums[:] = 0.0
-        for tap in range(starts[n], starts[n + 1]):
-            weight = np.float64(weights[tap])
-            row = np.int64(rows[tap])
-            total += weight
-            for k in range(codes.shape[1]):
-                if row < codes.shape[0]:
-                    sums[k] += weight * np.float64(decoded(table, codes[row, k]))
-                elif row < codes.shape[0] + kept_codes.shape[0]:
-                    sums[k] += weight * np.float64(decoded(table, kept_codes[row - codes.shape[0], k]))
-        for k in range(codes.shape[1] if total > 0.0 else 0):
-            means[n, k] = np.float32(sums[k] / total)
 
 
 def _row_means(

@@ -11,20 +11,20 @@ is copying runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
 from octex.channels import ALPHA, ONE
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount
+from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.edit import among, locate, places, with_all_above
+from octex.tree.children import children_before, groups_of, masks_of
+from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree, distinct, rank
+from octex.tree.octree import Octree, distinct
 from octex.tree.split import counts_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
@@ -146,11 +146,11 @@ def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
     """Return the tiles that hold cells; none for cells above them."""
     if not cells.size:
         return cells
-    codes, is_node = next(islice(tree.walk(), level, None))
+    codes, is_node = tree.walked_to(level)
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
     found = [codes[:0]]
     for deeper in range(level + 1, tree.max_depth + 1):
-        firsts, begins = _children_before(tree, begins)
+        firsts, begins = children_before(tree.arrays.groups, begins)
         own = cells[
             (cells >= tree.arrays.level_cells[deeper]) & (cells < tree.arrays.level_cells[deeper + 1])
         ]
@@ -196,39 +196,19 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
     where = locate(tree, tiles.codes, tiles.level)
     there = (where.levels == tiles.level) & ~where.is_leaf
     counts = np.zeros(there.size, np.int64)
-    begins = where.nodes[there]
+    groups, begins = tree.arrays.groups, where.nodes[there]
     ends = begins + 1
     for _ in range(tiles.level, tree.max_depth):
-        (first, begins), (last, ends) = _children_before(tree, begins), _children_before(tree, ends)
+        (first, begins), (last, ends) = children_before(groups, begins), children_before(groups, ends)
         counts[there] += last - first
     return counts
-
-
-def _children_before(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the first child cell, and the first child node, of nodes (n,) or of what comes after them."""
-    child_cells, child_nodes = np.empty((2, nodes.size), np.int64)
-    _find_children(tree.arrays.groups, nodes, child_cells, child_nodes)
-    return child_cells, child_nodes
-
-
-@kernel
-def _find_children(groups: Uint64s, nodes: Int64s, child_cells: Int64s, child_nodes: Int64s) -> None:
-    for n in range(nodes.size):
-        group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
-        # Beyond the last node all masks are empty; beyond the last group all children come before.
-        below = ~np.uint64(0)
-        if nodes[n] >> 3 == group:
-            below = (np.uint64(1) << np.uint64(8 * (nodes[n] & 7))) - np.uint64(1)
-        first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
-        child_nodes[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
-        child_cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     """Return a texture of all cells down to the tiles' level, and of the open tiles."""
     tree, level = texture.tree, tiles.level
-    codes, is_node = next(islice(tree.walk(), level, None))
-    is_open = is_node & _are_open(codes, tiles)
+    codes, is_node = tree.walked_to(level)
+    is_open = is_node & among(codes, tiles.codes)
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
     levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
@@ -238,14 +218,6 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     )
     made = _joined([texture], texture, level, levels, runs, is_closed)
     return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
-
-
-def _are_open(codes: Int64s, tiles: Tiles) -> Bools:
-    """Say which of all cells of the tiles' level, ascending, are open tiles."""
-    found = np.zeros(codes.size, np.bool_)
-    at = places(tiles.codes, codes)
-    found[at[at >= 0]] = True
-    return found
 
 
 def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
@@ -278,10 +250,10 @@ def put_together(
     ``texture``. ``top`` says which tiles there are.
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
-    codes, is_node = next(islice(top.tree.walk(), level, None))
+    codes, is_node = top.tree.walked_to(level)
     owners = np.ones(codes.size, np.int64)
     for number, (tiles, _) in enumerate(drafts, 2):
-        owners[_are_open(codes, tiles)] = number
+        owners[among(codes, tiles.codes)] = number
     cells, nodes = np.full((2, codes.size), -1, np.int64)  # each tile's numbers in its texture
     for number, each in enumerate(textures[1:], 1):
         of_tile = owners == number
@@ -356,8 +328,8 @@ def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], 
         first, last = np.zeros((2, 2, runs.owners.size), np.int64)
         for number, tree in enumerate(trees):
             own = runs.owners == number
-            first[:, own] = _children_before(tree, runs.begins[own])
-            last[:, own] = _children_before(tree, runs.ends[own])
+            first[:, own] = children_before(tree.arrays.groups, runs.begins[own])
+            last[:, own] = children_before(tree.arrays.groups, runs.ends[own])
         counts.append((int((last[0] - first[0]).sum()), int((runs.ends - runs.begins).sum())))
         if not counts[-1][0]:
             return counts, cells, nodes
@@ -390,12 +362,8 @@ def _joined(
     n_nodes = int(level_nodes[-1])
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word, own in enumerate(masks):
-        packed = [np.ascontiguousarray(each.tree.arrays.groups[:, word]).view(np.uint8) for each in textures]
-        own[:n_nodes] = nodes.of(packed)
+        own[:n_nodes] = nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
     _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
-    groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
-    groups[:, 0], groups[:, 1] = (own.view("<u8") for own in masks)
-    rank(groups)
     trees = [each.tree for each in textures]
     flags = cells.of([tree.arrays.flags for tree in trees])
     areas = cells.of([tree.arrays.areas for tree in trees])
@@ -406,7 +374,9 @@ def _joined(
         split_runs.of([tree.split.facings for tree in trees]),
         row_runs.of([tree.split.areas for tree in trees]),
     )
-    tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells))
+    tree = Octree(
+        TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
+    )
     channels = {}
     for name, channel in top.channels.items():
         own_channels = [each.channels[name] for each in textures]

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Int64s
-from octex.jit import kernel, popcount
-from octex.tree.edit import children_of, locate
-from octex.tree.layout import TreeArrays
+from octex.tree.children import children_of, node_cells
+from octex.tree.edit import locate
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, rows_of
 
@@ -29,7 +28,7 @@ class Nodes(NamedTuple):
 
 def all_nodes(tree: Octree) -> Nodes:
     """Return all nodes of a tree."""
-    return Nodes(np.arange(tree.n_nodes), node_cells(tree))
+    return Nodes(np.arange(tree.n_nodes), node_cells(tree.arrays))
 
 
 def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
@@ -45,13 +44,6 @@ def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
     return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def node_cells(tree: Octree) -> Int64s:
-    """Return the cell numbers of all nodes (nodes,), ascending."""
-    cells = np.zeros(tree.n_nodes, np.int64)
-    _node_cells(tree.arrays, cells)
-    return cells
-
-
 def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
     """Return where the nodes of each level stand that has any, from the root on."""
     ends = np.searchsorted(nodes.numbers, tree.arrays.level_nodes[: tree.max_depth + 1])
@@ -60,7 +52,7 @@ def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
 
 def all_children(tree: Octree, numbers: Int64s) -> tuple[Int64s, Int64s]:
     """Return the children (m,) of nodes (n,), given by their numbers, and where those of each begin (n,)."""
-    firsts, counts = children_of(tree, numbers)
+    firsts, counts = children_of(tree.arrays.groups, numbers)
     starts = np.cumsum(counts) - counts
     return np.repeat(firsts - starts, counts) + np.arange(counts.sum()), starts
 
@@ -78,21 +70,3 @@ def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int
         some = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
         if some.start < some.stop:
             yield some, rows.of(some), nodes.numbers[owners[some]]
-
-
-@kernel
-def _node_cells(arrays: TreeArrays, cells: Int64s) -> None:
-    """Fill in the cells of the nodes after the root."""
-    groups = arrays.groups
-    next_node, begin = 1, np.int64(1)
-    for node in range(cells.size):
-        shift = np.uint64(8 * (node & 7))
-        nodes = groups[node >> 3, 0] >> shift & np.uint64(0xFF)
-        children = nodes | groups[node >> 3, 1] >> shift & np.uint64(0xFF)
-        while nodes != np.uint64(0) and next_node < cells.size:
-            lowest = nodes & (~nodes + np.uint64(1))
-            nodes ^= lowest
-            cell = begin + popcount(children & (lowest - np.uint64(1)))
-            cells[next_node] = min(cell, np.int64(arrays.areas.size - 1))
-            next_node += 1
-        begin += popcount(children)

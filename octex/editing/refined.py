@@ -11,9 +11,8 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
 from octex.channels import ALPHA, decode, encode
-from octex.editing.averages import row_means, stored_rows, weighted_means
-from octex.editing.codes import differ
-from octex.editing.split import with_split
+from octex.editing.averages import weighted_means
+from octex.editing.split import differ, with_split
 from octex.field.neighborhood import refined_taps
 from octex.jit import kernel
 from octex.parallel import ordered_map
@@ -147,7 +146,7 @@ def _blended(
     """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
 
     def shown(channel: Channel) -> Array:
-        stored = stored_rows(channel, taps.rows)
+        stored = channel.rows(taps.rows)
         if there is not None:
             stored[there] = channel.split_values[own]
         return stored
@@ -159,10 +158,7 @@ def _blended(
         weights = weights * np.maximum(decode(shown(alpha), alpha.format.space)[:, 0], _FAINT)
     for name, channel in channels.items():
         own_weights = taps.weights if name == ALPHA.name else weights
-        if there is None:
-            found[name] = row_means(channel, taps.starts, taps.rows, own_weights)
-        else:
-            found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
+        found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
     return found
 
 

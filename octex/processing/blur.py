@@ -11,11 +11,11 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, LEAST_COVERAGE, decode, encode
 from octex.checks import as_number
 from octex.editing.averages import average_plain
-from octex.editing.nodes import node_cells
 from octex.processing.edit import noted, with_values
 from octex.processing.mapping import centres_of, levels_of, names_of
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
+from octex.tree.children import node_cells
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, rows_of
@@ -50,7 +50,7 @@ def blur(
     arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
     made = {name: Channel(texture.channels[name].format, *own) for name, own in arrays.items()}
     is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree)] = False
+    is_leaf[node_cells(tree.arrays)] = False
     rows = rows_of(tree.split)
     rows = rows.of(is_leaf[rows.cells])
     is_plain = is_leaf.copy()

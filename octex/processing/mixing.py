@@ -12,7 +12,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, encode
 from octex.editing.averages import Residuals, average, average_plain, with_summed_areas
-from octex.editing.nodes import Nodes, all_children, by_level, node_cells
+from octex.editing.nodes import Nodes, all_children, by_level
 from octex.functions import answer
 from octex.parallel import ordered_map, sharing, start
 from octex.processing.mapping import centres_of, levels_of
@@ -20,6 +20,7 @@ from octex.processing.sides import Cells, Side
 from octex.processing.union import NOTHING, Origins, find_made, take, unite
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import shared_codes
+from octex.tree.children import node_cells
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, rows_of
@@ -45,7 +46,7 @@ class Mixing:
         self._amount, self._executor = amount, executor
         self._texture = first  # for its placement and formats
         self._tree, *origins = unite(first.tree, second.tree)
-        self._nodes = node_cells(self._tree)
+        self._nodes = node_cells(self._tree.arrays)
         self._codes: Int64s | None = None
         # What is taken whole or not at all needs no values below the other's leaves.
         self._first, self._second = (

@@ -13,9 +13,10 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.errors import ArgumentError
 from octex.jit import kernel, popcount
+from octex.tree.children import children, groups_of
 from octex.tree.edit import facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
-from octex.tree.octree import Octree, rank
+from octex.tree.octree import Octree
 
 #: Where a tree has nothing.
 NOTHING = -1
@@ -61,10 +62,7 @@ def unite(first: Octree, second: Octree) -> Union:
     n_cells, n_nodes = int(level_cells[-1]), int(level_nodes[-1])
     if n_cells > MAX_CELLS:
         raise ArgumentError(f"{n_cells:,} cells together are more than a tree can number")
-    groups = np.zeros((-(-n_nodes // 8), 3), np.uint64)
-    for word in range(2):
-        groups[:, word] = masks[word, : 8 * len(groups)].view("<u8")
-    rank(groups)
+    groups = groups_of(masks[:, : -(-n_nodes // 8) * 8])
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))
     one, other = (Origins(cells[each, :n_cells], nodes[each, :n_nodes]) for each in range(2))
@@ -189,8 +187,8 @@ def find_made(
     groups = arrays.groups
     end = share.size
     for node in range(nodes.size - 1, -1, -1):
-        children = (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7))
-        begin = max(end - popcount(children & np.uint64(0xFF)), 0)
+        _, stored, _, _ = children(groups, node)
+        begin = max(end - popcount(stored), 0)
         part = share[begin]
         made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
         for child in range(begin, end):

@@ -4,9 +4,10 @@ channel     a named array of values, one a cell
 lookup      how points are looked up: options, checked; blocks, on any threads; where answers go
 blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
-spans       which bytes of a file lookups read
+spans       which rows of its arrays, and bytes of its file, lookups read
 texture     tree + channels + placement
-remote      the same, of a file elsewhere that is fetched by parts; elsewhere: render files and archives there
+remote      the source of a texture elsewhere, which fetches what lookups read; elsewhere: its file
+open        textures opened, here and elsewhere
 set         textures of parts by name, looked up by part
 folder      what a set is on disk
 """
@@ -14,7 +15,7 @@ folder      what a set is on disk
 from octex.field.listing import TapList as TapList
 from octex.field.splines import FILTERS as FILTERS
 from octex.texture.channel import Channel as Channel
+from octex.texture.open import open_texture as open_texture
 from octex.texture.set import TextureSet as TextureSet
 from octex.texture.texture import OctreeTexture as OctreeTexture
 from octex.texture.texture import as_texture as as_texture
-from octex.texture.texture import open_texture as open_texture

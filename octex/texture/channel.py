@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Integers
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat
-from octex.checks import as_choice, locked
+from octex.checks import as_choice, as_entries, locked
 from octex.errors import ArgumentError
 from octex.tree.octree import Octree
 
@@ -62,6 +63,17 @@ class Channel(NamedTuple):
             kept_values=self.kept_values[: tree.kept.cells.size],
         )
 
+    def rows(self, numbers: Integers) -> Array:
+        """Return what is stored in rows (n,): those of cells, then of kept nodes, then of split facings."""
+        found = self.values.take(numbers, axis=0, mode="clip")
+        begin = len(self.values)
+        for part in (self.kept_values, self.split_values):
+            beyond = np.flatnonzero(numbers >= begin)
+            if beyond.size and len(part):
+                found[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
+            begin += len(part)
+        return found
+
     def locked(self) -> Channel:
         """Return the same values as read-only views; itself, if they are."""
         if not any(array.flags.writeable for array in self[1:]):
@@ -81,3 +93,15 @@ class Channel(NamedTuple):
             if array.dtype.kind == "f"
             for begin in range(0, len(array), _PIECE)
         )
+
+
+def as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Channel]:
+    """Return channels, read-only, or raise ArgumentError for no tree, and for those that do not fit it."""
+    if not isinstance(tree, Octree):
+        raise ArgumentError(f"tree must be an Octree, not {tree!r}")
+    given = as_entries(channels, "channels")
+    for name, channel in given.items():
+        if not isinstance(channel, Channel):
+            raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
+        channel.check(name, tree)
+    return {name: channel.locked() for name, channel in given.items()}

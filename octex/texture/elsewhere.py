@@ -6,16 +6,15 @@ blocks of areas and channels, no deeper than asked for; these are decoded into m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from threading import RLock
-from typing import Any, Protocol
 
 import numpy as np
 
 from octex.archive.head import DamagedError
 from octex.archive.layout import AREAS, KEPT_NAME, SPLIT_NAMES, TREE_NAMES, known_names
-from octex.archive.read import Contents, Decoding
+from octex.archive.read import Decoding
 from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.remote import BLOCK, RemoteFile
@@ -30,63 +29,25 @@ _GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _ = TREE_NAMES
 _LISTS = {_FLAGS: "cell", SPLIT_NAMES[0]: "split", SPLIT_NAMES[1]: "split", KEPT_NAME: "kept"}
 
 
-class Elsewhere(Protocol):
-    """A file elsewhere."""
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all of it is here."""
-
-    def rows(self) -> Rows:
-        """Return what gathers rows."""
-
-    def fetch_rows(self, rows: Any) -> bool:
-        """Fetch what was gathered; say whether there was any."""
-
-    def fetch_arrays(self, *arrays: Array) -> None:
-        """Fetch whole arrays, or what of them is viewed."""
-
-    def fetch_nodes(self, groups: Array, count: int) -> None:
-        """Fetch what says which children the first nodes have."""
-
-    def fetch_tables(self, tree: Octree, level: int) -> None:
-        """Fetch what says which cells down to a level are split or kept."""
-
-    def fetch_all(self) -> None:
-        """Fetch all of it."""
-
-    def checked_once(self) -> AbstractContextManager[None]:
-        """Look once, at the end of the block, whether the file has changed meanwhile."""
-
-
 class RenderFile(RemoteFile):
     """A render file elsewhere, of whose mapping arrays are views."""
 
-    def rows(self) -> Spans:
-        """Return what gathers rows."""
-        return Spans(self.mapping, BLOCK)
-
-    def fetch_rows(self, rows: Spans) -> bool:
-        """Fetch what was gathered; say whether there was any."""
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = Spans(self.mapping, BLOCK)
+        gather(rows)
         return self.fetch(rows.ranges())
 
-    def fetch_nodes(self, groups: Array, count: int) -> None:
-        """Fetch what says which children the first nodes have."""
-        self.fetch_arrays(groups[: -(-count // 8)])
-
-    def fetch_tables(self, tree: Octree, level: int) -> None:
-        """Fetch what says which cells down to a level are split or kept."""
-        arrays, split, kept = tree.arrays, tree.split, tree.kept
-        n_cells = int(arrays.level_cells[level + 1])
-        needed: list[Array] = [kept.cells]
-        if kept.cells.size:
-            needed.append(arrays.flags[:n_cells])
-        n_split = _LEAST_SPLIT  # of the table, in the cells' order: in steps like those of its search
-        self.fetch_arrays(*needed, split.cells[: n_split + 1])
+    def fetch_tables(self, tree: Octree, level: int) -> bool:
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        split, n_cells, n_split = tree.split, int(tree.level_cells[level + 1]), _LEAST_SPLIT
+        kept: list[Array] = [tree.kept.cells, tree.arrays.flags[:n_cells]] if tree.kept.cells.size else []
+        was_more = fetch_arrays(self, *kept, split.cells[: n_split + 1])
+        # Of the table, which is in the cells' order, in steps like those of its search.
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2
-            self.fetch_arrays(split.cells[: n_split + 1])
-        self.fetch_arrays(split.facings[: n_split + 1])
+            was_more |= fetch_arrays(self, split.cells[: n_split + 1])
+        return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
 
 
 class _Wanted:
@@ -105,24 +66,21 @@ class _Wanted:
             return
         rows = first + rows.astype(np.int64)
         if name == _GROUPS:
-            self._reach(self._archive.level_of_node(8 * int(rows.max()) + 7) + 1)
+            self.nodes(array, 8 * rows + 7)
         elif name in _LISTS:
-            self._reach(self._archive.level_of(_LISTS[name], rows))
+            self.level = max(self.level, self._archive.decoding.level_of(_LISTS[name], rows))
         elif name not in (_LEVEL_CELLS, _LEVEL_NODES):
             table = {"split": "row", "kept": "kept"}.get(name.partition("/")[0], "cell")
             self.tables.setdefault(name.partition("channels/")[2] or AREAS, []).append((table, rows))
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add what says which children nodes have."""
+        """Add the groups of some nodes."""
         if groups.size and nodes.size:
-            self._reach(self._archive.level_of_node(int(nodes.max())) + 1)
+            self.level = max(self.level, self._archive.level_of_node(int(nodes.max())) + 1)
 
     def until(self, array: Array, end: int) -> None:
         """Add all rows before one."""
         self.rows(array, np.arange(min(end, len(array))))
-
-    def _reach(self, level: int) -> None:
-        self.level = max(self.level, level)
 
 
 class Archive:
@@ -135,12 +93,10 @@ class Archive:
         self._remote = remote
         self._lock = RLock()
         with self._decoded():
-            self._decoding = Decoding(remote.mapping, self._fetch)
-        self._has_more = False  # structure than when rows were last asked for
-        tensors = self.contents.tensors
+            self.decoding = Decoding(remote.mapping, self._fetch)
+        tensors = self.decoding.contents.tensors
         self._level_nodes = tensors[_LEVEL_NODES]
-        self._n_nodes = int(self._level_nodes[-1])
-        coded = known_names(tensors, self._decoding.channels)
+        coded = known_names(tensors, self.decoding.channels)
         self._places = sorted(
             (array.ctypes.data, array.ctypes.data + array.nbytes, name, array.nbytes // len(array))
             for name, array in tensors.items()
@@ -148,49 +104,27 @@ class Archive:
         )
 
     @property
-    def contents(self) -> Contents:
-        """What is decoded, zeros for what is not."""
-        return self._decoding.contents
-
-    @property
     def is_whole(self) -> bool:
         """Whether all of it is decoded."""
-        return self._decoding.is_whole
+        return self.decoding.is_whole
 
-    def rows(self) -> _Wanted:
-        """Return what gathers rows."""
-        return _Wanted(self)
-
-    def fetch_rows(self, rows: _Wanted) -> bool:
-        """Fetch what was gathered; say whether there was any."""
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = _Wanted(self)
+        gather(rows)
         with self._decoded():
-            was_more = self._decoding.decode_structure(rows.level) or self._has_more
-            self._has_more = False
-            was_more |= self._decoding.decode(rows.tables)
-        return was_more
+            was_more = self.decoding.decode_structure(rows.level)
+            return self.decoding.decode(rows.tables) or was_more
 
-    def fetch_arrays(self, *arrays: Array) -> None:
-        """Fetch whole arrays, or what of them is viewed."""
-        rows = self.rows()
-        for array in arrays:
-            rows.until(array, len(array))
-        self.fetch_rows(rows)
-
-    def fetch_nodes(self, groups: Array, count: int) -> None:
-        """Fetch what says which children the first nodes have."""
-        rows = self.rows()
-        rows.nodes(groups, np.arange(count - 1, count))
-        self.fetch_rows(rows)
-
-    def fetch_tables(self, _tree: Octree, level: int) -> None:
-        """Fetch what says which cells down to a level are split or kept."""
+    def fetch_tables(self, _tree: Octree, level: int) -> bool:
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
         with self._decoded():
-            self._has_more |= self._decoding.decode_structure(level)
+            return self.decoding.decode_structure(level)
 
     def fetch_all(self) -> None:
         """Fetch all of it."""
         with self._decoded():
-            self._decoding.decode_all()
+            self.decoding.decode_all()
 
     def checked_once(self) -> AbstractContextManager[None]:
         """Look once, at the end of the block, whether the file has changed meanwhile."""
@@ -207,11 +141,8 @@ class Archive:
 
     def level_of_node(self, node: int) -> int:
         """Return the level of a node."""
-        return int(np.searchsorted(self._level_nodes, min(node, self._n_nodes - 1), "right")) - 1
-
-    def level_of(self, table: str, rows: Int64s) -> int:
-        """Return the level of the last of the cells that some rows of a table are of."""
-        return self._decoding.level_of(table, rows)
+        last = int(self._level_nodes[-1]) - 1
+        return int(np.searchsorted(self._level_nodes, min(node, last), "right")) - 1
 
     def _fetch(self, ranges: Sequence[tuple[int, int]]) -> None:
         self._remote.fetch(np.array(ranges, np.int64).reshape(-1, 2))
@@ -225,3 +156,17 @@ class Archive:
                 raise TextureFileError(f"{self._remote.address}: {error}") from error
             except (MemoryError, OverflowError):
                 raise TextureFileError(f"{self._remote.address}: needs more memory than there is") from None
+
+
+#: A file elsewhere.
+Elsewhere = RenderFile | Archive
+
+
+def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
+    """Fetch whole arrays of a file, or what of them is viewed; say whether there was anything to fetch."""
+
+    def gather(rows: Rows) -> None:
+        for array in arrays:
+            rows.until(array, len(array))
+
+    return file.fetch_rows(gather)

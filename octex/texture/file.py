@@ -30,7 +30,7 @@ import json
 import mmap
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -42,6 +42,10 @@ from octex.texture.channel import Channel
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, no_kept, no_split
 from octex.tree.placement import Placement
+
+if TYPE_CHECKING:
+    from octex.texture.lookup import Given, Lens
+    from octex.texture.texture import OctreeTexture
 
 Result = TypeVar("Result")
 
@@ -61,25 +65,65 @@ class Parts(NamedTuple):
     metadata: Mapping[str, str]
 
 
-class File(NamedTuple):
-    """The file that a texture was opened from."""
+class Source:
+    """Where the arrays of a texture come from: memory, or the file that it was opened from."""
 
-    path: str
-    mapping: mmap.mmap | None  # None: it was pickled or copied, and lies in memory
-    tensors: dict[str, Array]  # those that octex does not know
-    metadata: dict[str, str]
-    sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
+    def __init__(
+        self,
+        path: str = "",
+        mapping: mmap.mmap | None = None,
+        tensors: dict[str, Array] | None = None,
+        metadata: dict[str, str] | None = None,
+        sizes: dict[str, int] | None = None,
+    ) -> None:
+        self.path = path  # "" for what was made here
+        self.mapping = mapping  # of a render file; None: the arrays lie in memory
+        self.tensors = tensors or {}  # those that octex does not know
+        self.metadata = metadata or {}
+        self.sizes = sizes  # of an archive: bytes of its streams
+
+    def here(self, texture: OctreeTexture) -> OctreeTexture:
+        """Return a texture of what is here of it: all."""
+        return texture
+
+    def whole(self, texture: OctreeTexture) -> OctreeTexture:
+        """Prepare for all of a texture to be read, and return it."""
+        if self.mapping:
+            container.read_ahead(self.mapping)
+        return texture
+
+    def levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
+        """Return a texture whose levels 0 … ``level`` are here."""
+        return texture
+
+    def prepare(
+        self,
+        texture: OctreeTexture,
+        count: int,
+        _channel: str | list[str] | tuple[str, ...] | None = None,
+        _lens: Lens | None = None,
+        _given: Callable[[], Given] = dict,
+        /,
+    ) -> OctreeTexture:
+        """Prepare for so many lookups, and return the texture that answers them.
+
+        ``given`` returns what is given of the points; without a channel it is asked whether leaves hold them.
+        """
+        # About a page a point: most of the file will be read.
+        if self.mapping and count * mmap.PAGESIZE > len(self.mapping):
+            container.read_ahead(self.mapping)
+        return texture
 
 
-def written(parts: Parts, file: File | None) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return a texture's tensors and metadata, with what octex does not know of its ``file``."""
-    tree = parts.tree
+def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
+    """Return a texture's tensors and metadata, with what octex does not know of its file."""
+    tree, placement = texture.tree, texture.placement
     tensors: dict[str, Array] = {f"tree/{name}": array for name, array in tree.arrays._asdict().items()}
     if tree.split.cells.size:
         tensors |= {f"split/{name}": array for name, array in tree.split._asdict().items()}
     if tree.kept.cells.size:
         tensors["kept/cells"] = tree.kept.cells
-    for name, channel in parts.channels.items():
+    for name, channel in texture.channels.items():
         tensors[f"channels/{name}"] = channel.values
         if tree.split.cells.size:
             tensors[f"split/channels/{name}"] = channel.split_values
@@ -88,21 +132,18 @@ def written(parts: Parts, file: File | None) -> tuple[dict[str, Array], dict[str
     metadata = {
         "format": FORMAT,
         "format_version": str(FORMAT_VERSION),
-        "placement": json.dumps({"origin": parts.placement.origin, "size": parts.placement.size}),
-        "bounds": json.dumps(parts.bounds.tolist()),
-        "channels": json.dumps({name: channel.format.space for name, channel in parts.channels.items()}),
-        "provenance": json.dumps(dict(parts.metadata)),
+        "placement": json.dumps({"origin": placement.origin, "size": placement.size}),
+        "bounds": json.dumps(texture.bounds.tolist()),
+        "channels": json.dumps({name: channel.format.space for name, channel in texture.channels.items()}),
+        "provenance": json.dumps(dict(texture.metadata)),
     }
-    if file:
-        tensors |= file.tensors
-        metadata |= file.metadata
-    return tensors, metadata
+    return tensors | texture.source.tensors, metadata | texture.source.metadata
 
 
-def described(parts: Parts, file: File | None) -> dict[str, Any]:
+def described(texture: OctreeTexture) -> dict[str, Any]:
     """Describe a texture: what `OctreeTexture.info` returns."""
-    tree = parts.tree
-    tensors, metadata = written(parts, file)
+    tree, placement, source = texture.tree, texture.placement, texture.source
+    tensors, metadata = written(texture)
     sizes = {
         "header": len(container.header(tensors, metadata)),
         "structure": sum(array.nbytes for array in tree.arrays[:3]),
@@ -110,16 +151,16 @@ def described(parts: Parts, file: File | None) -> dict[str, Any]:
         "areas": tree.arrays.areas.nbytes,
         "split": sum(array.nbytes for array in tree.split),
         "kept": tree.kept.cells.nbytes,
-        **{f"channel {name}": channel.nbytes for name, channel in parts.channels.items()},
-        "other": sum(array.nbytes for array in file.tensors.values()) if file else 0,
+        **{f"channel {name}": channel.nbytes for name, channel in texture.channels.items()},
+        "other": sum(array.nbytes for array in source.tensors.values()),
     }
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "placement": {"origin": list(parts.placement.origin), "size": parts.placement.size},
-        "bounds": parts.bounds.tolist(),
+        "placement": {"origin": list(placement.origin), "size": placement.size},
+        "bounds": texture.bounds.tolist(),
         "depth": tree.max_depth,
-        "finest_cell": parts.placement.size / (1 << tree.max_depth),
+        "finest_cell": placement.size / (1 << tree.max_depth),
         "cells": tree.n_cells,
         "leaves": tree.n_leaves,
         "nodes": tree.n_nodes,
@@ -130,9 +171,9 @@ def described(parts: Parts, file: File | None) -> dict[str, Any]:
             for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
         ],
         "bytes": {**sizes, "total": sum(sizes.values())},
-        **({"archive": file.sizes} if file and file.sizes else {}),
-        "channels": [channel.format._asdict() for channel in parts.channels.values()],
-        "provenance": dict(parts.metadata),
+        **({"archive": source.sizes} if source.sizes else {}),
+        "channels": [channel.format._asdict() for channel in texture.channels.values()],
+        "provenance": dict(texture.metadata),
     }
 
 

@@ -48,8 +48,8 @@ _LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
-class LookupOptions(TypedDict, total=False):
-    """How points are looked at: see `OctreeTexture.sample`."""
+class FootprintOptions(TypedDict, total=False):
+    """What lookups average over: see `OctreeTexture.sample`."""
 
     width: npt.ArrayLike | None
     normals: npt.ArrayLike | None
@@ -59,6 +59,11 @@ class LookupOptions(TypedDict, total=False):
     blur: float
     sharpness: float
     bleed_threshold: float
+
+
+class LookupOptions(FootprintOptions, total=False):
+    """How points are looked at: see `OctreeTexture.sample`."""
+
     normalize: bool
     threads: int | None
     executor: Executor | None
@@ -95,55 +100,6 @@ class Lens(NamedTuple):
     sharpness: float = 0.0
     bleed_threshold: float = BLEED_THRESHOLD
 
-    def given(
-        self,
-        points: npt.ArrayLike | SurfacePoints,
-        *,
-        normals: npt.ArrayLike | None,
-        gradient: bool = False,
-        **more: npt.ArrayLike | None,
-    ) -> dict[str, Array]:
-        """Return what is given of points, a row for each. Raises ArgumentError for what does not fit."""
-        places, normals = placed(points, normals)
-        given = {"points": places}
-        as_choice(self.filter, FILTERS, "filter")
-        if gradient and self.filter == "nearest":
-            raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
-        as_number(self.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
-        as_number(self.blur, "blur", 0.0, _MOST_BLUR)
-        as_number(self.sharpness, "sharpness", 0.0, 1.0)
-        as_number(self.bleed_threshold, "bleed_threshold", 0.0, np.inf)
-        n = len(places)
-        for name, array in (("normals", normals), *more.items()):
-            if array is None:
-                continue
-            if name == "width":
-                width = as_array(array)
-                if width.dtype.kind not in "fiu" or width.shape not in ((), (n,)):
-                    found = f"{width.dtype} {width.shape}"
-                    raise ArgumentError(f"width must be a real number or (n,) of them, not {found}")
-                given[name] = np.broadcast_to(width, (n,))
-            else:
-                given[name] = as_point_rows(array, name)
-                if len(given[name]) != n:
-                    raise ArgumentError(
-                        f"{name} must have a row for each of {n} points, not {len(given[name])}"
-                    )
-        if ("dPdx" in given) != ("dPdy" in given):
-            raise ArgumentError("dPdx and dPdy are given together or not at all")
-        if "width" in given and "dPdx" in given:
-            raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
-        if self.sharpness > 0 and not self.has_footprints(given):
-            raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
-        if self.anisotropy != ANISOTROPY and "dPdx" not in given:
-            raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
-        if self.bleed_threshold != BLEED_THRESHOLD and ("normals" in given or not self.has_footprints(given)):
-            raise ArgumentError(
-                "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
-                "and dPdy, or blur, and no normals"
-            )
-        return given
-
     def has_footprints(self, given: Given) -> bool:
         """Say whether points are looked up with footprints."""
         return "width" in given or "dPdx" in given or self.blur > 0
@@ -165,6 +121,61 @@ class Lens(NamedTuple):
             most = np.finfo(np.float32).max
             normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
         return Query(self.filter, footprints, normals)
+
+
+def asked(
+    points: npt.ArrayLike | SurfacePoints,
+    filter: str,
+    gradient: bool = False,
+    /,
+    width: npt.ArrayLike | None = None,
+    normals: npt.ArrayLike | None = None,
+    dPdx: npt.ArrayLike | None = None,
+    dPdy: npt.ArrayLike | None = None,
+    **options: Any,
+) -> tuple[Lens, dict[str, Array]]:
+    """Return what is asked of points, and what is given of each; see `OctreeTexture.sample`.
+
+    Raises ArgumentError for what does not fit.
+    """
+    places, normals = placed(points, normals)
+    lens, given = Lens(filter, **options), {"points": places}
+    as_choice(lens.filter, FILTERS, "filter")
+    if gradient and lens.filter == "nearest":
+        raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
+    as_number(lens.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
+    as_number(lens.blur, "blur", 0.0, _MOST_BLUR)
+    as_number(lens.sharpness, "sharpness", 0.0, 1.0)
+    as_number(lens.bleed_threshold, "bleed_threshold", 0.0, np.inf)
+    n = len(places)
+    shape = {"normals": normals, "width": width, "dPdx": dPdx, "dPdy": dPdy}
+    for name, array in shape.items():
+        if array is None:
+            continue
+        if name == "width":
+            widths = as_array(array)
+            if widths.dtype.kind not in "fiu" or widths.shape not in ((), (n,)):
+                found = f"{widths.dtype} {widths.shape}"
+                raise ArgumentError(f"width must be a real number or (n,) of them, not {found}")
+            given[name] = np.broadcast_to(widths, (n,))
+        else:
+            given[name] = as_point_rows(array, name)
+            if len(given[name]) != n:
+                raise ArgumentError(f"{name} must have a row for each of {n} points, not {len(given[name])}")
+    if ("dPdx" in given) != ("dPdy" in given):
+        raise ArgumentError("dPdx and dPdy are given together or not at all")
+    if "width" in given and "dPdx" in given:
+        raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
+    if lens.sharpness > 0 and not lens.has_footprints(given):
+        raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
+    if lens.anisotropy != ANISOTROPY and "dPdx" not in given:
+        raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
+    if lens.bleed_threshold != BLEED_THRESHOLD and ("normals" in given or not lens.has_footprints(given)):
+        raise ArgumentError(
+            "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
+            "and dPdy, or blur, and no normals"
+        )
+    return lens, given
 
 
 class _Fault(NamedTuple):

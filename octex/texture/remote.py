@@ -1,36 +1,32 @@
-"""A texture whose file is elsewhere: each lookup fetches the bytes that it will read before it reads them."""
+"""The source of a texture whose file is elsewhere: it fetches what a lookup will read before it reads it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from threading import RLock
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from octex import container
 from octex.archive.layout import MAGIC
-from octex.arrays import Array, Int64s, Uint8s
-from octex.checks import as_depth
-from octex.errors import InputError, TextureFileError
-from octex.field.field import Field
+from octex.arrays import Array, Int64s
 from octex.field.tiles import can_be_tiled
 from octex.texture.channel import Channel
-from octex.texture.elsewhere import Archive, Elsewhere, RenderFile
-from octex.texture.file import File, taken
-from octex.texture.lookup import Given, Lens, placed
-from octex.texture.spans import cells_of, nodes_read
-from octex.texture.texture import OctreeTexture
-from octex.tree.layout import KeptTable, SplitTable, TreeArrays
+from octex.texture.elsewhere import Archive, Elsewhere, RenderFile, fetch_arrays
+from octex.texture.file import Source
+from octex.texture.lookup import Given, Lens
+from octex.texture.spans import add_reads, cells_of, lookup_reads, nodes_read
+from octex.texture.texture import OctreeTexture, opened
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
 
 #: Bytes that are fetched first: the header, and what says which cells there are down to some level.
 _FIRST = 1 << 14
 
-Fetch = Callable[..., None]
+Fetch = Callable[..., object]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
@@ -39,177 +35,110 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
     remote = RenderFile(address, cache)
+    file: Elsewhere = remote
     remote.fetch(np.array([[0, min(len(MAGIC), remote.size)]]))
     if remote.mapping[: len(MAGIC)] == MAGIC:
-        archive = Archive(remote)
-        tensors, metadata, sizes = archive.contents
-        return _opened(File(address, None, dict(tensors), dict(metadata), sizes), archive)
-    remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
-    length = 8 + int.from_bytes(remote.mapping[:8], "little")
-    if length <= remote.size:
-        remote.fetch(np.array([[0, length]]))
-    contents = container.read_mapped(remote.mapping, address)
-    levels = [contents.tensors.get(f"tree/{name}") for name in ("level_cells", "level_nodes")]
-    remote.fetch_arrays(*(array for array in levels if array is not None))
-    if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
-        remote.fetch_all()
+        file = archive = Archive(remote)
+        tensors, metadata, sizes = archive.decoding.contents
+        source = Source(address, None, dict(tensors), dict(metadata), sizes)
+    else:
+        remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
+        length = container.header_length(remote.mapping)
+        if length <= remote.size:
+            remote.fetch(np.array([[0, length]]))
         contents = container.read_mapped(remote.mapping, address)
-    file = File(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
-    return _opened(file, remote)
+        levels = [contents.tensors.get(f"tree/{name}") for name in ("level_cells", "level_nodes")]
+        fetch_arrays(remote, *(array for array in levels if array is not None))
+        if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
+            remote.fetch_all()
+            contents = container.read_mapped(remote.mapping, address)
+        source = Source(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
+    here, fetch = opened(source), partial(fetch_arrays, file)
+    channels = {name: _Channel.over(channel, fetch) for name, channel in here.channels.items()}
+    return here._over(_Tree(here.tree, fetch), channels, RemoteSource(here, file))
 
 
-def _opened(file: File, remote: Elsewhere) -> RemoteTexture:
-    try:
-        partial = _Partial(*taken(file.tensors, file.metadata))
-    except InputError as error:
-        raise TextureFileError(f"{file.path}: {error}") from error
-    partial._file = file
-    return RemoteTexture(partial.renewed(remote), remote)
+class RemoteSource(Source):
+    """A file elsewhere. Lookups fetch what they read; all else, what it asks for, whole.
 
+    What a field has indexed of a texture does not change: when more has come, there is a new one.
+    """
 
-class RemoteTexture(OctreeTexture):
-    """A texture whose file is elsewhere. Lookups fetch what they read; all else, what it asks for, whole."""
-
-    __slots__ = ("_channels", "_fetching", "_is_whole", "_partial", "_reached", "_remote", "_tree")
-
-    def __init__(self, partial: _Partial, remote: Elsewhere) -> None:
-        self._partial, self._remote = partial, remote
+    def __init__(self, here: OctreeTexture, file: Elsewhere) -> None:
+        super().__init__(here.source.path)
+        self.file = file
+        self._here = here
         self._fetching = RLock()
-        self._is_whole = remote.is_whole
+        self._is_whole = file.is_whole
         self._reached: tuple[str, dict[int, Int64s]] = "", {}
-        self._tree = _Tree(partial.tree, remote.fetch_arrays)
-        self._channels = MappingProxyType(
-            {name: _Channel.over(channel, remote.fetch_arrays) for name, channel in partial.channels.items()}
-        )
-        self._field = Field(self._tree)
-        for name in ("placement", "bounds", "metadata", "_components", "_file", "_known_mixed",
-                     "_known_plain", "_known_stored"):  # fmt: skip
-            setattr(self, name, getattr(partial, name))
 
-    @property
-    def tree(self) -> Octree:  # type: ignore[override]
-        """The tree, whose arrays are fetched when they are asked for."""
-        return self._tree
+    def here(self, _texture: OctreeTexture) -> OctreeTexture:
+        """Return a texture of what is here of it, zeros for what is not."""
+        return self._here
 
-    @property
-    def channels(self) -> MappingProxyType[str, Channel]:  # type: ignore[override]
-        """The channels, whose values are fetched when they are asked for."""
-        return self._channels
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return self._whole().__reduce__()
-
-    def sample(
-        self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
-    ) -> Any:
-        """Look up the field; see `OctreeTexture.sample`."""
-        here = self._fetched_for(points, channel, filter, options)
-        return here.sample(points, channel, filter, **options)
-
-    def taps(
-        self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
-    ) -> Any:
-        """List what ``sample`` blends; see `OctreeTexture.taps`."""
-        here = self._fetched_for(points, channel, filter, options)
-        return here.taps(points, channel, filter, **options)
-
-    def blocks(
-        self, points: Any, channel: Any = "base_color", filter: Any = "quadratic", **options: Any
-    ) -> Any:
-        """List the bytes that ``sample`` needs, which are fetched; see `OctreeTexture.blocks`."""
-        here = self._fetched_for(points, channel, filter, options)
-        return here.blocks(points, channel, filter, **options)
-
-    def contains(self, points: Any, **options: Any) -> Any:
-        """Say which points leaves hold; see `OctreeTexture.contains`."""
-        return self._fetched_around(placed(points)[0]).contains(points, **options)
-
-    def level(self, level: int) -> OctreeTexture:
-        """Return the texture of levels 0 … ``level``, which are fetched; see `OctreeTexture.level`."""
-        if as_depth(level, "level") >= self._tree.max_depth:
-            return self
-        here = self._partial.tree.arrays
+    def whole(self, _texture: OctreeTexture) -> OctreeTexture:
+        """Fetch all of the texture, and return it."""
         with self._fetching:
-            self._remote.fetch_nodes(here.groups, int(here.level_nodes[level]))
-            self._partial = self._partial.renewed()
-        found = self._partial.level(level)
-        tree, values = found.tree, [array for channel in found.channels.values() for array in channel[1:]]
-        self._remote.fetch_arrays(*tree.arrays[1:], *tree.split, *tree.kept, *values)
-        return found
-
-    def save(self, path: Any, *, max_error: int = 0) -> None:
-        """Write all of the texture; see `OctreeTexture.save`."""
-        self._whole().save(path, max_error=max_error)
-
-    def validate(self) -> None:
-        """Prove that all of the texture is sound; see `OctreeTexture.validate`."""
-        self._whole().validate()
-
-    def info(self) -> dict[str, Any]:
-        """Describe the texture, of which nothing is fetched; see `OctreeTexture.info`."""
-        return self._partial.info()
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all arrays."""
-        return self._partial.nbytes
-
-    def _whole(self) -> OctreeTexture:
-        with self._fetching:
-            self._remote.fetch_all()
+            self.file.fetch_all()
             if not self._is_whole:
-                self._partial, self._is_whole = self._partial.renewed(), True
-            return self._partial
+                self._renew(True)
+                self._is_whole = True
+            return self._here
 
-    def _fetched_for(self, points: Any, channel: Any, filter: Any, options: dict[str, Any]) -> OctreeTexture:
-        """Fetch what a lookup reads, and return the texture that answers it."""
-        lens = Lens(filter, **{name: options[name] for name in Lens._fields if name in options})
-        normals, width, dPdx, dPdy = (options.get(name) for name in ("normals", "width", "dPdx", "dPdy"))
-        given = lens.given(points, normals=normals, width=width, dPdx=dPdx, dPdy=dPdy)
-        return self._fetched(channel, lens, given)
+    def levels(self, _texture: OctreeTexture, level: int) -> OctreeTexture:
+        """Fetch the levels 0 … ``level``, and return the texture that has them."""
+        with self._fetching:
+            was_more = self._fetch_groups(np.arange(int(self._here.tree.level_nodes[level])))
+            self._renew(self.file.fetch_tables(self._here.tree, level) or was_more)
+            tree = self._here.tree.truncated(level)
+            values = [array for channel in self._here.channels.values() for array in channel.of(tree)[1:]]
+            fetch_arrays(self.file, *tree.arrays[1:], *tree.split, *tree.kept, *values)
+            return self._here
 
-    def _ready_for(
+    def prepare(
         self,
+        _texture: OctreeTexture,
         _count: int,
-        channel: str | list[str] | tuple[str, ...] | None,
-        lens: Lens | None,
-        given: Callable[[], Given],
+        channel: str | list[str] | tuple[str, ...] | None = None,
+        lens: Lens | None = None,
+        given: Callable[[], Given] = dict,
+        /,
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
-        if channel is None or lens is None:
-            return self._fetched_around(given()["points"])
-        return self._fetched(channel, lens, given())
+        with self._fetching, self.file.checked_once():
+            if channel is None or lens is None:
+                return self._fetched_around(given()["points"])
+            return self._fetched(channel, lens, given())
 
     def _fetched(self, channel: str | list[str] | tuple[str, ...], lens: Lens, given: Given) -> OctreeTexture:
-        """Fetch what a lookup reads, and return the texture that answers it.
+        """Fetch what lookups of channels read, and return the texture that answers them.
 
         What says which cells there are around the points comes first, level by level, then what these are
-        said to hold. Coarse cells that mix facings leave looks to finer ones: then around these, too.
+        said to hold. Coarse cells that mix facings leave looks to finer ones: so again until all is here.
         """
-        with self._fetching, self._remote.checked_once():
-            is_first, is_tiled = True, can_be_tiled(self._partial.tree)
-            while not self._remote.is_whole:
-                if not lens.has_footprints(given) and ("normals" in given or not is_tiled):
-                    self._partial._field.level(self._tree.max_depth)
-                reads = self._partial._reads(channel, lens, given, cells_alone=is_first)
-                is_more = self._fetch_nodes(cells_of(reads.values()), lens.filter)
-                if not (is_first or is_more):
-                    rows = self._remote.rows()
-                    self._partial._add_reads(rows, reads, lens, given)
-                    self._remote.fetch_rows(rows)
-                    return self._partial
-                is_first = False
-            return self._whole()
+        has_tables = lens.has_footprints(given) or "normals" in given or not can_be_tiled(self._here.tree)
+        is_first = is_more = True
+        while is_more and not self.file.is_whole:
+            reads = lookup_reads(self._here, channel, lens, given, cells_alone=is_first)
+            cells = cells_of(reads.values())
+            is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
+            is_more |= self._fetch_nodes(cells, lens.filter)
+            if not (is_first or is_more):
+                gather = partial(add_reads, self._here, reads, lens, given)
+                is_more = self.file.fetch_rows(gather)
+            self._renew(is_more)
+            is_more |= is_first
+            is_first = False
+        return self.whole(self._here) if self.file.is_whole else self._here
 
     def _fetched_around(self, points: Array) -> OctreeTexture:
         """Fetch what says which points leaves hold, and return the texture that says so."""
-        origin, size = self.placement
+        origin, size = self._here.placement
         places = np.clip(np.nan_to_num((points - np.array(origin)) / size), 0.0, 1.0)
-        depth = self._tree.max_depth
+        depth = self._here.tree.max_depth
         cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
-        with self._fetching:
-            self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest")
-            return self._partial
+        self._renew(self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest"))
+        return self._here
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
         """Fetch what says which cells there are around some, by level; say whether there was any."""
@@ -218,165 +147,67 @@ class RemoteTexture(OctreeTexture):
         if is_like and all(np.array_equal(known[level], each) for level, each in cells.items()):
             return False
         was_fetched = False
-        for nodes in nodes_read(self._partial.tree, cells, filter):
-            rows = self._remote.rows()
-            rows.nodes(self._partial.tree.arrays.groups, nodes)
-            was_fetched |= self._remote.fetch_rows(rows)
+        for nodes in nodes_read(self._here.tree, cells, filter):
+            was_fetched |= self._fetch_groups(nodes)
         self._reached = filter, cells
-        if was_fetched:
-            self._partial = self._partial.renewed()
         return was_fetched
 
+    def _fetch_groups(self, nodes: Int64s) -> bool:
+        """Fetch the groups of some nodes; say whether there was anything to fetch."""
+        groups = self._here.tree.arrays.groups
+        return self.file.fetch_rows(lambda rows: rows.nodes(groups, nodes))
 
-class _Partial(OctreeTexture):
-    """A texture in a file of which only a part is here: it answers what that part says.
-
-    What a field has indexed of it does not change: when more has come, there is a new one.
-    """
-
-    __slots__ = ("remote",)
-
-    remote: Elsewhere
-
-    def renewed(self, remote: Elsewhere | None = None) -> _Partial:
-        """Return the same without what was indexed."""
-        found = _Partial(self.tree, self.channels, self.placement, self.bounds, self.metadata)
-        found._file = self._file
-        found.remote = remote or self.remote
-        found._field = _Field(found.tree, found.remote)
-        return found
-
-    def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
-        rows = self._field.level(level).tree.split.areas.size
-        self.remote.fetch_arrays(channel.split_values[:rows])
-        return super()._mixed(channel, threshold, level)
-
-
-class _Field(Field):
-    """The field over a tree of which only a part is here: of levels, the tables are fetched."""
-
-    def __init__(self, tree: Octree, remote: Elsewhere) -> None:
-        super().__init__(tree)
-        self._remote = remote
-        self._reached = -1
-        self._reaching = RLock()
-
-    def level(self, level: int) -> Field:
-        """Return the field over a level, of which is here what says which cells are split or kept."""
-        level = min(level, self.tree.max_depth)
-        with self._reaching:
-            if level > self._reached:
-                self._remote.fetch_tables(self.tree, level)
-                self._reached = level
-        return super().level(level)
-
-    def areas_of_averages(self, level: int) -> Uint8s:
-        """Return the codes of the areas of nodes down to a level, which are fetched."""
-        if level not in self._areas:
-            self._remote.fetch_arrays(self.tree.arrays.areas[: int(self.tree.arrays.level_cells[level + 1])])
-        return super().areas_of_averages(level)
+    def _renew(self, has_more: bool) -> None:
+        """Forget what was indexed of the texture, if more of it has come."""
+        if has_more:
+            self._here = self._here._over(self._here.tree, self._here.channels, self._here.source)
 
 
 class _Tree(Octree):
-    """A tree of which only a part is here: its arrays are fetched when they are asked for."""
+    """A tree elsewhere: its arrays are fetched when they are asked for."""
 
-    __slots__ = ("_fetch_arrays", "_here")
+    __slots__ = ("_fetch", "_here")
 
-    def __init__(self, here: Octree, fetch_arrays: Fetch) -> None:
-        self._here, self._fetch_arrays = here, fetch_arrays
+    def __init__(self, here: Octree, fetch: Fetch) -> None:
+        self._here, self._fetch = here, fetch
+        self.level_cells, self.level_nodes = here.level_cells, here.level_nodes
 
-    def _fetched(self, arrays: Any) -> Any:
-        self._fetch_arrays(*arrays)
-        return arrays
-
-    @property
-    def arrays(self) -> TreeArrays:  # type: ignore[override]
-        """Structure, flags and areas."""
-        found: TreeArrays = self._fetched(self._here.arrays)
+    def __getattr__(self, name: str) -> Any:
+        """Return the arrays, the split table or the kept nodes."""
+        found = getattr(self._here, name)
+        self._fetch(*found)
         return found
-
-    @property
-    def split(self) -> SplitTable:  # type: ignore[override]
-        """The split table."""
-        found: SplitTable = self._fetched(self._here.split)
-        return found
-
-    @property
-    def kept(self) -> KeptTable:  # type: ignore[override]
-        """The kept nodes."""
-        found: KeptTable = self._fetched(self._here.kept)
-        return found
-
-    @property
-    def max_depth(self) -> int:
-        """The level of the deepest cell."""
-        return self._here.max_depth
-
-    @property
-    def n_cells(self) -> int:
-        """Number of leaves and nodes."""
-        return self._here.n_cells
-
-    @property
-    def n_nodes(self) -> int:
-        """Number of cells with children."""
-        return self._here.n_nodes
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all arrays."""
-        return self._here.nbytes
-
-    def cells_by_depth(self) -> list[tuple[int, int]]:
-        """Numbers of leaves and of nodes at each level."""
-        return self._here.cells_by_depth()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Octree, (self.arrays, self.split, self.kept)
 
 
 class _Channel(Channel):
-    """A channel of which only a part is here: its values are fetched when they are asked for."""
+    """A channel elsewhere: its values are fetched when they are asked for."""
 
-    _fetch_arrays: Fetch
-    _here: Channel
+    _fetch: Fetch
+    values = property(lambda self: self[1])
+    split_values = property(lambda self: self[2])
+    kept_values = property(lambda self: self[3])
 
     @classmethod
-    def over(cls, here: Channel, fetch_arrays: Fetch) -> _Channel:
+    def over(cls, here: Channel, fetch: Fetch) -> _Channel:
         """Return what fetches the values of a channel."""
         found = cls(*here)
-        found._here, found._fetch_arrays = here, fetch_arrays
+        found._fetch = fetch
         return found
 
-    def _fetched(self, array: Array) -> Array:
-        self._fetch_arrays(array)
-        return array
-
-    @property
-    def values(self) -> Array:
-        """Values of all cells."""
-        return self._fetched(self._here.values)
-
-    @property
-    def split_values(self) -> Array:
-        """Values of all split rows."""
-        return self._fetched(self._here.split_values)
-
-    @property
-    def kept_values(self) -> Array:
-        """Values of all kept nodes."""
-        return self._fetched(self._here.kept_values)
+    def __getitem__(self, key: Any) -> Any:
+        found = super().__getitem__(key)
+        several = found if isinstance(key, slice) else [found]
+        self._fetch(*(each for each in several if isinstance(each, np.ndarray)))
+        return found
 
     def __iter__(self) -> Any:
-        return iter((self.format, self.values, self.split_values, self.kept_values))
+        return map(self.__getitem__, range(4))
 
-    def __getitem__(self, key: Any) -> Any:
-        return tuple(self)[key]
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all values."""
-        return self._here.nbytes
+    def _replace(self, **changes: Any) -> Channel:  # type: ignore[override]
+        return Channel(*self)._replace(**changes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Channel, tuple(self)

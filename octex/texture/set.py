@@ -18,19 +18,20 @@ from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
 from octex.texture.lookup import (
-    ANISOTROPY,
-    BLEED_THRESHOLD,
     Answers,
+    FootprintOptions,
     Given,
     Lens,
     LookUp,
     LookupOptions,
     SurfacePoints,
+    asked,
     check_apart,
     in_blocks,
     placed,
 )
-from octex.texture.texture import OctreeTexture, as_metadata, open_texture
+from octex.texture.open import open_texture
+from octex.texture.texture import OctreeTexture, as_metadata
 
 #: So many parts are named where a set is shown.
 _SHOWN = 5
@@ -159,34 +160,23 @@ class TextureSet(Mapping[str, OctreeTexture]):
         *,
         gradient: bool = False,
         out: Any = None,
-        width: npt.ArrayLike | None = None,
-        normals: npt.ArrayLike | None = None,
-        dPdx: npt.ArrayLike | None = None,
-        dPdy: npt.ArrayLike | None = None,
-        anisotropy: float = ANISOTROPY,
-        blur: float = 0.0,
-        sharpness: float = 0.0,
-        bleed_threshold: float = BLEED_THRESHOLD,
         normalize: bool = True,
         threads: int | None = None,
         executor: Executor | None = None,
+        **options: Unpack[FootprintOptions],
     ) -> Any:
         """Look up rest positions (n, 3), or points of a surface, each in the texture of its part.
 
         ``parts`` are numbers or names, (n,) of them, or one for all. All else is as for
         ``OctreeTexture.sample``, and so is what is returned.
 
-        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
-        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
-        The result is the same.
+        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
 
         Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
         channel that a part in use lacks, or has with other components than the rest.
         """
-        lens = Lens(filter, anisotropy, blur, sharpness, bleed_threshold)
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        footprint = {"width": width, "dPdx": dPdx, "dPdy": dPdy}
-        given = lens.given(points, normals=normals, gradient=gradient, **footprint)
+        lens, given = asked(points, filter, gradient, **options)
         given["parts"] = self._numbers(parts, len(given["points"]))
         used = np.flatnonzero(np.bincount(given["parts"])).tolist()
         components = self._components(used or [0], channel)
@@ -212,9 +202,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
         ``parts`` are as for ``sample``.
 
-        Who works in parallel: ``threads``, so many, by default all processors for large batches and the
-        calling thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor.
-        The result is the same.
+        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
 
         Raises ArgumentError for positions that are not finite (n, 3), and for parts that are not there.
         """
@@ -228,11 +216,11 @@ class TextureSet(Mapping[str, OctreeTexture]):
     def _ready_for(
         self, given: Given, channel: list[str] | None = None, lens: Lens | None = None
     ) -> Iterator[tuple[int, OctreeTexture]]:
-        """Yield the parts in use and their textures, as `OctreeTexture._ready_for` returns them."""
+        """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
         for part, count in enumerate(np.bincount(given["parts"]).tolist()):
             if count:
-                texture = self[self.names[part]]
-                yield part, texture._ready_for(count, channel, lens, partial(_sound_rows, given, part))
+                texture, own = self[self.names[part]], partial(_sound_rows, given, part)
+                yield part, texture.source.prepare(texture, count, channel, lens, own)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""

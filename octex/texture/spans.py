@@ -1,20 +1,27 @@
-"""Which bytes of its file a texture reads, before it reads them."""
+"""What lookups read of a texture: rows of its arrays, and where these lie in its file."""
 
 from __future__ import annotations
 
 import mmap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Protocol
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from octex.arrays import Array, Int64s, bit_counts
+from octex.checks import as_choice
 from octex.container import header_length
-from octex.field.listing import Reads
+from octex.field.listing import Reads, joined_reads, reads_of
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.texture.channel import Channel
+from octex.texture.lookup import Given, Lens, each_block
 from octex.tree.beside import with_boundary
+from octex.tree.children import children_before
 from octex.tree.octree import Octree, count_before, distinct
+
+if TYPE_CHECKING:
+    from octex.texture.texture import OctreeTexture
 
 
 class Rows(Protocol):
@@ -24,39 +31,35 @@ class Rows(Protocol):
         """Add some rows."""
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add what says which children nodes have."""
+        """Add the groups of some nodes."""
 
     def until(self, array: Array, end: int) -> None:
         """Add all rows before one."""
 
 
 class Spans:
-    """Bytes of a mapped file, gathered from the rows of arrays that are views of it, as blocks."""
+    """Gathers rows of arrays that are views of a mapped file, as blocks of its bytes."""
 
     def __init__(self, mapping: mmap.mmap, block_size: int) -> None:
         self._size = len(mapping)
         self._first = np.frombuffer(mapping, np.uint8).ctypes.data
         self._block = block_size
         self._is_read = np.zeros(-(-self._size // block_size), np.bool_)
-        self._add(np.zeros(1, np.int64), np.array([header_length(mapping)]))
-
-    def _add(self, begins: Int64s, ends: Int64s) -> None:
-        """Add bytes from ``begins`` (n,) to before ``ends`` (n,)."""
-        first, last = begins // self._block, (ends - 1) // self._block
-        for more in range(int((last - first).max(initial=-1)) + 1):
-            self._is_read[np.minimum(first + more, last)] = True
+        self._is_read[: -(-header_length(mapping) // block_size)] = True
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add rows of an array that it has; what is no view of the file was read when that was opened."""
+        """Add rows of an array that it has, unless it is no view of the file."""
         offset = array.ctypes.data - self._first
         rows = rows[(rows >= 0) & (rows < len(array))]
         if array.size and 0 <= offset < self._size and rows.size:
             length = array.nbytes // len(array)
             begins = offset + rows.astype(np.int64) * length
-            self._add(begins, begins + length)
+            first, last = begins // self._block, (begins + length - 1) // self._block
+            for more in range(int((last - first).max()) + 1):
+                self._is_read[np.minimum(first + more, last)] = True
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add the rows of a tree's groups that say what nodes have."""
+        """Add the groups of some nodes."""
         self.rows(groups, nodes >> 3)
 
     def until(self, array: Array, end: int) -> None:
@@ -70,6 +73,43 @@ class Spans:
         """Return where runs of blocks begin and end (n, 2), in order."""
         changes = np.flatnonzero(np.diff(self._is_read, prepend=False, append=False))
         return np.minimum(changes.reshape(-1, 2) * self._block, self._size)
+
+
+def lookup_reads(
+    texture: OctreeTexture,
+    channel: str | list[str] | tuple[str, ...],
+    lens: Lens,
+    given: Given,
+    *,
+    cells_alone: bool = False,
+) -> dict[str, dict[int, Reads]]:
+    """Return what lookups read of each channel, by level.
+
+    With ``cells_alone`` only the cells that hold points, as far as no content of the tree changes them.
+    """
+    names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
+    for name in names:
+        as_choice(name, texture.channels, "channel")
+    found: dict[str, dict[int, Reads]] = {}
+    for name in names:
+        parts: dict[int, list[Reads]] = {}
+        look_up = partial(_read_of, texture, name, lens, cells_alone)
+        for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
+            for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
+                parts.setdefault(level, []).append(Reads(rows, cells))
+        found[name] = joined_reads(parts)
+    return found
+
+
+def _read_of(
+    texture: OctreeTexture, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]
+) -> int:
+    """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
+    query, ((read,), _) = texture._query(lens, given, name), texture._read(name)
+    task = texture._field, texture.placement, given["points"], query, read
+    found, fault = reads_of(*task, cells_alone=cells_alone)
+    answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
+    return fault
 
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
@@ -117,30 +157,38 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
 
 def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:
     """Return the child nodes of some nodes: whose they are, 0 …, their Morton codes, and their numbers."""
-    groups, shifts = tree.arrays.groups[nodes >> 3], (8 * (nodes & 7)).astype(np.uint64)
-    masks = (groups[:, 0] >> shifts).astype(np.uint8)
-    before = bit_counts(groups[:, 0] & ((np.uint64(1) << shifts) - np.uint64(1)))
+    groups = tree.arrays.groups
+    masks = (groups[nodes >> 3, 0] >> (8 * (nodes & 7)).astype(np.uint64)).astype(np.uint8)
     parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
     counts = bit_counts(masks).astype(np.int64)
-    firsts = (groups[:, 2] & np.uint64(0xFFFFFFFF)).astype(np.int64) + before - (np.cumsum(counts) - counts)
+    firsts = children_before(groups, nodes)[1] - (np.cumsum(counts) - counts)
     numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)
     return parents, codes[parents] << 3 | octants, numbers
 
 
 def add_reads(
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given, spans: Rows
+) -> None:
+    """Add the rows that lookups read, but for the groups of nodes."""
+    alpha = [] if texture._read()[1] is None else [texture.channels["alpha"]]
+    by_facing = "normals" in given
+    is_ruled = not by_facing and lens.has_footprints(given)  # by the bleed threshold
+    for name, levels in reads.items():
+        rows = {level: read.rows for level, read in levels.items()}
+        _add_channel(spans, texture.tree, [texture.channels[name], *alpha], rows, by_facing, is_ruled)
+
+
+def _add_channel(
     spans: Rows,
     tree: Octree,
     channels: Sequence[Channel],
     levels: Mapping[int, Array],
-    *,
     by_facing: bool,
     is_ruled: bool,
 ) -> None:
-    """Add what lookups of a channel read, whose rows are given by the level looked at.
+    """Add what lookups of a channel read, by the level looked at; ``channels`` are that one, and alpha.
 
-    ``channels`` are that and what it weighs by; ``by_facing`` is for lookups with normals, ``is_ruled`` for
-    those that leave what mixes opposite facings of the channel to finer levels. Where there are normals, all
-    rows of a split cell are added: which of them are read, its flags say.
+    Where there are normals, all rows of a split cell are added: which of them are read, its flags say.
     """
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     for array in arrays.level_cells, arrays.level_nodes, kept.cells:
@@ -179,13 +227,8 @@ def add_reads(
         firsts = ends[seen] - np.cumsum(counts)
         of_split = np.repeat(firsts, counts) + np.arange(counts.sum())
         for channel in channels:
-            _add_values(spans, channel, rows)
+            first = 0
+            for array in channel.values, channel.kept_values, channel.split_values:
+                spans.rows(array, rows.astype(np.int64) - first)
+                first += len(array)
             spans.rows(channel.split_values, of_split)
-
-
-def _add_values(spans: Rows, channel: Channel, rows: Array) -> None:
-    """Add rows of a channel's values: cells', kept nodes' and split cells'."""
-    first = 0
-    for array in channel.values, channel.kept_values, channel.split_values:
-        spans.rows(array, rows.astype(np.int64) - first)
-        first += len(array)

@@ -3,9 +3,10 @@
 layout      what an octree is in memory, drawn
 areas       what codes of areas say
 morton      cell coordinates ⇄ Morton codes
+children    the children of nodes, counted from the flags of groups
 order       points in Morton order
 placement   rest positions ⇄ texture space, the root cell
-octree      build from leaves, truncate, validate
+octree      build from leaves, truncate
 edit        trees made from trees
 beside      cells beside others
 split       the split table, read and changed

@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import Bools, Int64s, Uint64s, bit_counts
 from octex.jit import inlined, kernel, trailing_zeros
-from octex.tree.edit import among, first_not_below
+from octex.tree.edit import among, places
 from octex.tree.morton import decode, spread
 from octex.tree.octree import distinct
 
@@ -23,21 +23,29 @@ def boundary(codes: Int64s, level: int) -> Int64s:
 
     These are the cells beside them, without themselves. Codes given ascend, here and below.
     """
-    return _around(codes, level, codes)
+    around = with_boundary(codes, level)
+    return around[~among(around, codes)]
 
 
 def with_boundary(codes: Int64s, level: int) -> Int64s:
     """Return some cells of a level with their boundary layer, ascending."""
-    return _around(codes, level, codes[:0])
+    if not codes.size:
+        return codes
+    above = max(level - 2, 0)  # of few blocks all
+    blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
+    masks = _masks_around(codes, level, blocks)
+    found = np.empty(int(bit_counts(masks).sum()), np.int64)
+    _write(blocks, masks, found)
+    return found
 
 
 def near(codes: Int64s, others: Int64s, level: int) -> Bools:
     """Say which cells (n,) of a level are among others, or beside some."""
-    found = np.zeros(codes.size, np.bool_)
-    if codes.size and others.size:
-        blocks = distinct(codes >> 6)
-        _read(codes, blocks, _masks_around(others, level, blocks), found)
-    return found
+    if not codes.size or not others.size:
+        return np.zeros(codes.size, np.bool_)
+    blocks = distinct(codes >> 6)
+    masks = _masks_around(others, level, blocks)[places(codes >> 6, blocks)]
+    return np.asarray(masks >> (codes & 63).astype(np.uint64) & np.uint64(1) != 0)
 
 
 def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
@@ -60,18 +68,6 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
             own = leaves[deeper] >> 3 * (deeper - level)
             below = np.concatenate([below, own[among(own, around)]])
     return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
-
-
-def _around(codes: Int64s, level: int, without: Int64s) -> Int64s:
-    if not codes.size:
-        return codes
-    above = max(level - 2, 0)  # of few blocks all
-    blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
-    masks = _masks_around(codes, level, blocks)
-    _clear(without, blocks, masks)
-    found = np.empty(int(bit_counts(masks).sum()), np.int64)
-    _write(blocks, masks, found)
-    return found
 
 
 def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
@@ -143,24 +139,6 @@ def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint6
     one, two, three = first | second | third, second | third | fourth, third | fourth
     own = first | second | one << step | two << (step + carry) | three << across
     return first << across, own, fourth
-
-
-@kernel
-def _clear(codes: Int64s, blocks: Int64s, masks: Uint64s) -> None:
-    """Clear the bits of cells, all of which are in blocks."""
-    at = 0
-    for code in codes:
-        at = first_not_below(blocks, code >> 6, at)
-        masks[at] &= ~(np.uint64(1) << np.uint64(code & 63))
-
-
-@kernel
-def _read(codes: Int64s, blocks: Int64s, masks: Uint64s, found: Bools) -> None:
-    """Say of cells, all of which are in blocks, whether their bits are set."""
-    at = 0
-    for n in range(codes.size):
-        at = first_not_below(blocks, codes[n] >> 6, at)
-        found[n] = masks[at] >> np.uint64(codes[n] & 63) & np.uint64(1) != 0
 
 
 @kernel

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Uint64s
-from octex.jit import inlined, popcount
+from octex.arrays import Int64s, Uint8s, Uint64s
+from octex.jit import inlined, kernel, popcount
+from octex.tree.layout import FACING_FLAGS, TreeArrays
 
 
 @inlined
@@ -22,3 +23,92 @@ def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int
     first_node = int(np.int64(firsts & np.uint64(0xFFFFFFFF))) + popcount(nodes & before)
     first_cell = int(np.int64(firsts >> np.uint64(32))) + popcount(cells & before)
     return nodes >> shift & np.uint64(0xFF), cells >> shift & np.uint64(0xFF), first_node, first_cell
+
+
+def children_before(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return how many cells, and how many nodes, come before the children of nodes (n,).
+
+    These are the numbers of the first of them. The node after the last counts as one.
+    """
+    cells, numbers = np.empty((2, nodes.size), np.int64)
+    _count_before(groups, nodes, cells, numbers)
+    return cells, numbers
+
+
+def children_of(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the first child of nodes (n,), given by their numbers among nodes, and how many each has."""
+    firsts = children_before(groups, nodes)[0]
+    return firsts, children_before(groups, nodes + 1)[0] - firsts
+
+
+def masks_of(groups: Uint64s, word: int) -> Uint8s:
+    """Return a byte for each node: which of its children are nodes (word 0), or leaves (word 1)."""
+    return np.ascontiguousarray(groups[:, word]).astype("<u8", copy=False).view(np.uint8)
+
+
+def groups_of(masks: Uint8s) -> Uint64s:
+    """Return the groups of nodes by their masks, as `masks_of` returns them (2, a multiple of 8)."""
+    groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
+    for word in range(2):
+        groups[:, word] = masks[word].view("<u8")
+    rank(groups)
+    return groups
+
+
+def node_cells(arrays: TreeArrays) -> Int64s:
+    """Return the cell numbers of all nodes, ascending."""
+    cells = np.zeros(int(arrays.level_nodes[-1]), np.int64)
+    _list_nodes(arrays.groups, arrays.flags.size - 1, cells)
+    return cells
+
+
+@kernel
+def rank(groups: Uint64s) -> None:
+    """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
+    child_node = child_cell = np.int64(1)
+    for g in range(groups.shape[0]):
+        groups[g, 2] = np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32)
+        child_node += popcount(groups[g, 0])
+        child_cell += popcount(groups[g, 0] | groups[g, 1])
+
+
+@kernel
+def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) -> None:
+    """Write to ``made``, which may be ``flags``, the facings of nodes' children as those of the nodes."""
+    end = flags.size
+    for node in range(cells.size - 1, -1, -1):
+        _, stored, _, _ = children(groups, node)
+        begin = max(end - popcount(stored), 0)
+        facings = 0
+        for child in range(begin, end):
+            facings |= int(np.int64(flags[child]))
+        cell = cells[node]
+        made[cell] = int(np.int64(flags[cell])) & ~FACING_FLAGS | facings & FACING_FLAGS
+        end = begin
+
+
+@kernel
+def _count_before(groups: Uint64s, nodes: Int64s, cells: Int64s, numbers: Int64s) -> None:
+    for n in range(nodes.size):
+        group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
+        # Beyond the last node all masks are empty; beyond the last group all children come before.
+        below = ~np.uint64(0)
+        if nodes[n] >> 3 == group:
+            below = (np.uint64(1) << np.uint64(8 * (nodes[n] & 7))) - np.uint64(1)
+        first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
+        numbers[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
+        cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
+
+
+@kernel
+def _list_nodes(groups: Uint64s, last: int, cells: Int64s) -> None:
+    """Write the cells of the nodes after the root, none beyond the ``last`` cell."""
+    found, cell = 1, np.int64(1)
+    for node in range(cells.size):
+        left, stored, _, _ = children(groups, node)
+        while left != np.uint64(0) and found < cells.size:
+            lowest = left & (~left + np.uint64(1))
+            left ^= lowest
+            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), np.int64(last))
+            found += 1
+        cell += popcount(stored)

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint64s
-from octex.jit import inlined, kernel, popcount
-from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
+from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.jit import inlined, kernel
+from octex.tree.children import gather_facings, node_cells
+from octex.tree.layout import KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 from octex.tree.split import taken
@@ -119,10 +120,9 @@ def raised(
     """
     depth = max(tree.max_depth, len(wanted) - 1, len(added) - 1)
     none = np.empty(0, np.int64)
-    wanted = [*wanted, *[none] * (depth + 1 - len(wanted))]
-    added = [*added, *[none] * (depth + 1 - len(added))]
-    met = [*met, *[none] * (depth + 1 - len(met))]
-    freed = [*freed, *[none] * (depth + 1 - len(freed))]
+    wanted, met, added, freed = (
+        [*each, *[none] * (depth + 1 - len(each))] for each in (wanted, met, added, freed)
+    )
     needed = [none] * (depth + 2)  # as nodes
     for level in range(depth, 0, -1):
         needed[level - 1] = distinct(np.concatenate([needed[level], wanted[level]]) >> 3)
@@ -257,44 +257,7 @@ def _keeping(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
 
 def facings_of_nodes(tree: Octree) -> Uint8s:
     """Return the cells' flags (cells,) with the facings of nodes made anew: those of their children."""
-    flags = tree.arrays.flags.copy()
-    first = tree.arrays.level_cells
-    facing = np.uint8(FACING_FLAGS)
-    nodes_of = nodes_by_level(tree)
-    for level in range(tree.max_depth - 1, -1, -1):
-        starts = first_children(tree, level) - first[level + 1]
-        if starts.size:
-            nodes = nodes_of[level]
-            below = flags[first[level + 1] : first[level + 2]] & facing
-            flags[nodes] = flags[nodes] & ~facing | np.bitwise_or.reduceat(below, starts)
+    groups, flags = tree.arrays.groups, tree.arrays.flags.copy()
+    if tree.max_depth:
+        gather_facings(groups, node_cells(tree.arrays), flags, flags)
     return flags
-
-
-def nodes_by_level(tree: Octree) -> list[Int64s]:
-    """Return the numbers of each level's nodes, among all cells."""
-    first = tree.arrays.level_cells
-    return [np.flatnonzero(is_node) + int(first[level]) for level, (_, is_node) in enumerate(tree.walk())]
-
-
-def first_children(tree: Octree, level: int) -> Int64s:
-    """Return the number of the first child of each node of a level."""
-    nodes = tree.arrays.level_nodes
-    return children_of(tree, np.arange(nodes[level], nodes[level + 1]))[0]
-
-
-def children_of(tree: Octree, nodes: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the first child of nodes (n,), given by their numbers among nodes, and how many each has."""
-    firsts, counts = np.empty((2, nodes.size), np.int64)
-    _children_of(tree.arrays.groups, nodes, firsts, counts)
-    return firsts, counts
-
-
-@kernel
-def _children_of(groups: Uint64s, nodes: Int64s, firsts: Int64s, counts: Int64s) -> None:
-    for n in range(nodes.size):
-        group = min(nodes[n] >> 3, groups.shape[0] - 1)
-        shift = np.uint64(8 * (nodes[n] & 7))
-        cells = groups[group, 0] | groups[group, 1]
-        below = (np.uint64(1) << shift) - np.uint64(1)
-        firsts[n] = np.int64(groups[group, 2] >> np.uint64(32)) + popcount(cells & below)
-        counts[n] = popcount(cells >> shift & np.uint64(0xFF))

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s, bit_counts
 from octex.checks import as_depth
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount, trailing_zeros
+from octex.jit import kernel, trailing_zeros
+from octex.tree.children import children, groups_of
 from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
 from octex.tree.validate import check_layout, check_meaning
 
@@ -36,7 +37,7 @@ class Octree:
     is checked by ``validate``.
     """
 
-    __slots__ = ("arrays", "kept", "split")
+    __slots__ = ("arrays", "kept", "level_cells", "level_nodes", "split")
 
     def __init__(
         self, arrays: TreeArrays, split: SplitTable | None = None, kept: KeptTable | None = None
@@ -45,6 +46,7 @@ class Octree:
         self.split = no_split() if split is None else split
         self.kept = no_kept() if kept is None else kept
         check_layout(self.arrays, self.split, self.kept)
+        self.level_cells, self.level_nodes = arrays.level_cells, arrays.level_nodes
 
     def __repr__(self) -> str:
         return f"<Octree of depth {self.max_depth}: {self.n_leaves:,} leaves, {self.n_nodes:,} nodes>"
@@ -112,17 +114,17 @@ class Octree:
     @property
     def max_depth(self) -> int:
         """The level of the deepest cell."""
-        return self.arrays.level_cells.size - 2
+        return self.level_cells.size - 2
 
     @property
     def n_cells(self) -> int:
         """Number of leaves and nodes."""
-        return int(self.arrays.level_cells[-1])
+        return int(self.level_cells[-1])
 
     @property
     def n_nodes(self) -> int:
         """Number of cells with children (in the empty tree, the root)."""
-        return int(self.arrays.level_nodes[-1])
+        return int(self.level_nodes[-1])
 
     @property
     def n_leaves(self) -> int:
@@ -136,8 +138,8 @@ class Octree:
 
     def cells_by_depth(self) -> list[tuple[int, int]]:
         """Numbers of leaves and of nodes at each level."""
-        cells = np.diff(self.arrays.level_cells)
-        nodes = np.diff(self.arrays.level_nodes)
+        cells = np.diff(self.level_cells)
+        nodes = np.diff(self.level_nodes)
         return list(zip((cells - nodes).tolist(), nodes.tolist(), strict=True))
 
     def walk(self) -> Iterator[tuple[Int64s, Bools]]:
@@ -158,11 +160,11 @@ class Octree:
 
     def level_codes(self, level: int) -> Int64s:
         """Morton codes of all cells of a level, in order. Raises ArgumentError if there is no such level."""
-        return self._walked_to(level)[0]
+        return self.walked_to(level)[0]
 
     def is_node(self, level: int) -> Bools:
-        """Say of each cell of a level whether it is a node. Raises ArgumentError like ``level_codes``."""
-        return self._walked_to(level)[1]
+        """Say of each cell of a level whether it is a node. Raises ArgumentError if there is none such."""
+        return self.walked_to(level)[1]
 
     def leaves(self, level: int) -> Int64s:
         """Numbers of the leaves of a level. Raises ArgumentError like ``level_codes``."""
@@ -173,7 +175,8 @@ class Octree:
         is_node = np.concatenate([is_node for _, is_node in self.walk()])
         return np.flatnonzero(~is_node)
 
-    def _walked_to(self, level: int) -> tuple[Int64s, Bools]:
+    def walked_to(self, level: int) -> tuple[Int64s, Bools]:
+        """Return what ``walk`` yields for a level. Raises ArgumentError if there is none such."""
         if as_depth(level, "level") > self.max_depth:
             raise ArgumentError(f"there is no level {level}: the deepest is {self.max_depth}")
         return next(islice(self.walk(), level, None))
@@ -271,14 +274,12 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
     n_cells = int(level_cells[-1])
     if n_cells > MAX_CELLS:
         raise ArgumentError(f"{n_cells} cells are more than a tree can number; use a smaller depth")
-    groups = np.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
+    n_nodes = int(level_nodes[-1])
+    packed = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word in range(2):
-        packed = np.zeros(groups.shape[0] * 8, np.uint8)
-        np.concatenate([pair[word] for pair in reversed(masks)], out=packed[: int(level_nodes[-1])])
-        groups[:, word] = packed.view("<u8")
-    rank(groups)
+        np.concatenate([pair[word] for pair in reversed(masks)], out=packed[word, :n_nodes])
     flags, areas = np.zeros((2, n_cells), np.uint8)
-    return TreeArrays(groups, level_cells, level_nodes, flags, areas)
+    return TreeArrays(groups_of(packed), level_cells, level_nodes, flags, areas)
 
 
 @kernel
@@ -343,16 +344,6 @@ def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
 
 
 @kernel
-def rank(groups: Uint64s) -> None:
-    """Fill in each group's first child node and first child cell; the root is node 0 and cell 0."""
-    child_node = child_cell = np.int64(1)
-    for g in range(groups.shape[0]):
-        groups[g, 2] = np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32)
-        child_node += popcount(groups[g, 0])
-        child_cell += popcount(groups[g, 0] | groups[g, 1])
-
-
-@kernel
 def _cut(groups: Uint64s, first: int, end: int) -> None:
     """Make the child nodes of nodes first … end−1, a level's, leaves and drop the nodes from ``end`` on."""
     for node in range(first, 8 * groups.shape[0]):
@@ -374,12 +365,11 @@ def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: 
     is_node = np.zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
-        g, shift = node >> 3, np.uint64(8 * (node & 7))
-        left = (groups[g, 0] | groups[g, 1]) >> shift & np.uint64(0xFF)
+        nodes, left, _, _ = children(groups, node)
         while left != np.uint64(0) and n < n_children:
             octant = trailing_zeros(left)
             left &= left - np.uint64(1)
             child_codes[n] = codes[node - first] << 3 | octant
-            is_node[n] = groups[g, 0] >> (shift + np.uint64(octant)) & np.uint64(1) != 0
+            is_node[n] = nodes >> np.uint64(octant) & np.uint64(1) != 0
             n += 1
     return child_codes, is_node

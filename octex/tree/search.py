@@ -34,12 +34,7 @@ class Positions(NamedTuple):
     @classmethod
     def of(cls, rows: Floats) -> Positions:
         """Return rows (n, 3) of float32 or float64, as kernels take them."""
-        return cls(*singles_and_doubles(rows))
-
-
-def singles_and_doubles(rows: Floats) -> tuple[Floats, Floats]:
-    """Return the arrays of ``Positions``: handed over one by one they take a call a microsecond less."""
-    return (rows, _NO_DOUBLES) if rows.itemsize == 4 else (_NO_SINGLES, rows)
+        return cls(rows, _NO_DOUBLES) if rows.itemsize == 4 else cls(_NO_SINGLES, rows)
 
 
 @inlined
@@ -75,38 +70,6 @@ def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
     if nodes & bit == 0:
         return cell, -1
     return cell, first_node + popcount(nodes & below)
-
-
-@inlined
-def descend(arrays: TreeArrays, i: int, j: int, k: int, max_level: int) -> tuple[int, int, int]:
-    """Deepest stored cell down to ``max_level`` that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1.
-
-    Returns its number, its level, and its node number, −1 for a leaf.
-    """
-    cell = level = 0
-    node = 0 if arrays.groups.shape[0] > 0 else -1
-    deepest = min(max_level, arrays.level_cells.size - 2)
-    while node >= 0 and level < deepest:
-        bit = MAX_DEPTH - 1 - level
-        octant = i >> bit & 1 | (j >> bit & 1) << 1 | (k >> bit & 1) << 2
-        next_cell, next_node = child(arrays, node, octant)
-        if next_cell < 0:
-            break
-        cell, node = next_cell, next_node
-        level += 1
-    return cell, level, node
-
-
-@kernel
-def find(arrays: TreeArrays, x: float, y: float, z: float, max_level: int) -> tuple[int, int]:
-    """Find the deepest stored cell, leaf or node, that holds a point of texture space: its number and level.
-
-    Goes no deeper than ``max_level``. Returns (−1, −1) for a point outside the root.
-    """
-    if not (0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0):
-        return -1, -1
-    cell, level, _ = descend(arrays, fixed(x), fixed(y), fixed(z), max_level)
-    return cell, level
 
 
 class Scratch(NamedTuple):

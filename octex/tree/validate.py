@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Uint8s, Uint32s, Uint64s, bit_counts
+from octex.arrays import Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import ArgumentError, TextureFileError
-from octex.jit import kernel, popcount
+from octex.tree.children import children_before, gather_facings, masks_of, node_cells, rank
 from octex.tree.layout import (
     FACING_FLAGS,
     KEPT,
@@ -87,9 +87,19 @@ def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> Non
     _check_structure(arrays)
     _check_split(arrays.flags, split)
     _check_kept(arrays, kept)
-    cell = _facing_fault(arrays)
-    if cell >= 0:
-        raise TextureFileError(f"node cell {cell}: its normal flags are not those of its children together")
+    if arrays.level_cells.size > 2:
+        together = arrays.flags.copy()
+        gather_facings(arrays.groups, _node_cells(arrays), arrays.flags, together)
+        differ = np.flatnonzero(together != arrays.flags)
+        if differ.size:
+            raise TextureFileError(
+                f"node cell {differ[0]}: its normal flags are not those of its children together"
+            )
+
+
+def _node_cells(arrays: TreeArrays) -> Int64s:
+    """Return the cells of the nodes that have children."""
+    return node_cells(arrays) if arrays.level_cells.size > 2 else np.empty(0, np.int64)
 
 
 def _check_structure(arrays: TreeArrays) -> None:
@@ -97,18 +107,22 @@ def _check_structure(arrays: TreeArrays) -> None:
     both = np.flatnonzero(groups[:, 0] & groups[:, 1])
     if both.size:
         raise TextureFileError(f"group {both[0]}: a child is both node and leaf")
-    if n_nodes % 8 and (groups[-1, :2] >> np.uint64(8 * (n_nodes % 8))).any():
+    masks = masks_of(groups, 0) | masks_of(groups, 1)
+    if masks[n_nodes:].any():
         raise TextureFileError(f"group {len(groups) - 1}: children of nodes beyond the last")
+    if arrays.level_cells.size > 2 and not masks[:n_nodes].all():
+        raise TextureFileError(f"node {np.argmin(masks[:n_nodes] != 0)} has no children")
+    ranked = groups.copy()
+    rank(ranked)
+    wrong = np.flatnonzero(ranked[:, 2] != groups[:, 2])
+    if wrong.size:
+        raise TextureFileError(f"group {wrong[0]}: its first child is not the one after the groups before it")
     if arrays.level_cells.size > 2:
-        node = _childless_node(groups, n_nodes)
-        if node >= 0:
-            raise TextureFileError(f"node {node} has no children")
-    group = _rank_fault(groups)
-    if group >= 0:
-        raise TextureFileError(f"group {group}: its first child is not the one after the groups before it")
-    level = _level_fault(arrays)
-    if level >= 0:
-        raise TextureFileError(f"level {level}: the masks above count other cells or nodes")
+        cells, nodes = children_before(groups, arrays.level_nodes[:-1])
+        are_wrong = (cells != arrays.level_cells[1:]) | (nodes != arrays.level_nodes[1:])
+        if are_wrong.any():
+            level = int(np.argmax(are_wrong))
+            raise TextureFileError(f"level {level}: the masks above count other cells or nodes")
 
 
 def _check_split(flags: Uint8s, split: SplitTable) -> None:
@@ -124,9 +138,9 @@ def _check_split(flags: Uint8s, split: SplitTable) -> None:
 def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
     if not _are_flagged(arrays.flags, KEPT, kept.cells):
         raise TextureFileError("kept table: its cells are not those flagged as kept, in order")
-    row = _leaf_among(arrays, kept.cells)
-    if row >= 0:
-        raise TextureFileError(f"kept table: cell {kept.cells[row]} has no children")
+    leaves = kept.cells[~np.isin(kept.cells, _node_cells(arrays))]
+    if leaves.size:
+        raise TextureFileError(f"kept table: cell {leaves[0]} has no children")
 
 
 def _are_flagged(flags: Uint8s, flag: int, cells: Uint32s) -> bool:
@@ -138,81 +152,3 @@ def _are_flagged(flags: Uint8s, flag: int, cells: Uint32s) -> bool:
             return False
         row += flagged.size
     return row == cells.size
-
-
-@kernel
-def _childless_node(groups: Uint64s, n_nodes: int) -> int:
-    for node in range(n_nodes):
-        if (groups[node >> 3, 0] | groups[node >> 3, 1]) >> np.uint64(8 * (node & 7)) & np.uint64(0xFF) == 0:
-            return node
-    return -1
-
-
-@kernel
-def _rank_fault(groups: Uint64s) -> int:
-    child_node = child_cell = np.int64(1)
-    for g in range(groups.shape[0]):
-        if groups[g, 2] != np.uint64(child_node) | np.uint64(child_cell) << np.uint64(32):
-            return g
-        child_node += popcount(groups[g, 0])
-        child_cell += popcount(groups[g, 0] | groups[g, 1])
-    return -1
-
-
-@kernel
-def _level_fault(arrays: TreeArrays) -> int:
-    """First level whose numbers of cells and nodes are not those of the masks above, or −1."""
-    for level in range(arrays.level_cells.size - 2):
-        n_nodes = n_cells = np.int64(0)
-        for node in range(arrays.level_nodes[level], arrays.level_nodes[level + 1]):
-            byte = np.uint64(0xFF) << np.uint64(8 * (node & 7))
-            nodes, leaves = arrays.groups[node >> 3, 0] & byte, arrays.groups[node >> 3, 1] & byte
-            n_nodes += popcount(nodes)
-            n_cells += popcount(nodes | leaves)
-        if (
-            n_nodes != arrays.level_nodes[level + 2] - arrays.level_nodes[level + 1]
-            or n_cells != arrays.level_cells[level + 2] - arrays.level_cells[level + 1]
-        ):
-            return level + 1
-    return -1
-
-
-@kernel
-def _leaf_among(arrays: TreeArrays, cells: Uint32s) -> int:
-    """First row of ascending cells that is no node with children, or −1; needs a sound structure."""
-    has_children = arrays.level_cells.size > 2
-    row = int(has_children and cells.size > 0 and cells[0] == 0)
-    cell = np.int64(1)
-    for node in range(arrays.level_nodes[-1] if has_children else 0):
-        for octant in range(8):
-            bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
-            is_node = arrays.groups[node >> 3, 0] & bit != 0
-            if row < cells.size and cell == cells[row] and is_node:
-                row += 1
-            cell += is_node or arrays.groups[node >> 3, 1] & bit != 0
-    return row if row < cells.size else -1
-
-
-@kernel
-def _facing_fault(arrays: TreeArrays) -> int:
-    """First node's cell whose facings are not its children's together, or −1; needs a sound structure."""
-    groups = arrays.groups
-    n_nodes = int(arrays.level_nodes[-1])
-    cell, next_cell = np.int64(0), np.int64(1)
-    g, nodes = -1, np.uint64(0)  # a group, and those of its children that are nodes and still to come
-    for node in range(n_nodes if arrays.level_cells.size > 2 else 0):
-        facings = 0
-        for octant in range(8):
-            bit = np.uint64(1) << np.uint64(8 * (node & 7) + octant)
-            if (groups[node >> 3, 0] | groups[node >> 3, 1]) & bit:
-                facings |= int(np.int64(arrays.flags[next_cell])) & FACING_FLAGS
-                next_cell += 1
-        if np.int64(arrays.flags[cell]) & FACING_FLAGS != facings:
-            return int(cell)
-        while nodes == 0 and g + 1 < groups.shape[0]:
-            g += 1
-            nodes = groups[g, 0]
-        below = (nodes & (~nodes + np.uint64(1))) - np.uint64(1)
-        cell = np.int64(groups[g, 2] >> np.uint64(32)) + popcount((groups[g, 0] | groups[g, 1]) & below)
-        nodes &= nodes - np.uint64(1)
-    return -1

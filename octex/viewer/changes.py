@@ -11,13 +11,13 @@ other in both. One stream:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.texture import OctreeTexture
+from octex.tree.children import masks_of, node_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
 from octex.viewer.streams import planes
@@ -103,19 +103,12 @@ def _rows_of(owners: Int64s, old_owners: Int64s, old: Int64s, is_known: Bools) -
 def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
     """Return the masks (cells, 2) and the areas of cells that are nodes; 0 of leaves."""
     arrays = tree.arrays
-    nodes = np.concatenate([np.zeros(0, np.int64), *_node_cells(tree)])
+    nodes = node_cells(arrays)
     masks, areas = np.zeros((tree.n_cells, 2), np.uint8), np.zeros(tree.n_cells, np.uint8)
     for word in range(2):
-        masks[nodes, word] = (
-            np.ascontiguousarray(arrays.groups[:, word]).astype("<u8").view(np.uint8)[: nodes.size]
-        )
+        masks[nodes, word] = masks_of(arrays.groups, word)[: nodes.size]
     areas[nodes] = arrays.areas[nodes]
     return masks, areas
-
-
-def _node_cells(tree: Octree) -> Sequence[Int64s]:
-    firsts = tree.arrays.level_cells.tolist()
-    return [first + np.flatnonzero(is_node) for first, (_, is_node) in zip(firsts, tree.walk(), strict=False)]
 
 
 def _owners(tree: Octree) -> tuple[Int64s, Int64s]:

@@ -33,6 +33,7 @@ from octex.errors import ArgumentError
 from octex.processing.cast import cast
 from octex.source.materials import MaterialSource
 from octex.texture import Channel, OctreeTexture, TextureSet
+from octex.tree.children import masks_of
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.octree import distinct
 from octex.tree.split import rows_of
@@ -305,8 +306,7 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
     """Yield what comes of each level."""
     arrays = texture.tree.arrays
     n_nodes = texture.tree.n_nodes
-    node_masks = np.ascontiguousarray(arrays.groups[:, 0]).astype("<u8").view(np.uint8)[:n_nodes]
-    leaf_masks = np.ascontiguousarray(arrays.groups[:, 1]).astype("<u8").view(np.uint8)[:n_nodes]
+    node_masks, leaf_masks = (masks_of(arrays.groups, word)[:n_nodes] for word in range(2))
     above = np.zeros(1, np.int64)  # the cells that are nodes of the level above
     for level, (_, is_node) in enumerate(texture.tree.walk()):
         first, end = arrays.level_cells[level : level + 2].tolist()
