@@ -31,8 +31,8 @@ def combine(
 
     Where only one has cells, they stay. Where both have cells, those of ``second`` replace the others, as
     ``mix`` does with an amount of 1. With ``over`` they are composited by their alpha, in linear light
-    (Porter & Duff 1984). ``mix`` describes cells of different depth, averages, facings and channels. ``threads`` and
-    ``executor`` choose who works in parallel.
+    (Porter & Duff 1984). ``mix`` describes cells of different depth, averages, facings and channels.
+    ``threads`` and ``executor`` choose who works in parallel.
 
     Raises ArgumentError for textures of different root cells or separations, or without a common channel.
     """

@@ -47,22 +47,19 @@ _NAMES = {
 
 
 class PointCloud(Placeable):
-    """Points with colours: laid on a surface, where the nearest of them count, or converted by themselves.
+    """Points with colours, to lay on a surface or to convert by themselves.
 
     points     (n, 3), n ≥ 3, in the model's units, at rest
-    colors     (n, 3 or 4): uint8 or uint16 sRGB codes, or floats, linear light, 0 … 1; a fourth column is
-               alpha
-    normals    (n, 3) of any length, or None; a point whose normal is zero counts whatever the angle
-    radius     in the model's units: what a point of a surface gets is the mean of all points within it, those
-               that are farther weighing less, (1 − d²/r²)²; where there is none it stays empty. At least the
-               width of what is read: no point of a dense cloud is left out. None: that width; and where no
-               point is within it the nearest one counts
-    distance   without ``radius``: how far the nearest point may be; what is farther from all stays empty
-    max_angle  degrees between the surface's normal and a point's, from which on it does not count
+    colors     (n, 3 or 4): uint8 or uint16 sRGB, or floats in linear light, 0 … 1; a fourth column is alpha
+    normals    (n, 3) of any length, or None; a zero normal matches every angle
+    radius     average all points within this distance, in the model's units, weighted (1 − d²/r²)²; surface
+               without such points stays empty. At least the width of the footprint. None: that width, or the
+               nearest point
+    distance   without ``radius``: how far the nearest point may be; surface farther away stays empty
+    max_angle  largest angle in degrees between the surface's normal and a point's
 
-    Arrays are copied, and those of the cloud are read-only. Raises ArgumentError for arrays of another shape,
-    type or length, and ModelError for points that are not finite or fewer than three, and for colours out of
-    range.
+    Arrays are copied and read-only. Raises ArgumentError for arrays of another shape, type or length;
+    ModelError for points that are not finite or fewer than three, and for colours out of range.
     """
 
     def __init__(

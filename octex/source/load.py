@@ -50,22 +50,21 @@ def load_surface(
     normals: bool = False,
     pose: str | None = None,
 ) -> Surface:
-    """Read a model: its triangles as placed in the scene, and what its materials are made of.
+    """Read a model: its triangles as placed in the scene, and its materials.
 
-    ``rest`` gives rest positions: another model file of the same topology (the same triangles, vertex for
-    vertex; its materials are not read), or an array (vertices, 3). Positions are in the model's units.
-    ``channels`` names those that are wanted, by default all that the materials state; images of others are
-    not read. ``sources`` gives some from elsewhere, as for ``Surface.with_sources``. ``filter``, one of
-    filters.FILTERS, is how images are averaged over footprints. With ``normals`` the model's own shading
-    normals are kept, if it has any: ``Surface.frames``, on which ``octex.paint`` fades.
-
-    ``pose``, "NAME@SECONDS", moves a glTF model as its animation of that name, or number, has it then: by its
-    nodes, skins and morph targets. ``rest`` stays what it is without. See ``octex help surfaces``.
+    path       the model's file
+    rest       rest positions: another file with the same triangles, or an array (vertices, 3). Positions are
+               in the model's units
+    channels   names of the channels to read (default: all that the materials define)
+    sources    replacements for channels, as for ``Surface.with_sources``
+    filter     how images are averaged over footprints: one of ``filters.FILTERS``
+    normals    keep the model's shading normals as ``Surface.frames``
+    pose       "NAME@SECONDS": the pose of an animated glTF model, by its nodes, skins and morph targets. Rest
+               positions do not change. See ``octex help surfaces``
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
-    MissingExtraError where an extra is needed that is not installed; and ArgumentError for names and values
-    that do not fit, or a pose that the file lacks. Warns with ModelWarning of what a model refers to and is
-    read without, and of weights of a skin that are normalized.
+    MissingExtraError if a format needs an extra; ArgumentError for names and values that do not fit, or a
+    pose that the file lacks. Warns with ModelWarning about content that is left out or normalized.
     """
     as_choice(filter, FILTERS, "filter")
     own = {} if sources is None else as_entries(sources, "sources")

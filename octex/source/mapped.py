@@ -49,32 +49,23 @@ _TIE = 1e-6
 
 
 class MappedImage(Placeable):
-    """An image that a surface gets by its rest positions: it needs no texture coordinates.
+    """An image that is placed on a surface by rest positions instead of texture coordinates.
 
-    ``image`` is a file, a Pillow image or an array, as for ``Surface.with_sources``. From outside it is not
-    mirrored. ``kind`` is one of
+    image       a file, a Pillow image or an array, as for ``Surface.with_sources``
+    kind        "planar": along the axis, through the whole surface; faces that look away see it mirrored.
+                "box": six sides, chosen by the largest component of a face's normal, unfolded like a cross.
+                "cylindrical": once around the axis; faces within 45° of the axis see it as on a box.
+                "spherical": longitude and latitude, its top row at the pole that the axis points to
+    axis        "x", "y", "z", "-x", "-y" or "-z". The front is −y; for y it is +z, for −y −z
+    center      (x, y, z): the image's centre, or that of the shape (default: of the bounds at rest)
+    size        width of one copy along x, y and z in the model's units, or one number (default: the bounds;
+                for a box their longest side). A sphere has none; around a cylinder there is always one copy
+    wrap        "repeat", "mirror" or "clamp", or one for u and one for v; around an axis images repeat
+    mag_filter  "linear" or "nearest"
 
-    planar        along the axis, through the whole surface: what faces away is mirrored. The picture's top is
-                  towards +y; along y it is towards −z, along −y towards +z
-    box           six sides, each point's by the largest component of its face's normal (of equal ones the
-                  axis first, then front and back). Upright on the four around the axis, its top towards it;
-                  those across unfold from the front like a cross
-    cylindrical   once around the axis, its top towards it, its middle in front. Faces whose normal is within
-                  45° of the axis see the picture as on a box: a round cap has the circle inscribed in it
-    spherical     longitude and latitude: once around the axis, its middle in front, its top row at the pole
-                  that the axis points to
-
-    ``axis`` is x, y, z, -x, -y or -z. The front is towards −y, about y towards +z, about −y towards −z.
-    ``center`` (x, y, z) is where the picture's middle is, or what it goes around: by default the middle of
-    the surface's bounds at rest. ``size`` is what one copy of the picture spans along x, y and z, in the
-    model's units, or one number for all: by default the bounds, and for a box their largest extent. A sphere
-    has none, and around a cylinder there is one copy always.
-
-    ``wrap``, "repeat", "mirror" or "clamp", or one for u and one for v, is how copies meet; what goes around
-    an axis always repeats. ``mag_filter``, "linear" or "nearest", is how texels meet. Footprints follow the
-    mapping at each point; near a pole, where they are far longer than wide, trilinear blurs them. Images of
-    ``normal`` are in the frame of the mapping's u and of the surface's shading normals; triangles are flat
-    below them unless the surface has ``frames``.
+    The image is upright and, from outside, not mirrored. For a plane, its top is toward +y; along y toward
+    −z, along −y toward +z. Footprints follow the mapping. Images of ``normal`` are in the frame of the
+    mapping's u and the shading normals; without ``frames`` triangles are flat.
 
     Raises ArgumentError for a name or number that is none of these.
     """

@@ -33,20 +33,20 @@ def subdivide(
     scheme: Scheme | None = None,
     creases: Creases | None = None,
 ) -> AnyMesh:
-    """Return a mesh whose vertices lie on the subdivision surface of a cage, or a Surface likewise.
+    """Subdivide a control cage, and return a mesh, or a Surface, whose vertices lie on the limit surface.
 
-    Each of ``levels``, 1 to 10, divides faces in four, after the first into quads; vertices are then where
-    they go in the limit. ``scheme`` is "catmull-clark", for polygons, or "loop", for triangles: by default
-    the one that suits the cage. ``creases``, by default the mesh's own (from OBJ files with OpenSubdiv's
-    tags), say where it is sharp; boundaries are, with their corners. Vertices at one place are one.
+    levels    1 to 10; each divides a face in four, the first one into quads
+    scheme    "catmull-clark" for polygons, "loop" for triangles (default: the one that suits the cage)
+    creases   sharp edges and corners (default: the mesh's own, from OpenSubdiv's tags in OBJ files).
+              Boundaries and their corners are sharp
+    rest      "hull": rest positions of the cage, divided linearly, so that its textures fit; "limit":
+              positions on the limit surface of the cage at rest
 
-    Rest positions are texture coordinates. "hull": those of the cage, divided linearly, so that textures of
-    the cage fit. "limit": on the subdivision surface of the cage at rest. Texture coordinates and the source
-    of a surface are those of the cage, which they are read on: its positions, widths in proportion, and its
-    directions. Polygons are the quads; shading normals are left to the new shape.
+    Vertices at one position are merged. Texture coordinates and the source are the cage's. Polygons are the
+    quads; shading normals follow from the new shape.
 
-    Raises ArgumentError for arguments out of range, and ModelError for "loop" on other polygons than
-    triangles, and for more than 2²⁸ triangles.
+    Raises ArgumentError for arguments out of range; ModelError for "loop" on other polygons than triangles,
+    and for more than 2²⁸ triangles.
     """
     if not isinstance(mesh, Mesh):
         raise ArgumentError(f"mesh must be an octex.Surface, not {mesh!r}")

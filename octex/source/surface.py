@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 
 class Surface(Mesh):
-    """A mesh with a source of values.
+    """A triangle mesh with a source of values: materials, images, functions.
 
-    ``source`` gives them at points of triangles; ``uv`` and ``frames`` are for images of one's own.
-    ``provenance`` is what textures made of the surface remember of it. Raises ModelError as ``Mesh`` does.
+    ``source`` gives values at points of triangles; ``uv`` and ``frames`` serve images of your own.
+    ``provenance`` is stored in textures made of the surface. Raises ModelError as ``Mesh`` does.
     """
 
     def __init__(
@@ -200,20 +200,19 @@ class Surface(Mesh):
         sources: Mapping[str, object] | None = None,
         name: str = "surface",
     ) -> Surface:
-        """Build the surface on which a function of position has the value ``level``.
+        """Build the surface where a function of position has the value ``level``.
 
-        ``f`` takes positions (n, 3), float64, and returns values (n,), below ``level`` inside, as signed
-        distances are. Some positions lie up to an edge outside ``bounds``, the lowest and highest corner
-        (2, 3), which close the shape where they cut it. ``sources`` gives channels, as for ``with_sources``;
-        ``base_color`` is a middle grey else.
+        f            takes positions (n, 3), float64, and returns (n,), below ``level`` inside, as signed
+                     distances do. Some positions lie up to an edge outside ``bounds``
+        bounds       lowest and highest corner (2, 3); they close the shape where they cut it
+        edge_length  of the triangles, about. Vertices lie on the surface, by Newton's method; between them a
+                     triangle is off by up to edge_length² / 4r, r the radius of curvature. Thinner shapes may
+                     be lost
+        sources      channels, as for ``with_sources`` (default: middle grey)
 
-        Triangles have edges of about ``edge_length`` and vertices on the surface, by Newton's method. In
-        between a triangle is off by up to edge_length² / 4r, where r is the radius of curvature: for spheres
-        edges as long as cells were enough at depths 5 and 6. What is thinner than an edge may be lost.
-        (Benson & Davis 2002, 1 and 5; the grid is manifold3d's.)
-
-        Raises ArgumentError for a function that raises, or returns NaN or another shape, for bounds and
-        lengths that are not finite or out of range, and ModelError where there is no surface.
+        The grid is manifold3d's (Benson & Davis 2002, 1 and 5). Raises ArgumentError for a function that
+        raises, or returns NaN or another shape, and for bounds and lengths out of range; ModelError if there
+        is no surface.
         """
         vertices, triangles = level_set(f, bounds, edge_length, level)
         surface = cls.from_arrays(vertices, triangles, factor=(0.5, 0.5, 0.5), name=name)
@@ -266,20 +265,20 @@ class Surface(Mesh):
         return surface
 
     def with_sources(self, sources: Mapping[str, object], filter: str | None = None) -> Surface:
-        """Return the same surface with some channels from elsewhere.
+        """Return the same surface with other sources for some channels.
 
-        ``sources`` gives, by the channel's name, one of
-            a Source that has it, or something Placeable, like MappedImage
+        ``sources`` maps a channel's name to one of
+            a Source, or something Placeable, like MappedImage
             an image (a file, a Pillow image or an array, as for ``from_arrays``), read at the surface's first
             texture coordinates with ``filter``, by default the model's
             a function of rest positions, or of them and face normals: see overrides.FunctionSource
             a value, linear light for colours: a number, or one for each component
-        Images of ``normal`` are in the tangent's frame; triangles are flat below them unless the surface has
-        ``frames`` (``load_surface`` with ``normals``). Vertex colours do not multiply these values. Where the
-        source of any channel leaves a gap, ``alpha`` is 0, whatever gives it, and nothing is converted.
+        Images of ``normal`` are in tangent space; without ``frames`` (``load_surface`` with ``normals``) the
+        triangles are flat. Vertex colours do not multiply these values. Where any source has a gap, nothing
+        is converted.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
-        cannot be used, ModelError where the surface has no texture coordinates for it.
+        cannot be used, ModelError if the surface lacks the texture coordinates for it.
         """
         sources = as_entries(sources, "sources")
         given_filter = self.provenance.get("filter", "ewa") if filter is None else filter
@@ -329,13 +328,12 @@ class Surface(Mesh):
     def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
         """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
 
-        The largest stay; others come to lie beside the whole, so that its longest side, and with it a cell,
-        grows as little as may be. Values stay. Provenance remembers what was moved, and so does a texture
-        made of it: see ``placed_in``. A part that intersects itself stays as it is. Without such parts the
-        surface itself is returned. ``found`` is what ``overlapping_parts`` found with this margin or a larger
-        one.
+        The largest parts stay; the others are placed next to the model, so that the root cell grows as little
+        as possible. Values stay. The surface and its textures remember the moves: see ``placed_in``. A part
+        that intersects itself stays as it is. Without such parts the surface itself is returned. ``found`` is
+        an earlier result of ``overlapping_parts`` with this margin or a larger one.
 
-        Raises ArgumentError for a margin not above zero, and a surface that is separated already.
+        Raises ArgumentError for a margin that is not above zero, and for a surface that is separated already.
         """
         if SEPARATION in self.provenance:
             raise ArgumentError(f"{self.name} is separated already; separate the surface that it was made of")

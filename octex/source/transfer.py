@@ -22,15 +22,13 @@ from octex.source.surface import Surface, as_surface
 
 
 class Transfer(Placeable):
-    """Another model's channels, taken where its surface is nearest.
-
-    Both lie in one space: the nearest point is looked for between the rest positions of the two.
+    """Another model's channels, taken at the nearest point of its surface, between rest positions.
 
     model      a file, or a Surface
-    distance   how far away the other surface may be, in the model's units; what is farther from it stays
-               empty. None: as far as it takes
-    max_angle  degrees between the normals of the two faces, above which a place does not count; 180: all do.
-               With less, the two sides of a thin wall are told apart
+    distance   how far away the other surface may be, in the model's units (None: any distance); surface
+               farther away stays empty
+    max_angle  largest angle in degrees between the normals of the two faces. Below 180, the two sides of a
+               thin wall are told apart
 
     Use it for one channel, ``{"base_color": transfer}``, or for all that the other model has, ``sources``.
     """

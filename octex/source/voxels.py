@@ -40,19 +40,18 @@ class Values(NamedTuple):
 
 
 class Voxels:
-    """Values in cells of a grid of 2ᵈ cells a side, or of several such grids of the same edge.
+    """Values in the cells of a grid of 2ᵈ cells a side, or of several such grids of the same size.
 
-    coords     (n, 3) whole numbers, 0 … 2ᵈ − 1: the place of a cell in its grid along x, y and z; or (n, 4),
-               the first column the same for all
-    channels   by name (n, components), 1 to 4, or (n,): uint8 or uint16 codes, sRGB for colours; or floats,
-               linear light. A fourth column of ``base_color`` is alpha. Other names than materials' channels
-               are data
-    depth      d, one or (n,); by default the least with room for all
+    coords     (n, 3) integers, 0 … 2ᵈ − 1: a cell's indices along x, y and z; or (n, 4), the first column the
+               same for all
+    channels   by name (n, components), 1 to 4, or (n,): uint8 or uint16, sRGB for colours; or floats, linear
+               light. A fourth column of ``base_color`` is alpha. Unknown names become data channels
+    depth      d, one or (n,) (default: the least that fits)
     origin     the grid's lowest corner, in rest units
-    size       the edge of the whole grid; by default cells are 1 wide, those of the finest grid
+    size       the width of the whole grid (default: the finest cells are 1 wide)
 
-    Raises ArgumentError for arrays of another shape or type, and ModelError for cells outside of the grid and
-    for values that are not finite.
+    Raises ArgumentError for arrays of another shape or type; ModelError for cells outside of the grid and
+    values that are not finite.
     """
 
     def __init__(

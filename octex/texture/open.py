@@ -16,23 +16,23 @@ from octex.texture.texture import OctreeTexture, opened
 def open_texture(
     path: str | os.PathLike[str], *, cache: str | os.PathLike[str] | None = None
 ) -> OctreeTexture:
-    """Open an ``.octex`` file, or an archive, ``.octz``, whatever their names.
+    """Open an ``.octex`` or ``.octz`` file, or one at an address; the content decides, not the name.
 
-    The former is mapped: only its header is read, the rest when it is looked at. The latter is decoded whole:
-    into memory, or from 256 MB on into a temporary file, whose pages need not stay in memory. If another
-    program cuts a mapped file off, the system ends the process that reads it (SIGBUS): files should be
-    replaced by new ones of the same name, as ``save`` does, and those that others write copied first.
+    path    a file, which is memory-mapped (``.octex``) or decoded (``.octz``; into a temporary file from 256
+            MB on); or an address, ``https://…`` or any that fsspec supports (``pip install 'octex[remote]'``;
+            for ``s3://…`` also install s3fs)
+    cache   for an address: a folder that keeps what was fetched, for later processes, while the file does not
+            change. Default: a temporary file
 
-    An address, ``https://…`` or any that fsspec knows (``pip install 'octex[remote]'``; what else it needs,
-    like s3fs for ``s3://…``, is your own to install), is opened by parts: ``sample``, ``taps`` and
-    ``contains`` fetch the blocks of the file that they read, by range requests, ``level`` the coarse levels,
-    all else what it asks for whole. Of an archive come the structure of the levels looked at, and blocks of
-    what they hold, which are decoded into memory. What is fetched stays in a temporary file, or in the folder
-    ``cache``, where the next process finds them as long as the file has not changed.
+    At an address ``sample``, ``taps`` and ``contains`` fetch the blocks that they read by range requests, and
+    ``level`` fetches the coarse levels; everything else fetches what it needs completely.
+
+    If another program shortens a mapped file, the system ends the process that reads it (SIGBUS): replace
+    files by new ones, as ``save`` does.
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version, and,
-    also later, for an address that cannot be read any more, or whose file has changed; OutputError if there
-    is no place for what is fetched; ArgumentError for a ``cache`` without an address.
+    also later, for an address that cannot be read or whose file changed; OutputError without room for what is
+    fetched; ArgumentError for a ``cache`` without an address.
     """
     if is_address(path):
         from octex.texture.remote import open_remote

@@ -38,14 +38,13 @@ _SHOWN = 5
 
 
 class TextureSet(Mapping[str, OctreeTexture]):
-    """Textures by the names of a model's parts, in order: what nearly touches does not share cells.
+    """Textures for the parts of a model, by name and in order.
 
-    Parts that intersect or nearly touch share the cells of one texture, and their colours run together; in
-    textures of their own they do not (Benson & Davis 2002, 4.3.1). Parts have numbers, from 0, in the order
-    of their names. Immutable; a part's file is opened when it is first needed. ``metadata`` is provenance,
-    as for a texture.
+    Parts that intersect or nearly touch would share the cells of one texture, and their colours would mix
+    (Benson & Davis 2002, 4.3.1). Parts also have numbers, from 0. A set is immutable; a part's file is opened
+    when it is first needed. ``metadata`` is provenance, as for a texture.
 
-    Raises ArgumentError for no parts, for names that are no text, and for anything but textures.
+    Raises ArgumentError for an empty set, for names that are not text, and for anything but textures.
     """
 
     def __init__(
@@ -65,10 +64,10 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
     @classmethod
     def open(cls, folder: str | os.PathLike[str]) -> TextureSet:
-        """Open the folder of a set. Only its index is read; a part's file is opened when it is needed.
+        """Open the folder of a set. Reads the index; each part's file is opened when it is needed.
 
-        Raises TextureFileError for an index that is missing, damaged or of a newer version, for files that
-        are missing or not in the folder; and for a part's damaged file when it is opened.
+        Raises TextureFileError for an index that is missing, damaged or of a newer version, and for missing
+        or damaged files.
         """
         folder = as_path(folder, "folder")
         index = read_index(folder)
@@ -165,15 +164,13 @@ class TextureSet(Mapping[str, OctreeTexture]):
         executor: Executor | None = None,
         **options: Unpack[FootprintOptions],
     ) -> Any:
-        """Look up rest positions (n, 3), or points of a surface, each in the texture of its part.
+        """Sample rest positions (n, 3), or points of a surface, each in the texture of its part.
 
-        ``parts`` are numbers or names, (n,) of them, or one for all. All else is as for
-        ``OctreeTexture.sample``, and so is what is returned.
+        ``parts`` are numbers or names: (n,), or one for all points. All other arguments are those of
+        ``OctreeTexture.sample``, and so is the result.
 
-        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
-
-        Raises ArgumentError as that does, for parts that are not there, naming those that are, and for a
-        channel that a part in use lacks, or has with other components than the rest.
+        Raises ArgumentError as ``OctreeTexture.sample`` does, for unknown parts, and for a channel that a
+        part lacks or has with other components.
         """
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         lens, given = asked(points, filter, gradient, **options)
@@ -198,13 +195,10 @@ class TextureSet(Mapping[str, OctreeTexture]):
         threads: int | None = None,
         executor: Executor | None = None,
     ) -> Bools:
-        """Say of each rest position (n, 3) whether a leaf of its part's texture holds it.
+        """Return for each rest position (n, 3) whether a leaf of its part's texture holds it.
 
-        ``parts`` are as for ``sample``.
-
-        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
-
-        Raises ArgumentError for positions that are not finite (n, 3), and for parts that are not there.
+        ``parts`` are as for ``sample``; ``threads`` and ``executor`` choose who works in parallel. Raises
+        ArgumentError for positions that are not finite (n, 3), and for unknown parts.
         """
         given = {"points": placed(points)[0]}
         given["parts"] = self._numbers(parts, len(given["points"]))
@@ -262,20 +256,20 @@ class TextureSet(Mapping[str, OctreeTexture]):
         return found
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write a folder: an ``.octex`` file for each part, and an index, ``set.json``.
+        """Write a folder with an ``.octex`` file for each part and an index, ``set.json``.
 
-        The same set gives the same bytes in a new folder. Another set in the folder is replaced at the very
-        end, its files removed; all other files there stay, and names that they have are not taken.
+        The same set gives the same bytes in a new folder. A set that the folder holds is replaced at the very
+        end; other files stay.
 
-        Raises OutputError if something cannot be written, or if there is a ``set.json`` that is no index of a
-        set; an older set is then as it was.
+        Raises OutputError if a file cannot be written, or if the folder's ``set.json`` is not a set's index;
+        an older set then stays.
         """
         write_folder(as_path(folder, "folder"), self, self.metadata)
 
     def validate(self) -> None:
-        """Prove that every part's tree is sound and its values are finite.
+        """Check that every part's tree is sound and all values are finite.
 
-        Raises TextureFileError that names the first part that is broken, and what is.
+        Raises TextureFileError that names the first broken part and what is wrong.
         """
         for name in self.names:
             try:

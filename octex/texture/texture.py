@@ -67,13 +67,17 @@ _MANY_LEAVES = 1 << 26
 
 
 class OctreeTexture:
-    """Values stored in the octree cells that a surface passes through, looked up by rest position.
+    """An octree texture: values in the cells that a surface passes through, sampled by rest position.
 
-    Immutable: what ``channels`` and ``bounds`` hand out is read-only. The arrays given of a tree and of
-    channels are not copied. ``metadata`` is provenance: free text by name, kept in the file. It can be
-    pickled and copied, whole: also what is in a file.
+    tree        the octree
+    channels    the stored values by name; what you get is read-only
+    placement   where the root cell lies
+    bounds      of the surface, at rest
+    metadata    provenance: free text by name, stored in the file
 
-    Raises ArgumentError if tree, channels, placement and bounds do not fit together.
+    A texture is immutable, and can be pickled and copied, also one that is mapped from a file. Arrays that
+    you pass in are not copied. Raises ArgumentError if tree, channels, placement and bounds do not fit
+    together.
     """
 
     __slots__ = (
@@ -204,41 +208,36 @@ class OctreeTexture:
         threads: int | None = None,
         executor: Executor | None = None,
     ) -> Any:
-        """Look up the field at rest positions (n, 3), or at points of a surface: what has ``rest`` (n, 3).
+        """Sample channels at rest positions (n, 3), or at points that ``Surface.scatter`` returns.
 
-        ``Surface.scatter`` returns such points; their ``rest_normals``, or ``normals``, count as given.
-        Returns float32 (n, components): linear light for colours, −1 … 1 for directions, 0 … 1 for other
-        integers; a dict for a list of channels. Blending is done in linear light, weighed by ``alpha`` where
-        there is one. Every point has a value: off the surface that of coarser averages, outside the root cell
-        that of the nearest point inside.
+        filter           "quadratic": a spline over 3×3×3 cells, smooth across changes of depth (paper 3.4);
+                         "quartic": over 5×5×5; "linear": the paper's rule, which jumps where the depth
+                         changes; "nearest": the leaf at the point, else the nearest of 27 cells
+        width            side of the square to average over, in the model's units: one number, or (n,)
+        dPdx, dPdy       instead of a width, (n, 3): derivatives of rest positions by a picture's x and y
+        anisotropy       largest ratio of a footprint's length to its width, up to 256; narrower ones are
+                         widened
+        blur             widens both sides of a footprint by this
+        sharpness        0 … 1: sharpens footprints; results may leave the range of the stored values
+        normals          shading normals (n, 3) in rest space: surface that faces away has no weight. Points
+                         of a surface bring their own
+        bleed_threshold  for footprints without normals (paper 3.5.2): where the opposite sides of a coarse
+                         cell differ by this much, use finer cells
+        normalize        return unit vectors for directions; False: stored means, shorter where directions
+                         vary
+        gradient         also return derivatives by rest position (n, components, 3); not for "nearest"
+        out              write into these C-ordered float32 arrays: one, a dict, or a pair of either
+        threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
-        filter           ``quadratic``: a spline over 3×3×3 cells, smooth across changes of depth (paper 3.4).
-                         ``quartic``: over 5×5×5. ``linear``: the paper's rule, which jumps where the depth
-                         changes. ``nearest``: the leaf that holds the point, else the nearest of 27 cells.
-        width            side of the square to average over, in the model's units: one, or (n,). Averages of
-                         two levels are blended, weighed by the root of a cell's area. None: the leaves.
-        dPdx, dPdy       instead of a width, (n, 3): how rest positions change from pixel to pixel. Several
-                         looks along the pixel's longer axis, and, but for ``nearest`` and ``linear``, two
-                         across, cover its parallelogram.
-        anisotropy       most that it may be longer than wide, up to 256; a narrower one is widened
-        blur             width that is added to both sides of a footprint
-        sharpness        0 … 1: from the footprint's mean to a kernel of variance zero, whose results may
-                         leave the range of the stored values
-        normals          shading normals (n, 3) in rest space. What faces away from them weighs nothing, and
-                         a cell shows the side that faces them; where nothing faces them, all counts.
-        bleed_threshold  for footprints without normals (paper 3.5.2): a coarse cell whose opposite sides
-                         differ by this or more is left to the next finer level
-        normalize        make directions unit vectors; else the stored means, shorter where they spread
-        gradient         return a pair: values, and derivatives by rest position (n, components, 3); not of
-                         ``nearest``
-        out              where to write: C-ordered float32 arrays, one, a dict of them, or a pair of either
+        Returns float32 (n, components), or a dict for a list of channels: linear light for colours, −1 … 1
+        for directions, 0 … 1 for other integers. Values blend in linear light, weighted by ``alpha``. Every
+        point has a value: off the surface coarser averages answer, outside the root cell the nearest point
+        inside.
 
-        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel. To other processes the texture travels with each block of points. Where leaves
-        have several depths, points asked for together may change an answer by 10⁻⁶ of the values around.
+        In adaptive trees, points sampled together may change a result by 10⁻⁶ of the surrounding values.
 
-        Memory grows with the answers alone. Raises ArgumentError for what is not finite, naming the first row
-        (``out`` is then written in part), for unknown channels and filters, and for an ``out`` that does not
-        fit.
+        Raises ArgumentError for values that are not finite, with the first row (``out`` is then partly
+        written), for unknown channels and filters, and for an ``out`` that does not fit.
         """
         if (
             (width is normals is dPdx is dPdy is out is None and threads is None and executor is None)
@@ -361,26 +360,22 @@ class OctreeTexture:
         executor: Executor | None = None,
         **options: Unpack[FootprintOptions],
     ) -> TapList:
-        """List what ``sample`` blends at rest positions (n, 3): which rows of ``rows(channel)``, how much.
+        """List what ``sample`` blends at rest positions (n, 3), as the rows of a sparse matrix.
 
-        Returns, in compressed sparse rows, ``starts`` (n + 1,) int64, ``rows`` (taps,) int64, none twice for
-        a point, and ``weights`` (taps,) float32, 1 in sum for each point. Their blend is what ``sample``
-        returns with ``normalize=False``; values are linear in it, which is what fits and optimizers need.
-        With scipy:
+        Returns ``starts`` (n + 1,) int64, ``rows`` (taps,) int64, each once per point, and ``weights``
+        (taps,) float32, which sum to 1 per point. Weights times ``rows(channel)`` is what ``sample`` returns
+        with ``normalize=False``. With scipy:
 
             taps = texture.taps(points)
             values = texture.rows("base_color")
             blend = scipy.sparse.csr_array((taps.weights, taps.rows, taps.starts), (n, len(values)))
-            colors = blend @ values  # (n, 3); values that suit given colors solve blend @ values = colors
+            colors = blend @ values  # (n, 3); solving this for values fits a texture to colours
 
-        ``torch.nn.functional.embedding_bag`` does the same with rows, values, ``starts[:-1]`` and weights.
-        Channels differ where alpha weighs them, and in footprints without normals where their fronts and
-        backs differ; else their taps are alike.
+        Taps of channels differ where alpha weights them, and for footprints without normals where front and
+        back differ. "nearest" has one tap per point, except in footprints. All other arguments are those of
+        ``sample``.
 
-        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
-
-        All other arguments, and what is raised, are as for ``sample``; ``nearest`` has one tap a point but in
-        footprints.
+        Raises ArgumentError as ``sample`` does.
         """
         lens, given = asked(points, filter, **options)
         as_choice(channel, self.channels, "channel")
@@ -397,12 +392,10 @@ class OctreeTexture:
         return fault
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
-        """Return a channel's stored values (rows, components), float32, as ``sample`` returns values.
+        """Return a channel's stored values (rows, components), float32, in the units of ``sample``.
 
-        First those of cells, in the order of their numbers (``tree.arrays`` says how cells are numbered),
-        nodes with their averages; then those of the kept nodes; then those of the split cells' facings.
-        ``numbers`` (n,): these rows alone. Raises ArgumentError for an unknown channel and for rows that are
-        not there.
+        The rows are: cells, in the order of their numbers; kept nodes; facings of split cells. ``numbers``
+        (n,) selects rows. Raises ArgumentError for an unknown channel and for rows out of range.
         """
         known = self.channels[as_choice(channel, self.channels, "channel")]
         parts = known.values, known.kept_values, known.split_values
@@ -419,16 +412,15 @@ class OctreeTexture:
         block_size: int = 1 << 16,
         **options: Unpack[FootprintOptions],
     ) -> Int64s:
-        """List the bytes of its file that ``sample`` needs for these points, before it reads them.
+        """List the bytes of the texture's file that ``sample`` will read for these points.
 
-        Returns where runs of blocks begin and end (n, 2), int64, ascending, apart from each other; a block is
-        ``block_size`` bytes, counted from the file's first, and the last may be shorter. A file with these
-        bytes alone, zeros elsewhere, opens and answers likewise. Only what says which cells there are is read
-        to find out, down to the level that is asked for, which is a fifth of a file or less, and of the
-        values, for footprints without normals, those of split cells. Of trees whose leaves have one depth,
-        only what lies around the points is listed. Arguments are as for ``sample``.
+        Returns begins and ends of runs of blocks (n, 2), int64, ascending and disjoint. A block has
+        ``block_size`` bytes, counted from the file's start; the last may be shorter. A file with only these
+        bytes, and zeros elsewhere, opens and gives the same results. To find out, octex reads the tree's
+        structure down to the level that is asked for, at most a fifth of the file, and, for footprints
+        without normals, the values of split cells. All other arguments are those of ``sample``.
 
-        Raises ArgumentError as that does, and for a texture that has no file.
+        Raises ArgumentError as ``sample`` does, and for a texture without a file.
         """
         block_size = as_whole(block_size, "block_size", 1, 1 << 40)
         mapping = self.source.here(self).source.mapping
@@ -449,11 +441,10 @@ class OctreeTexture:
         threads: int | None = None,
         executor: Executor | None = None,
     ) -> Bools:
-        """Say of each rest position (n, 3) whether a leaf holds it.
+        """Return for each rest position (n, 3) whether a leaf holds it.
 
-        ``threads``, a number, or ``executor`` of concurrent.futures choose who works in parallel.
-
-        Raises ArgumentError for positions that are not finite (n, 3).
+        ``threads`` and ``executor`` choose who works in parallel. Raises ArgumentError for positions that are
+        not finite (n, 3).
         """
         given: Given = {"points": placed(points)[0]}
         inside = np.empty(len(given["points"]), np.bool_)
@@ -466,9 +457,9 @@ class OctreeTexture:
         return in_leaves(self.tree.arrays, Positions.of(given["points"]), *self.placement, answers[0])
 
     def level(self, level: int) -> OctreeTexture:
-        """Return the texture of levels 0 … ``level``, whose leaves include the averages stored there.
+        """Return the texture of levels 0 … ``level``: its leaves hold the averages stored there.
 
-        Its arrays are views; nothing deeper is read. Raises ArgumentError for a level that is not 0 … 21.
+        Its arrays are views; nothing deeper is read. Raises ArgumentError for a level outside of 0 … 21.
         """
         if as_depth(level, "level") >= self.tree.max_depth:
             return self
@@ -480,16 +471,15 @@ class OctreeTexture:
         return texture
 
     def save(self, path: str | os.PathLike[str], *, max_error: int = 0) -> None:
-        """Write an ``.octex`` file, or an archive of it, ``.octz``; the same texture gives the same bytes.
+        """Write an ``.octex`` file, or a compressed ``.octz``; the same texture gives the same bytes.
 
-        An ``.octex`` file is looked up where it lies. An archive has a third of its bytes or less, and is
-        decoded when it is opened; what comes back is the same, bit for bit. With ``max_error``,
-        0 … 255, the whole numbers of an archive's values may move by so many of their codes, averages too,
-        each by itself; floats do not move.
+        An ``.octex`` file is memory-mapped when opened. An ``.octz`` has a third of the bytes or less;
+        opening it decodes the same bits. ``max_error``, 0 … 255, lets each stored integer of an ``.octz``
+        change by this much.
 
-        Raises ArgumentError for another ending, and for a ``max_error`` without an archive; TextureFileError
-        for a tree that is not sound, of which no archive can be made; OutputError if the file cannot be
-        written: what stood at ``path`` then still stands.
+        The file is replaced completely or not at all. Raises ArgumentError for another ending, and for a
+        ``max_error`` without ``.octz``; TextureFileError for a damaged tree; OutputError if the file cannot
+        be written.
         """
         path = as_path(path)
         max_error = as_whole(max_error, "max_error", 0, 255)
@@ -507,7 +497,7 @@ class OctreeTexture:
             write(path, tensors, metadata, max_error)
 
     def validate(self) -> None:
-        """Prove that the tree is sound and the values are finite.
+        """Check that the tree is sound and all values are finite.
 
         Raises TextureFileError that names what is broken.
         """
@@ -521,10 +511,9 @@ class OctreeTexture:
             raise TextureFileError(f"{path}: {error}" if path else str(error)) from None
 
     def info(self) -> dict[str, Any]:
-        """Describe the texture as numbers and strings, ready for JSON. Lengths are in the model's units.
+        """Describe the texture as numbers and strings for JSON; lengths are in the model's units.
 
-        Reads no cell. ``bytes`` says where the bytes of its render file go; ``archive``, if it came from one,
-        where those of that go.
+        ``bytes`` lists the sizes of the file's parts; ``archive`` those of the ``.octz`` that it came from.
         """
         return described(self.source.here(self))
 

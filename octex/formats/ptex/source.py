@@ -26,16 +26,15 @@ CHANNELS_KEY = "octex:channels"
 
 
 class Ptex(Placeable):
-    """The texels of a .ptx file, for the mesh that they were painted on.
+    """The texels of a .ptx file, for the mesh that it was painted on.
 
-    Its channels are those that octex noted, if it wrote the file; else one number a texel is a grey
-    ``base_color``, three are its components, and what the file calls alpha, or the last of two or four, is
-    ``alpha``. Whole numbers are sRGB codes for colours; floats are linear light. Between the texels of quads
-    lies a spline (Catmull and Rom) that goes on across their edges, by a texel beyond each; triangles are
-    linear between the centres and the corners of texels, and continuous across their edges, too.
+    A file that octex wrote names its channels. Otherwise one number a texel is a grey ``base_color``, three
+    are RGB, and a declared alpha, or the last of two or four, is ``alpha``. Integers are sRGB for colours;
+    floats are linear light. Between texels, quads use a Catmull–Rom spline that continues across edges;
+    triangles are linear between centres and corners of texels, and continuous across edges.
 
-    Use it for one channel, ``{"base_color": ptex}``, or for all that there are, ``sources``. Raises
-    ModelError as ``PtexFile`` does, and for a file of other channels.
+    Use it for one channel, ``{"base_color": ptex}``, or for all, ``sources``. Raises ModelError as
+    ``PtexFile`` does, and for a file of other channels.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
