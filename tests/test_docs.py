@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import shlex
@@ -154,6 +155,22 @@ def test_every_page_is_listed_once() -> None:
 
 def test_readme_is_read_in_minutes() -> None:
     assert len(PAGES["README"].read_text("utf-8").split()) <= 700
+
+
+def public() -> Iterator[tuple[str, object]]:
+    """Yield what octex exports, and the public methods of that."""
+    for name in (*octex.__all__, "map", "open"):
+        exported = getattr(octex, name)
+        yield name, exported
+        if inspect.isclass(exported):
+            yield from (
+                (f"{name}.{each}", getattr(exported, each)) for each in vars(exported) if each[0] != "_"
+            )
+
+
+def test_docstrings_are_read_in_a_minute() -> None:
+    lengths = {name: len((inspect.getdoc(each) or "").splitlines()) for name, each in public()}
+    assert {name: length for name, length in lengths.items() if length > 40} == {}
 
 
 def test_code_is_indented_where_a_page_is_printed() -> None:
