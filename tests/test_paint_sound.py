@@ -361,6 +361,22 @@ def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_adde
     assert_averages(texture, found)
 
 
+# --- other channels
+
+
+@pytest.mark.parametrize(("max_error", "deeper"), [(None, 1), (None, 2), (4, 0), (4, 1)])
+@pytest.mark.parametrize("kind", ["sheet", "open", "cube"])
+def test_finer_paint_moves_no_other_channel(kind: str, max_error: float | None, deeper: int) -> None:
+    surface = waved(kind, 1, ["base_color", "roughness"], 7)
+    texture = octex.convert(surface, 5, dtype="float32", max_error=max_error)
+    points = surface.scatter(5000, 0).rest
+    ball = octex.Sphere(tuple(points[0]), 0.3 * float(np.ptp(surface.bounds, axis=0).max()))
+    found = octex.fill(texture, surface, ball, (1, 0, 0), max_depth=texture.tree.max_depth + deeper)
+    assert found.tree.n_leaves > texture.tree.n_leaves
+    before, after = (each.sample(points, "roughness") for each in (texture, found))
+    np.testing.assert_allclose(after, before, atol=1e-5)
+
+
 # --- rows of split nodes
 
 

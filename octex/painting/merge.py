@@ -20,9 +20,6 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 
-#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
-_HIDING = 1.0 - 1.0 / 512.0
-
 
 def merge(
     texture: OctreeTexture,
@@ -39,12 +36,12 @@ def merge(
 
     Each cell is blended once, in linear light, with the layer's coverage times ``opacity``; see BLENDS.
     Where the layer is finer the texture is raised to it, and keeps the coefficients that it had, so that the
-    field beside the paint does not move; those that only painted surface depends on are blended too. Less
-    than three of the coarser cells from unpainted surface some of what was there is seen through finer paint:
-    of white below black, where cells are halved, up to 0.18 in the second fine cell from the rim, 0.02 in the
-    fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005. So near the rim what
-    is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on. Near
-    the rim, beside empty cells, other channels move too, by up to 0.024 of the range.
+    field beside the paint does not move, and other channels nowhere, but where surface is added. Coefficients
+    that only painted surface depends on are blended too. Less than three of the coarser cells from unpainted
+    surface some of what was there shows through finer paint. Measured on a robot, of white below black, where
+    cells are halved: 99 % of lookups show less than 0.09 in the second fine cell from the rim, 0.03 in the
+    third, 0.001 in the fourth. If the texture has channels that are not painted, it is 0.17, 0.12 and 0.07,
+    0.04 in the fifth and 0.004 in the sixth.
 
     Looked up with normals, the field beside finer paint does move where facings are told apart: nodes show
     them the means of what is below, paint too, and what is raised has rows for six facings, not for every
@@ -104,12 +101,11 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    hiding = _hiding(texture, target, blend)
     pieces = pieces_of(texture, layer)
     if pieces is not None:
         with own_making():
             found = merge_by_tiles(
-                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity, hiding=hiding,
+                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity,
                 executor=executor, progress=report,
             )  # fmt: skip
         if found is None:
@@ -120,9 +116,7 @@ def merged(
         return None
     tiles = tiles_around(texture, [each.codes for each in paint])
     part = texture if tiles is None else cut_out(texture, tiles)
-    raised = raise_texture(
-        part, texture, layer, paint, ground, executor, report, adds=blend != "erase", hiding=hiding
-    )
+    raised = raise_texture(part, texture, layer, paint, ground, executor, report, target=target, blend=blend)
     if not any(each.codes.size for each in raised.paint):
         return None
     report("merge", 0, 1)
@@ -130,11 +124,3 @@ def merged(
         made = blend_paint(part, raised, layer, target, blend, opacity, executor).texture
     report("merge", 1, 1)
     return Change(tiles, with_channels_of(part, given), made)
-
-
-def _hiding(texture: OctreeTexture, target: str, blend: Blend) -> float:
-    """Return the coverage from which on paint leaves nothing of what a texture had, of any channel."""
-    changed = {target, ALPHA.name} if blend == "over" else {target}
-    if blend not in ("over", "erase", "replace") or not changed >= texture.channels.keys():
-        return np.inf
-    return 0.0 if blend == "replace" else _HIDING

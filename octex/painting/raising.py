@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import encode
+from octex.channels import ALPHA, encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
@@ -35,6 +35,7 @@ from octex.painting.cells import (
 from octex.painting.flat import Flat
 from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
+from octex.painting.pictures import Blend
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
@@ -52,6 +53,9 @@ from octex.tree.edit import (
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
+
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
 
 
 class Met(NamedTuple):
@@ -81,31 +85,39 @@ def raise_texture(
     executor: Executor,
     progress: Progress,
     *,
-    adds: bool,
-    hiding: float,
+    target: str,
+    blend: Blend,
     coarsest: int | None = None,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
 
-    ``whole`` is the texture that ``texture`` is a draft of, or itself.
+    ``whole`` is the texture that ``texture`` is a draft of, or itself; ``target`` is the channel to paint.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
-    layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
+    layer's cells are added, without values; to erase, the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
     from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
-    leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
-    ``coarsest`` is the level of the largest leaf or kept node near paint, if that is known.
+    hides what was there, keep none: they need no skirt. ``coarsest`` is the level of the largest leaf or kept
+    node near paint, if that is known.
+
+    A skirt where nothing was counts for more than what the field refines to there, in every channel. So there
+    is none in textures of channels that are not painted: their field would move.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
-    if not adds:
+    painted = {target, ALPHA.name} if blend == "over" else {target}
+    is_all_painted = painted >= texture.channels.keys()
+    hiding = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}.get(blend, np.inf)
+    if not is_all_painted:
+        hiding = np.inf
+    if blend == "erase":
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     is_skirt = _skirts(texture, paint, ground, executor, progress)
     edited, paint, met = _raised(
-        texture, whole.tree, is_skirt, paint, ground, hiding, coarsest, executor, progress
+        texture, whole.tree, is_skirt, paint, ground, is_all_painted, hiding, coarsest, executor, progress
     )  # fmt: skip
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
@@ -168,6 +180,7 @@ def _raised(
     is_skirt: Bools,
     paint: list[Paint],
     ground: Ground,
+    is_all_painted: bool,
     hiding: float,
     coarsest: int | None,
     executor: Executor,
@@ -204,8 +217,9 @@ def _raised(
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_old
             virtual[-1] = around[is_refined]
             rings[-1] = around[(where.levels == level) & ~is_old]
-            is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
-            absent[-1] = around[is_absent & near(around, below[-1], level)]
+            if is_all_painted:
+                is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
+                absent[-1] = around[is_absent & near(around, below[-1], level)]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
