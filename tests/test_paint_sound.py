@@ -361,6 +361,27 @@ def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_adde
     assert_averages(texture, found)
 
 
+def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too() -> None:
+    surface = waved("sphere", 17, ["base_color", "alpha"], 41)
+    start = octex.convert(
+        surface, 2, dtype="float16", fit=False, detail=lambda points: 1 + points[:, 0] * 3 % 1
+    )
+    cyan = (0.7, 1.0, 1.0)
+    texture = octex.fill(start, surface, beyond(1, 0.193, 0.2), cyan, blend="add", max_depth=3)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0.2, 0.2, 0), blend="replace", max_depth=3)
+    assert_averages(texture, found)
+
+
+def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too() -> None:
+    surface = waved("open", 16, ["base_color", "alpha"], 4)
+    start = octex.convert(surface, 4, dtype="float32")
+    texture = octex.mix(start, octex.resize(start, 3), beyond(1, 0.226, 0.2))
+    pink = (1.0, 0.2, 0.2)
+    found = octex.fill(texture, surface, beyond(0, -0.507, 0.171), pink, opacity=0.2, blend="screen")
+    assert_averages(texture, found)
+
+
 # --- other channels
 
 

@@ -119,7 +119,7 @@ def blend_paint(
     fresh = is_fresh[cells]
     names = [name for name in met if name == target or blend == "over" or fresh.any()]
     parts = no_parts(base.tree, names)
-    is_averaged = ALPHA.name in names or bool(is_fresh.any())
+    is_averaged = ALPHA.name in names or bool((raised.old < 0).any())
     channels = _writable(base, base.channels if is_averaged else names)
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
@@ -137,7 +137,7 @@ def blend_paint(
             for name, own in raised.texture.channels.items()
             if name in parts
         }
-        no_fresh = np.zeros(kept.rows.size, np.bool_)  # also where a node is the average of new skirts alone
+        no_fresh = np.zeros(kept.rows.size, np.bool_)
         for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, no_fresh).items():
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
@@ -234,7 +234,7 @@ def _averaged(
     ``was_told`` says that rows of all channels have been averaged below; see Merged.
     """
     after, is_fresh = base.with_cells(base.tree, channels), raised.is_fresh
-    names = channels if ALPHA.name in parts or is_fresh.any() else parts
+    names = channels if ALPHA.name in parts or (raised.old < 0).any() else parts
     rows = rows_of(base.tree.split, above.nodes.cells)
     left = {}
     for name in sorted(names, key=lambda name: name != ALPHA.name):
@@ -288,10 +288,6 @@ def _settled(
     rows = rows_of(found.tree.split, above.nodes.cells)
     stays = ~among(rows_of(after.tree.split, above.nodes.cells).cells, excess)
     rows_left = {name: own.rows[stays] for name, own in left.items()}
-    # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
-    was = np.where(above.before.numbers >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
-    is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    is_told = is_told or bool(is_new.any())
     if is_told:
         for name in found.channels.keys() - left.keys():
             own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)

@@ -426,8 +426,7 @@ def _carried(
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
     Cells that are added where nothing was take other channels from the coarser averages there. They are
-    listed by level in the third result, and marked in the second with new nodes above them, and with nodes
-    that are averages of skirts alone.
+    listed by level in the third result, and marked in the second with new nodes above them.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
@@ -438,9 +437,7 @@ def _carried(
     added: list[Int64s] = []
     found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
     looked_up = [(np.empty(0, np.int64), np.empty((0, 3)))]
-    codes = np.empty(0, np.int64)
-    for level, (own_codes, is_node) in enumerate(tree.walk()):
-        above, codes = codes, own_codes
+    for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
         cells, new_codes = first + new, codes[new]
@@ -461,9 +458,6 @@ def _carried(
         is_own = is_painted & ~where.is_leaf
         added[-1] = new_codes[is_own]
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
-        # Nodes that no surface is in are means of skirts alone, of new ones too.
-        is_beside = is_bare & ~where.is_leaf & (texture.tree.arrays.areas[where.cells] == SKIRT)
-        is_fresh[first - above.size + np.searchsorted(above, new_codes[is_beside] >> 3)] = True
         is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
