@@ -228,6 +228,10 @@ class Boxes(NamedTuple):
             found[here] = (apart / self.edges).min(axis=1)
         return found - self.slack
 
+    def depths(self, points: Array) -> Array:
+        """How far points (n, 3) are inside the only box: half the edge of the largest cube around each."""
+        return np.minimum(points - self.low[0], self.high[0] - points).min(axis=1)
+
     def __add__(self, other: object) -> Boxes:
         assert isinstance(other, Boxes)
         arrays = (np.concatenate(pair) for pair in zip(self[:3], other[:3], strict=True))
@@ -245,6 +249,12 @@ class Ball(NamedTuple):
         nearest = np.clip(self.center, low, high)
         apart = np.linalg.norm(nearest - self.center, axis=1) - self.radius
         return apart / (np.sqrt(3.0) * self.edge) - 1.0
+
+    def depths(self, points: Array) -> Array:
+        """How far points (n, 3) are inside: half the edge of the largest cube around each."""
+        away = np.abs(points - self.center)
+        total, left = away.sum(axis=1), self.radius**2 - (away**2).sum(axis=1)
+        return (np.sqrt(np.maximum(total**2 + 3 * left, 0.0)) - total) / 3
 
 
 def painted_boxes(layer: OctreeTexture) -> Boxes:

@@ -556,14 +556,11 @@ def assert_filled(
         return  # colours weigh by alphas that were other ones
     points = run.surface.placed_in(before).scatter(300, len(run.steps)).rest
     points = points[before.contains(points)]
-    if isinstance(where, claims.Ball):
-        edge, depths = where.edge, where.radius - np.linalg.norm(points - where.center, axis=1)
-    else:
-        edge, depths = where.edges[0], np.minimum(points - where.low[0], where.high[0] - points).min(axis=1)
-    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells in
-    # or beside such nodes are refined from these, and cells of paint are beside those.
+    edge = where.edge if isinstance(where, claims.Ball) else where.edges[0]
+    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells off
+    # the surface are refined from it, level by level to half a cell beyond, and reach as far as the spline.
     kept = claims.kept_edge(after)
-    points = points[depths > max(4.0 * edge, 3.0 * kept + 2.0 * edge if kept else 0.0)]
+    points = points[where.depths(points) > max(4.0 * edge, 3.0 * kept + 0.5 * edge if kept else 0.0)]
     if not len(points):
         return
     form = after.channels[texture_name].format
