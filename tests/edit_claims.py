@@ -17,6 +17,7 @@ from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.split import find_rows, rows_of
 from tests.naive_processing import AREAS
+from tests.naive_sheets import clipped
 
 Array = npt.NDArray[Any]
 
@@ -300,17 +301,26 @@ def adds_leaves(before: OctreeTexture, after: OctreeTexture) -> bool:
     return bool((is_new & ~_below_leaves(cells, known)).any())
 
 
-def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: Any, reach: float) -> None:
-    """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit."""
+def assert_far_cells_stay(
+    before: OctreeTexture, after: OctreeTexture, region: Any, reach: float, surface: Any = None
+) -> None:
+    """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit.
+
+    Cells that the ``surface`` does not meet, or hardly, are refined to half a cell beyond themselves, where
+    they are beside paint: so much farther paint reaches to them.
+    """
+    placed = None if surface is None else surface.placed_in(before)
     both = [(texture, cells_of(texture)) for texture in (before, after)]
     far = [np.zeros(cells.keys.size, np.bool_) for _, cells in both]
     pairs = len(getattr(region, "edges", ())) * max(own.size for own in far)
     for own, (texture, cells) in zip(far, both, strict=True):
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
-        # What has no surface to speak of is there for paint, and refined to half a cell beyond itself.
-        skirt = np.where(texture.tree.arrays.areas[some, None] < HARDLY, cells.edges[some, None] / 2, 0.0)
-        own[some] = region.gaps(cells.low[some] - skirt, cells.high[some] + skirt) > reach
+        low, high, beyond = cells.low[some], cells.high[some], cells.edges[some, None] / 2
+        is_far = region.gaps(low, high) > reach
+        is_off = is_far & (region.gaps(low - beyond, high + beyond) <= reach)
+        is_off &= (texture.tree.arrays.areas[some] < HARDLY) | _is_off(placed, low, high, is_off)
+        own[some] = is_far & ~is_off
     far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
     stored = [_stored(texture, cells) for texture, cells in both]
     for what, (keys, rows) in stored[0].items():
@@ -334,6 +344,20 @@ def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: A
     for name in added:
         values = decode(after.channels[name].values, "data")[far[1]]
         assert (values == 1).all(), "alpha that was not there is not 1 far from the edit"
+
+
+def _is_off(surface: Any, low: Array, high: Array, chosen: Array) -> Array:
+    """Say which of the chosen boxes (n,) a surface does not meet; its upper faces are no part of a box."""
+    found = np.zeros(len(low), np.bool_)
+    if surface is None:
+        return found
+    corners = surface.rest[surface.triangles]
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    for n in np.flatnonzero(chosen):
+        end = high[n] - 1e-6 * (high[n] - low[n])
+        near = corners[((least <= end) & (most >= low[n])).all(axis=1)]
+        found[n] = not any(len(clipped(triangle, low[n], end)) for triangle in near)
+    return found
 
 
 def assert_far_field_stays(

@@ -434,7 +434,7 @@ def near(region: Callable[[Run, OctreeTexture], Any]) -> Claim:
 
     def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
         where = region(run, before)
-        claims.assert_far_cells_stay(before, after, where, 1.01)
+        claims.assert_far_cells_stay(before, after, where, 1.01, run.surface)
         claims.assert_far_field_stays(before, after, run.surface, where, 2.01, len(run.steps))
 
     return claim

@@ -16,7 +16,6 @@ from octex.painting.cells import (
     paint_at,
     with_skirt,
 )
-from octex.tree.areas import SKIRT
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
 from octex.tree.octree import Octree, distinct
@@ -71,11 +70,7 @@ def with_old_skirts(
         if not skirt.size:
             continue
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        is_own = tree.arrays.areas[here][np.searchsorted(codes, skirt)] == SKIRT  # there for paint alone
-        reaches = is_own.copy()
-        reaches[is_own] = _touch(skirt[is_own], painted, level, half=True)
-        reaches[~reaches] = _touch(skirt[~reaches], painted, level)
-        skirt = skirt[reaches]
+        skirt = skirt[_touch(skirt, painted, level, half=True)]
         if skirt.size:
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
