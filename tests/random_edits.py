@@ -451,7 +451,11 @@ def draw_paint(random: Random, run: Run) -> Step:
     code = call("octex.project", "surface", "pictures", like="texture", **options)
 
     def painted(run: Run, before: OctreeTexture) -> Any:
-        return claims.painted_boxes(eval(code, {**run.names, "texture": before}))
+        layer = eval(code, {**run.names, "texture": before})
+        if "balance" in options:  # and corners by three stops
+            most = max(claims.largest(layer, name) for name in layer.channels)
+            assert most < 8 * claims.LARGEST_GAIN, f"pictures that were made to agree are as bright as {most}"
+        return claims.painted_boxes(layer)
 
     fits = "fit" not in options
     lines = f"pictures = {pictures}", line
