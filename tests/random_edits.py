@@ -558,13 +558,15 @@ def assert_filled(
     has_alpha = "alpha" in before.channels
     if has_alpha and blend != "erase" and (opacity < 1 or blend in ("multiply", "screen", "add")):
         return  # colours weigh by alphas that were other ones
-    points = run.surface.placed_in(before).scatter(300, len(run.steps)).rest
-    points = points[before.contains(points)]
+    samples = run.surface.placed_in(before).scatter(300, len(run.steps))
+    is_stored = before.contains(samples.rest)
+    points, facing = samples.rest[is_stored], samples.normals[is_stored]
     edge = where.edge if isinstance(where, claims.Ball) else where.edges[0]
     # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells off
     # the surface are refined from it, level by level to half a cell beyond, and reach as far as the spline.
     kept = claims.kept_edge(after)
-    points = points[where.depths(points) > max(4.0 * edge, 3.0 * kept + 0.5 * edge if kept else 0.0)]
+    is_deep = where.depths(points) > max(4.0 * edge, 3.0 * kept + 0.5 * edge if kept else 0.0)
+    points, facing = points[is_deep], facing[is_deep]
     if not len(points):
         return
     form = after.channels[texture_name].format
@@ -580,14 +582,16 @@ def assert_filled(
     }.get(blend, lambda: paint)()
     part = 1.0 if blend == "replace" else opacity
     wanted = was + part * paint if blend == "add" else was + part * (paint - was)
-    found = after.sample(points, texture_name, normalize=False)
     slack = 1.5 * claims.code_width(form, claims.largest(after, texture_name)) + 2e-5
-    apart = np.abs(found - wanted).max(axis=1)
-    worst = int(apart.argmax())
-    assert apart[worst] <= slack, (
-        f"inside the region {texture_name} at {points[worst].tolist()} was {was[worst].tolist()}, is "
-        f"{found[worst].tolist()}, should be {wanted[worst].tolist()}"
-    )
+    for normals in (None, facing) if blend in ("over", "replace") and part == 1.0 else (None,):
+        found = after.sample(points, texture_name, normals=normals, normalize=False)
+        apart = np.abs(found - wanted).max(axis=1)
+        worst = int(apart.argmax())
+        assert apart[worst] <= slack, (
+            f"inside the region {texture_name} with{'out' if normals is None else ''} normals at "
+            f"{points[worst].tolist()} was {was[worst].tolist()}, is {found[worst].tolist()}, should be "
+            f"{wanted[worst].tolist()}"
+        )
 
 
 # --- processing

@@ -460,9 +460,11 @@ def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(ble
     np.testing.assert_allclose(rows, np.tile(color, (len(rows), 1)), atol=0.003)
 
 
-@pytest.mark.parametrize("depth", [5, 6])
-def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(depth: int) -> None:
-    surface = sheet(np.eye(3), 0.004)
+@pytest.mark.parametrize(("thickness", "depth"), [(0.004, 5), (0.004, 6), (0.03, 6), (0.04, 6)])
+def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(
+    thickness: float, depth: int
+) -> None:
+    surface = sheet(np.eye(3), thickness)
     place = octex.Sphere((0.0, 0.0, 0.0), 0.3)
     red = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=depth)
     samples = surface.scatter(3000, 0)

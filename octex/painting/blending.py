@@ -113,7 +113,7 @@ def blend_paint(
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
     cells, on_leaves = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, layer.tree, cells, on_leaves.cells, above)
+    may_split = _may_split(tree, cells, on_leaves.flags, above)
     base = _split(raised.texture, may_split)
     met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
@@ -171,8 +171,7 @@ def average_tiles(
     old, no_skirt = np.where(made.is_new, -1, 0), np.zeros(made.is_new.size, np.bool_)
     raised = Raised(made.texture, old, made.is_fresh, [], no_skirt, [])
     above = nodes_above(made.texture.tree, made.painted, made.is_new, texture.tree, layer.tree)
-    none = np.empty(0, np.int64)
-    may_split = _may_split(made.texture.tree, layer.tree, none, none, above)
+    may_split = _may_split(made.texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (_split(each, may_split) for each in (made.texture, made.parts))
     channels, own = _writable(base, base.channels), _writable(parts, parts.channels)
     return _averaged(
@@ -315,15 +314,15 @@ def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
     return cells, Paint(*paint_on)
 
 
-def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, above: Above) -> Int64s:
+def _may_split(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
     """Return cells, ascending, in which paint may make a difference between facings.
 
     These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
-    ways along an axis.
+    ways along an axis. ``painted`` (n,) are the flags of the paint on the leaves.
     """
     flags = tree.arrays.flags
     facings = flags & np.uint8(FACING_FLAGS)
-    leaves = cells[((flags[cells] | layer.arrays.flags[sources]) & SPLIT != 0) & (facings[cells] != 0)]
+    leaves = cells[((flags[cells] | painted) & SPLIT != 0) & (facings[cells] != 0)]
     nodes = above.nodes.cells
     both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
     chosen = (both != 0) | (flags[nodes] & SPLIT != 0)

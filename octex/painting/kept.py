@@ -12,12 +12,15 @@ from octex.arrays import Bools, Float32s, Int64s
 from octex.painting.cells import (
     Paint,
     among_at,
+    joined,
     leave_bare,
     paint_at,
-    with_skirt,
+    skirt_paint,
+    some,
 )
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 
 
@@ -75,9 +78,28 @@ def with_old_skirts(
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
             far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
-            skirt = skirt[~are_beside(skirt, far, level)]
-            found[level] = with_skirt(found[level], skirt, level, executor, paint_at(paint, around, level))
+            added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
+            found[level] = joined(found[level], _unseen(tree, added, far, level))
     return found
+
+
+def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
+    """Return of a skirt's paint what is not beside bare leaves, given by level, or not seen from them.
+
+    Beside leaves that face one way, paint on what faces the opposite way is put on that facing alone.
+    """
+    is_beside = are_beside(skirt.codes, far, level)
+    chosen = ~is_beside
+    for bit in np.unique(skirt.flags[is_beside] & np.uint8(FACING_FLAGS)).tolist():
+        if bit.bit_count() == 1:
+            opposite = bit << 1 if bit & POSITIVE_FACINGS else bit >> 1
+            flags = [tree.arrays.flags[locate(tree, own, at).cells] for at, own in enumerate(far)]
+            seeing = [own[each & FACING_FLAGS != opposite] for own, each in zip(far, flags, strict=True)]
+            own = is_beside & (skirt.flags & FACING_FLAGS == bit)
+            chosen[own] = ~are_beside(skirt.codes[own], seeing, level)
+    skirt.coverage[is_beside] = 0.0
+    skirt.flags[is_beside] |= np.uint8(SPLIT)
+    return some(skirt, chosen)
 
 
 def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:

@@ -26,11 +26,12 @@ from octex.painting.cells import (
     among_at,
     beside_larger,
     facings_within,
+    joined,
     leave_bare,
     skirt_of,
     skirt_on_nothing,
+    skirt_paint,
     some,
-    with_skirt,
 )
 from octex.painting.flat import Flat
 from octex.painting.ground import Ground
@@ -276,7 +277,7 @@ def _raised(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
         is_new = where.levels < level
-        with_skirts.append(with_skirt(each, skirt[is_free], level, executor))
+        with_skirts.append(joined(each, skirt_paint(skirt[is_free], level, executor, each)))
         added[level] = np.sort(
             np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]), kind="stable"
         )
