@@ -452,9 +452,9 @@ def draw_paint(random: Random, run: Run) -> Step:
 
     def painted(run: Run, before: OctreeTexture) -> Any:
         layer = eval(code, {**run.names, "texture": before})
-        if "balance" in options:  # and corners by three stops
+        if "balance" in options:
             most = max(claims.largest(layer, name) for name in layer.channels)
-            assert most < 8 * claims.LARGEST_GAIN, f"pictures that were made to agree are as bright as {most}"
+            assert most < claims.LARGEST_GAIN, f"pictures that were made to agree are as bright as {most}"
         return claims.painted_boxes(layer)
 
     fits = "fit" not in options

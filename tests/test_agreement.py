@@ -248,7 +248,7 @@ def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
     assert (found.range[1] >= light.max(axis=(0, 1)) - 1e-6).all()
 
 
-@pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("sphere", 27), ("open", 12)])
+@pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])
 def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: str, first: int) -> None:
     surface = waved(kind, 1, ["base_color"], 0)
     texture = octex.convert(surface, 2, dtype="float32")
@@ -258,7 +258,7 @@ def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: s
     ]
     layer = octex.project(surface, shots, like=texture, max_depth=4, balance="full", fit=False)
     colors = decode(layer.channels["base_color"].values, "srgb")
-    assert colors.max() < 8 * LARGEST_GAIN
+    assert colors.max() < LARGEST_GAIN
 
 
 def test_all_orders_of_three_pictures_give_the_same_bits() -> None:

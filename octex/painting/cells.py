@@ -230,6 +230,8 @@ def _add_within(
 
 def skirt_paint(skirt: Int64s, level: int, executor: Executor, beside: Paint) -> Paint:
     """Return the paint of a skirt: the mean of the paint beside it."""
+    if not skirt.size:
+        return some(beside, slice(0))
     found = Paint(
         skirt,
         np.zeros((skirt.size, beside.values.shape[1]), np.float32),

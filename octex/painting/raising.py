@@ -111,9 +111,8 @@ def raise_texture(
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
     painted = {target, ALPHA.name} if blend == "over" else {target}
     is_all_painted = painted >= texture.channels.keys()
-    hiding = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}.get(blend, np.inf)
-    if not is_all_painted:
-        hiding = np.inf
+    least = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}
+    hiding = least.get(blend, np.inf) if is_all_painted else np.inf
     if blend == "erase":
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     is_skirt = _skirts(texture, paint, ground, executor, progress)
