@@ -130,7 +130,7 @@ def blend_paint(
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
             parts[name].values[cells[here], 0] = part
-    kept = on_kept(tree, paint, bare)
+    kept = on_kept(tree, paint, bare, is_skirt, executor)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)

@@ -32,23 +32,30 @@ class OnKept(NamedTuple):
     coverage: Float32s  # (n,)   0 … 1
 
 
-def on_kept(tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s]) -> OnKept:
+def on_kept(
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+) -> OnKept:
     """Return the paint on kept nodes around which there are no ``bare`` leaves, given by level.
 
-    It is the mean of the paint in them. The field reads their coefficients in cells off the surface, and from
-    the cells beside them at most: nothing that is not painted depends on them.
+    It is the mean of the paint in them, or else, where they are refined to beside paint, of that beside them.
+    The field reads their coefficients in cells off the surface, and from the cells beside them at most:
+    nothing that is not painted depends on them.
     """
     found: list[OnKept] = []
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
+    leaves = _on_surface(tree, paint, is_skirt) if above else []
     for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if own.start == own.stop:
             continue
         first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
-        chosen = among(codes, painted)
+        chosen = among(codes, painted) | _touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_beside(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
+        off = codes[chosen & ~among(codes, painted)]
+        beside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
+        inside = joined(inside, beside)
         found.append(OnKept(np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
     if not found:
         return OnKept(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])
@@ -65,15 +72,14 @@ def with_old_skirts(
     found = list(paint)
     if not tree.kept.cells.size:
         return found
-    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    painted = [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
+    painted = _on_surface(tree, paint, is_skirt)
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         skirt = codes[~is_node & is_skirt[here]]
         if not skirt.size:
             continue
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        skirt = skirt[_touch(skirt, painted, level, half=True)]
+        skirt = skirt[_touch(skirt, painted, level, refined=True)]
         if skirt.size:
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
@@ -81,6 +87,12 @@ def with_old_skirts(
             added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
             found[level] = joined(found[level], _unseen(tree, added, far, level))
     return found
+
+
+def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
+    """Return the cells that have paint and are no skirts, by level."""
+    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
+    return [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
 
 
 def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
@@ -111,23 +123,20 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     return is_within(codes >> 3 * (level - top), around, top)
 
 
-def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
+def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
     """Say which cells (n,) of a level are in or beside some of leaves, given by level.
 
-    With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
+    With ``refined`` also those that cells in or beside some are refined from.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
     found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
-        own = leaves[at][among_at(leaves[at], at, around, level)]
-        if not own.size:
-            continue
-        reached = with_boundary(own, at)
-        if half:
-            reached = with_boundary(distinct(reached >> 3 * (at - level - 1)), level + 1)
-        found |= among(codes, distinct(reached >> 3 * (1 if half else at - level)))
+        reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
+        for deeper in range(at, level, -1):
+            reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
+        found |= among(codes, reached)
     return found
 
 
