@@ -463,13 +463,13 @@ def assert_same_field(
 def assert_one_color(
     texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int, *, averages: bool = True
 ) -> None:
-    """Lookups on the surface answer one colour, whatever their normals and, of ``averages``, their widths."""
+    """Lookups on the surface answer one colour; of ``averages`` too, as widths and normals have them."""
     samples = surface.placed_in(texture).scatter(200, seed)
     turned = np.random.default_rng(seed).normal(size=samples.normals.shape).astype(np.float32)
     slack = 1.5 * code_width(texture.channels[name].format) + 1e-5
     widths = texture.placement.size / 2**texture.tree.max_depth, texture.placement.size / 9
     for width in (None, *widths) if averages else (None,):
-        for normals in (None, samples.normals, turned):
+        for normals in (None, samples.normals, turned) if averages else (None,):
             found = texture.sample(samples.rest, name, width=width, normals=normals, normalize=False)
             apart = np.abs(found - color).max(axis=1)
             worst = int(apart.argmax())

@@ -538,6 +538,17 @@ def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind: str, depth: in
     assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
 
 
+@pytest.mark.parametrize("kind", ["planes", "sheet"])
+def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind: str) -> None:
+    surface = waved(kind, 0, ["base_color", "roughness"], 0)
+    texture = octex.resize(octex.convert(cloud(surface, 11), 3, dtype="float32"), 4)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.3)
+    finer = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(finer, surface, everywhere, (0.2, 0.7, 0.4), max_depth=5)
+    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
+
+
 def test_cells_off_the_surface_take_paint_as_far_as_they_are_refined() -> None:
     surface = waved("flat", 17, ["base_color", "alpha"], 22)
     start = octex.convert(surface, 3, dtype="float32", detail=lambda points: 1 + 2 * (points[:, 0] * 3 % 1))

@@ -132,8 +132,8 @@ def _skirts(
 ) -> Bools:
     """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
 
-    These are more than half of the cells of a node, all alike. Near is what is in or beside nodes that paint
-    is in and that keep a coefficient; see `kept.on_kept`.
+    Those are in nodes of more than four cells, of which all leaves are alike. Near is what is in or beside
+    nodes that paint is in and that keep a coefficient; see `kept.on_kept`.
     """
     tree = texture.tree
     is_skirt: Bools = tree.arrays.areas == SKIRT
@@ -154,8 +154,9 @@ def _skirts(
             continue
         looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
         counts = np.diff(starts, append=children.size)
-        is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
         own = children - tree.arrays.level_cells[deeper]
+        least, most = np.where(is_node[own], 1 << 16, looks), np.where(is_node[own], -1, looks)
+        is_filled = np.minimum.reduceat(least, starts) == np.maximum.reduceat(most, starts)
         is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
         if is_filled.any():
             doubted.append((deeper, below[own[is_filled]]))
