@@ -538,6 +538,17 @@ def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind: str, depth: in
     assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
 
 
+@pytest.mark.parametrize("depth", [4, 5])
+@pytest.mark.parametrize("kind", ["cube", "sheet"])
+def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind: str, depth: int) -> None:
+    surface = waved(kind, 16, ["base_color"], 48)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.4)
+    texture = octex.fill(octex.convert(surface, 5, dtype="float32"), surface, place, (1, 0, 0), max_depth=7)
+    coarse = octex.resize(texture, depth)
+    found = octex.fill(coarse, surface, np.ones(len(surface.triangles), bool), (0.2, 0.7, 0.4))
+    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0)
+
+
 @pytest.mark.parametrize("kind", ["planes", "sheet"])
 def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind: str) -> None:
     surface = waved(kind, 0, ["base_color", "roughness"], 0)

@@ -109,7 +109,7 @@ def blend_paint(
     """
     tree, is_skirt, is_fresh = raised.texture.tree, raised.is_skirt, raised.is_fresh
     paint = refine_paint(raised.paint, layer, tree, opacity)
-    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
+    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
     cells, on_leaves = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)

@@ -70,7 +70,7 @@ def with_old_skirts(
     Beside them are no ``bare`` leaves, given by level, but such as are beside paint themselves.
     """
     found = list(paint)
-    if not tree.kept.cells.size:
+    if not is_skirt.any():
         return found
     painted = _on_surface(tree, paint, is_skirt)
     for level, (codes, is_node) in enumerate(tree.walk()):
