@@ -67,7 +67,7 @@ def with_old_skirts(
 ) -> list[Paint]:
     """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
 
-    Beside them are no ``bare`` leaves, given by level, but such as are beside paint themselves.
+    Beside them are no ``bare`` leaves, given by level, but such as are beside paint too, or do not see it.
     """
     found = list(paint)
     if not is_skirt.any():
@@ -96,9 +96,9 @@ def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
 
 
 def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
-    """Return of a skirt's paint what is not beside bare leaves, given by level, or not seen from them.
+    """Return a skirt's paint without what changes bare leaves ``far`` from paint, given by level.
 
-    Beside leaves that face one way, paint on what faces the opposite way is put on that facing alone.
+    Beside leaves that all face one way, paint that faces the opposite way stays, on that facing alone.
     """
     is_beside = are_beside(skirt.codes, far, level)
     chosen = ~is_beside
