@@ -308,8 +308,8 @@ def assert_far_cells_stay(
 ) -> None:
     """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit.
 
-    Cells that the ``surface`` does not meet, or hardly, are refined to half a cell beyond themselves, where
-    they are beside paint: so much farther paint reaches to them.
+    Cells that the ``surface`` does not meet, or hardly, are refined beyond themselves: to half a cell, then a
+    quarter, and so on, less than a cell in all. So much farther paint that they are refined to reaches them.
     """
     placed = None if surface is None else surface.placed_in(before)
     both = [(texture, cells_of(texture)) for texture in (before, after)]
@@ -318,9 +318,11 @@ def assert_far_cells_stay(
     for own, (texture, cells) in zip(far, both, strict=True):
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
-        low, high, beyond = cells.low[some], cells.high[some], cells.edges[some, None] / 2
+        low, high, edge = cells.low[some], cells.high[some], cells.edges[some, None]
         is_far = region.gaps(low, high) > reach
-        is_off = is_far & (region.gaps(low - beyond, high + beyond) <= reach)
+        is_refined = region.gaps(low - edge / 2, high + edge / 2) <= reach
+        is_refined |= region.gaps(low - edge, high + edge) <= reach - 2  # with the cell of paint inside
+        is_off = is_far & is_refined
         is_off &= (texture.tree.arrays.areas[some] < HARDLY) | _is_off(placed, low, high, is_off)
         own[some] = is_far & ~is_off
     far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
