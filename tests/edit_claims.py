@@ -17,6 +17,7 @@ from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.split import find_rows, rows_of
 from tests.naive_processing import AREAS
+from tests.naive_sheets import clipped
 
 Array = npt.NDArray[Any]
 
@@ -26,6 +27,8 @@ AREA_PART = 0.046
 MOST_PAIRS = 10_000_000
 #: Codes of areas of which many together are less than a millionth of a cell's face.
 HARDLY = 40
+#: Pictures are made to agree twice: by the lightest and darkest that are compared, and by three stops.
+LARGEST_GAIN = (8 * 0.97 / 0.004) ** 2
 #: What is transparent weighs so much at least.
 FAINT = 2.0**-40
 
@@ -228,6 +231,10 @@ class Boxes(NamedTuple):
             found[here] = (apart / self.edges).min(axis=1)
         return found - self.slack
 
+    def depths(self, points: Array) -> Array:
+        """How far points (n, 3) are inside the only box: half the edge of the largest cube around each."""
+        return np.minimum(points - self.low[0], self.high[0] - points).min(axis=1)
+
     def __add__(self, other: object) -> Boxes:
         assert isinstance(other, Boxes)
         arrays = (np.concatenate(pair) for pair in zip(self[:3], other[:3], strict=True))
@@ -245,6 +252,12 @@ class Ball(NamedTuple):
         nearest = np.clip(self.center, low, high)
         apart = np.linalg.norm(nearest - self.center, axis=1) - self.radius
         return apart / (np.sqrt(3.0) * self.edge) - 1.0
+
+    def depths(self, points: Array) -> Array:
+        """How far points (n, 3) are inside: half the edge of the largest cube around each."""
+        away = np.abs(points - self.center)
+        total, left = away.sum(axis=1), self.radius**2 - (away**2).sum(axis=1)
+        return (np.sqrt(np.maximum(total**2 + 3 * left, 0.0)) - total) / 3
 
 
 def painted_boxes(layer: OctreeTexture) -> Boxes:
@@ -290,17 +303,28 @@ def adds_leaves(before: OctreeTexture, after: OctreeTexture) -> bool:
     return bool((is_new & ~_below_leaves(cells, known)).any())
 
 
-def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: Any, reach: float) -> None:
-    """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit."""
+def assert_far_cells_stay(
+    before: OctreeTexture, after: OctreeTexture, region: Any, reach: float, surface: Any = None
+) -> None:
+    """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit.
+
+    Cells that the ``surface`` does not meet, or hardly, are refined beyond themselves: to half a cell, then a
+    quarter, and so on, less than a cell in all. So much farther paint that they are refined to reaches them.
+    """
+    placed = None if surface is None else surface.placed_in(before)
     both = [(texture, cells_of(texture)) for texture in (before, after)]
     far = [np.zeros(cells.keys.size, np.bool_) for _, cells in both]
     pairs = len(getattr(region, "edges", ())) * max(own.size for own in far)
     for own, (texture, cells) in zip(far, both, strict=True):
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
-        # What has no surface to speak of is there for paint, and refined to half a cell beyond itself.
-        skirt = np.where(texture.tree.arrays.areas[some, None] < HARDLY, cells.edges[some, None] / 2, 0.0)
-        own[some] = region.gaps(cells.low[some] - skirt, cells.high[some] + skirt) > reach
+        low, high, edge = cells.low[some], cells.high[some], cells.edges[some, None]
+        is_far = region.gaps(low, high) > reach
+        is_refined = region.gaps(low - edge / 2, high + edge / 2) <= reach
+        is_refined |= region.gaps(low - edge, high + edge) <= reach - 2  # with the cell of paint inside
+        is_off = is_far & is_refined
+        is_off &= (texture.tree.arrays.areas[some] < HARDLY) | _is_off(placed, low, high, is_off)
+        own[some] = is_far & ~is_off
     far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
     stored = [_stored(texture, cells) for texture, cells in both]
     for what, (keys, rows) in stored[0].items():
@@ -324,6 +348,20 @@ def assert_far_cells_stay(before: OctreeTexture, after: OctreeTexture, region: A
     for name in added:
         values = decode(after.channels[name].values, "data")[far[1]]
         assert (values == 1).all(), "alpha that was not there is not 1 far from the edit"
+
+
+def _is_off(surface: Any, low: Array, high: Array, chosen: Array) -> Array:
+    """Say which of the chosen boxes (n,) a surface does not meet; its upper faces are no part of a box."""
+    found = np.zeros(len(low), np.bool_)
+    if surface is None:
+        return found
+    corners = surface.rest[surface.triangles]
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    for n in np.flatnonzero(chosen):
+        end = high[n] - 1e-6 * (high[n] - low[n])
+        near = corners[((least <= end) & (most >= low[n])).all(axis=1)]
+        found[n] = not any(len(clipped(triangle, low[n], end)) for triangle in near)
+    return found
 
 
 def assert_far_field_stays(
@@ -359,7 +397,7 @@ def assert_other_channels_stay(
 ) -> None:
     """Paint on one channel leaves lookups of others as they were; of textures without alpha.
 
-    Left out is what is near cells that were added where nothing was: these weigh more than what the field
+    Left out is what is near surface that was added where nothing was: it weighs more than what the field
     spreads to there.
     """
     names = [name for name in before.channels if name != painted]
@@ -367,7 +405,7 @@ def assert_other_channels_stay(
         return
     points = surface.placed_in(before).scatter(300, seed).rest
     cells, known = cells_of(before), cells_of(after)
-    is_new = ~np.isin(known.keys, cells.keys) & ~_below_leaves(known, cells)
+    is_new = ~np.isin(known.keys, cells.keys) & ~_below_leaves(known, cells) & (after.tree.arrays.areas > 1)
     added = Boxes(known.low[is_new], known.high[is_new], known.edges[is_new])
     points = points[before.contains(points) & after.contains(points) & (added.gaps(points, points) > 1.0)]
     assert_same_field(*(octex.cast(texture, channels=names) for texture in (before, after)), points, None)
@@ -424,13 +462,16 @@ def assert_same_field(
         )
 
 
-def assert_one_color(texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int) -> None:
-    """Lookups on the surface answer one colour, whatever their normals and widths."""
+def assert_one_color(
+    texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int, *, averages: bool = True
+) -> None:
+    """Lookups on the surface answer one colour; of ``averages`` too, as widths and normals have them."""
     samples = surface.placed_in(texture).scatter(200, seed)
     turned = np.random.default_rng(seed).normal(size=samples.normals.shape).astype(np.float32)
     slack = 1.5 * code_width(texture.channels[name].format) + 1e-5
-    for width in (None, texture.placement.size / 2**texture.tree.max_depth, texture.placement.size / 9):
-        for normals in (None, samples.normals, turned):
+    widths = texture.placement.size / 2**texture.tree.max_depth, texture.placement.size / 9
+    for width in (None, *widths) if averages else (None,):
+        for normals in (None, samples.normals, turned) if averages else (None,):
             found = texture.sample(samples.rest, name, width=width, normals=normals, normalize=False)
             apart = np.abs(found - color).max(axis=1)
             worst = int(apart.argmax())

@@ -434,7 +434,7 @@ def near(region: Callable[[Run, OctreeTexture], Any]) -> Claim:
 
     def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
         where = region(run, before)
-        claims.assert_far_cells_stay(before, after, where, 1.01)
+        claims.assert_far_cells_stay(before, after, where, 1.01, run.surface)
         claims.assert_far_field_stays(before, after, run.surface, where, 2.01, len(run.steps))
 
     return claim
@@ -451,7 +451,11 @@ def draw_paint(random: Random, run: Run) -> Step:
     code = call("octex.project", "surface", "pictures", like="texture", **options)
 
     def painted(run: Run, before: OctreeTexture) -> Any:
-        return claims.painted_boxes(eval(code, {**run.names, "texture": before}))
+        layer = eval(code, {**run.names, "texture": before})
+        if "balance" in options:
+            most = max(claims.largest(layer, name) for name in layer.channels)
+            assert most < claims.LARGEST_GAIN, f"pictures that were made to agree are as bright as {most}"
+        return claims.painted_boxes(layer)
 
     fits = "fit" not in options
     lines = f"pictures = {pictures}", line
@@ -554,16 +558,15 @@ def assert_filled(
     has_alpha = "alpha" in before.channels
     if has_alpha and blend != "erase" and (opacity < 1 or blend in ("multiply", "screen", "add")):
         return  # colours weigh by alphas that were other ones
-    points = run.surface.placed_in(before).scatter(300, len(run.steps)).rest
-    points = points[before.contains(points)]
-    if isinstance(where, claims.Ball):
-        edge, depths = where.edge, where.radius - np.linalg.norm(points - where.center, axis=1)
-    else:
-        edge, depths = where.edges[0], np.minimum(points - where.low[0], where.high[0] - points).min(axis=1)
-    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells in
-    # or beside such nodes are refined from these, and cells of paint are beside those.
+    samples = run.surface.placed_in(before).scatter(300, len(run.steps))
+    is_stored = before.contains(samples.rest)
+    points, facing = samples.rest[is_stored], samples.normals[is_stored]
+    edge = where.edge if isinstance(where, claims.Ball) else where.edges[0]
+    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells off
+    # the surface are refined from it, level by level to half a cell beyond, and reach as far as the spline.
     kept = claims.kept_edge(after)
-    points = points[depths > max(4.0 * edge, 3.0 * kept + 2.0 * edge if kept else 0.0)]
+    is_deep = where.depths(points) > max(4.0 * edge, 3.0 * kept + 0.5 * edge if kept else 0.0)
+    points, facing = points[is_deep], facing[is_deep]
     if not len(points):
         return
     form = after.channels[texture_name].format
@@ -579,14 +582,16 @@ def assert_filled(
     }.get(blend, lambda: paint)()
     part = 1.0 if blend == "replace" else opacity
     wanted = was + part * paint if blend == "add" else was + part * (paint - was)
-    found = after.sample(points, texture_name, normalize=False)
     slack = 1.5 * claims.code_width(form, claims.largest(after, texture_name)) + 2e-5
-    apart = np.abs(found - wanted).max(axis=1)
-    worst = int(apart.argmax())
-    assert apart[worst] <= slack, (
-        f"inside the region {texture_name} at {points[worst].tolist()} was {was[worst].tolist()}, is "
-        f"{found[worst].tolist()}, should be {wanted[worst].tolist()}"
-    )
+    for normals in (None, facing) if blend in ("over", "replace") and part == 1.0 else (None,):
+        found = after.sample(points, texture_name, normals=normals, normalize=False)
+        apart = np.abs(found - wanted).max(axis=1)
+        worst = int(apart.argmax())
+        assert apart[worst] <= slack, (
+            f"inside the region {texture_name} with{'out' if normals is None else ''} normals at "
+            f"{points[worst].tolist()} was {was[worst].tolist()}, is {found[worst].tolist()}, should be "
+            f"{wanted[worst].tolist()}"
+        )
 
 
 # --- processing
@@ -608,9 +613,13 @@ def draw_fill_all(random: Random, run: Run) -> Step:
 
     def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
         claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
-        if any("octex.resize" in line for line in run.script()):
-            return  # which has made cells off the surface that no paint is on
-        claims.assert_one_color(after, run.surface, name, color, len(run.steps))
+        # What a resize has made off the surface, where no paint is, counts in averages. What others have left
+        # of it is not told from surface.
+        script = "\n".join(run.script())
+        is_divided = "octex.resize" in script
+        if is_divided and any(f"octex.{each}" in script for each in ("crop", "mix", "combine")):
+            return
+        claims.assert_one_color(after, run.surface, name, color, len(run.steps), averages=not is_divided)
 
     return Step((line,), claim, is_exact=True)
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR
+from octex.channels import BASE_COLOR, decode
 from octex.errors import ArgumentError
 from octex.painting import agreement
 from octex.painting.balance import evened
@@ -19,8 +19,9 @@ from octex.painting.consensus import agreed_step, medians, robust_weights
 from octex.painting.pictures import levels_of, masked
 from tests import naive_agreement
 from tests.conftest import needs_jit
-from tests.edit_claims import digest
+from tests.edit_claims import LARGEST_GAIN, digest
 from tests.painted import ball, codes, picture_of
+from tests.random_edits import camera, picture, waved
 
 Array = npt.NDArray[Any]
 
@@ -245,6 +246,19 @@ def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
     light = image * factor
     assert (found.range[0] <= light.min(axis=(0, 1)) + 1e-6).all()
     assert (found.range[1] >= light.max(axis=(0, 1)) - 1e-6).all()
+
+
+@pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])
+def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: str, first: int) -> None:
+    surface = waved(kind, 1, ["base_color"], 0)
+    texture = octex.convert(surface, 2, dtype="float32")
+    shots = [
+        octex.Projection(picture(3 * n + 1, 30, 20), camera(surface, n, 30, 20))
+        for n in range(first, first + 3)
+    ]
+    layer = octex.project(surface, shots, like=texture, max_depth=4, balance="full", fit=False)
+    colors = decode(layer.channels["base_color"].values, "srgb")
+    assert colors.max() < LARGEST_GAIN
 
 
 def test_all_orders_of_three_pictures_give_the_same_bits() -> None:

@@ -20,6 +20,7 @@ from octex.texture import OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.split import find_rows
 from tests.conftest import needs_jit
+from tests.edit_claims import assert_one_color
 from tests.naive_edits import assert_averages
 from tests.painted import above, ball, one_color, plain, square, together
 from tests.random_edits import beyond, cloud, picture, waved
@@ -361,6 +362,43 @@ def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_adde
     assert_averages(texture, found)
 
 
+def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too() -> None:
+    surface = waved("sphere", 17, ["base_color", "alpha"], 41)
+    start = octex.convert(
+        surface, 2, dtype="float16", fit=False, detail=lambda points: 1 + points[:, 0] * 3 % 1
+    )
+    cyan = (0.7, 1.0, 1.0)
+    texture = octex.fill(start, surface, beyond(1, 0.193, 0.2), cyan, blend="add", max_depth=3)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0.2, 0.2, 0), blend="replace", max_depth=3)
+    assert_averages(texture, found)
+
+
+def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too() -> None:
+    surface = waved("open", 16, ["base_color", "alpha"], 4)
+    start = octex.convert(surface, 4, dtype="float32")
+    texture = octex.mix(start, octex.resize(start, 3), beyond(1, 0.226, 0.2))
+    pink = (1.0, 0.2, 0.2)
+    found = octex.fill(texture, surface, beyond(0, -0.507, 0.171), pink, opacity=0.2, blend="screen")
+    assert_averages(texture, found)
+
+
+# --- other channels
+
+
+@pytest.mark.parametrize(("max_error", "deeper"), [(None, 1), (None, 2), (4, 0), (4, 1)])
+@pytest.mark.parametrize("kind", ["sheet", "open", "cube"])
+def test_finer_paint_moves_no_other_channel(kind: str, max_error: float | None, deeper: int) -> None:
+    surface = waved(kind, 1, ["base_color", "roughness"], 7)
+    texture = octex.convert(surface, 5, dtype="float32", max_error=max_error)
+    points = surface.scatter(5000, 0).rest
+    ball = octex.Sphere(tuple(points[0]), 0.3 * float(np.ptp(surface.bounds, axis=0).max()))
+    found = octex.fill(texture, surface, ball, (1, 0, 0), max_depth=texture.tree.max_depth + deeper)
+    assert found.tree.n_leaves > texture.tree.n_leaves
+    before, after = (each.sample(points, "roughness") for each in (texture, found))
+    np.testing.assert_allclose(after, before, atol=1e-5)
+
+
 # --- rows of split nodes
 
 
@@ -423,9 +461,11 @@ def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(ble
     np.testing.assert_allclose(rows, np.tile(color, (len(rows), 1)), atol=0.003)
 
 
-@pytest.mark.parametrize("depth", [5, 6])
-def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(depth: int) -> None:
-    surface = sheet(np.eye(3), 0.004)
+@pytest.mark.parametrize(("thickness", "depth"), [(0.004, 5), (0.004, 6), (0.03, 6), (0.04, 6)])
+def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(
+    thickness: float, depth: int
+) -> None:
+    surface = sheet(np.eye(3), thickness)
     place = octex.Sphere((0.0, 0.0, 0.0), 0.3)
     red = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=depth)
     samples = surface.scatter(3000, 0)
@@ -475,7 +515,7 @@ def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_dept
 
 
 @pytest.mark.parametrize("deeper", [0, 1])
-def test_hardly_anything_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(
+def test_nothing_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(
     deeper: int,
 ) -> None:
     """The squares lie in planes of cells, beside cells of a resize that they are not in."""
@@ -485,5 +525,45 @@ def test_hardly_anything_shows_through_paint_on_cells_that_were_divided_off_the_
     made = octex.fill(texture, surface, everything, (0, 0, 0), blend="erase", max_depth=5 + deeper)
     made.validate()
     found = made.sample(surface.scatter(3000).rest, "alpha")
-    assert found.max() < 0.005
-    assert (found > 1e-6).mean() < 0.03  # along the rims of the squares
+    assert found.max() < 1e-6
+
+
+@pytest.mark.parametrize("depth", [5, 6])
+@pytest.mark.parametrize("kind", ["planes", "sheet"])
+def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind: str, depth: int) -> None:
+    surface = waved(kind, 0, ["base_color", "roughness"], 0)
+    texture = octex.resize(octex.convert(surface, 4, dtype="float32", max_error=20), 5)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(texture, surface, everywhere, (0.2, 0.7, 0.4), max_depth=depth)
+    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
+
+
+@pytest.mark.parametrize("depth", [4, 5])
+@pytest.mark.parametrize("kind", ["cube", "sheet"])
+def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind: str, depth: int) -> None:
+    surface = waved(kind, 16, ["base_color"], 48)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.4)
+    texture = octex.fill(octex.convert(surface, 5, dtype="float32"), surface, place, (1, 0, 0), max_depth=7)
+    coarse = octex.resize(texture, depth)
+    found = octex.fill(coarse, surface, np.ones(len(surface.triangles), bool), (0.2, 0.7, 0.4))
+    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0)
+
+
+@pytest.mark.parametrize("kind", ["planes", "sheet"])
+def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind: str) -> None:
+    surface = waved(kind, 0, ["base_color", "roughness"], 0)
+    texture = octex.resize(octex.convert(cloud(surface, 11), 3, dtype="float32"), 4)
+    place = octex.Sphere(tuple(surface.rest[0]), 0.3)
+    finer = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
+    everywhere = np.ones(len(surface.triangles), bool)
+    found = octex.fill(finer, surface, everywhere, (0.2, 0.7, 0.4), max_depth=5)
+    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
+
+
+def test_cells_off_the_surface_take_paint_as_far_as_they_are_refined() -> None:
+    surface = waved("flat", 17, ["base_color", "alpha"], 22)
+    start = octex.convert(surface, 3, dtype="float32", detail=lambda points: 1 + 2 * (points[:, 0] * 3 % 1))
+    blue, everything = (0.0, 0.0, 0.7), octex.Box((-2, -2, -2), (2, 2, 2))
+    made = octex.fill(octex.resize(start, 4), surface, everything, blue, max_depth=6)
+    found = made.sample(surface.scatter(3000).rest)
+    np.testing.assert_allclose(found, np.broadcast_to(blue, found.shape), atol=1e-5)

@@ -31,7 +31,7 @@ from octex.editing.split import rows_facing
 from octex.jit import decoded, kernel
 from octex.texture import Channel, OctreeTexture
 from octex.texture.blend import NO_TABLE
-from octex.tree.areas import AREAS, area_codes
+from octex.tree.areas import AREAS, SKIRT, area_codes
 from octex.tree.children import children_of
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, counts_of, find_rows, rows_of
@@ -293,13 +293,14 @@ def _row_shares(
 def with_summed_areas(tree: Octree, nodes: Nodes) -> Octree:
     """Return a tree in which the areas of nodes, and of their rows, are the sums of what is below them.
 
-    A row that no child shows the same way as keeps its own.
+    A row that no child shows the same way as keeps its own. A node of skirts alone is one too.
     """
     areas, row_areas = tree.arrays.areas.copy(), tree.split.areas.copy()
     for here in reversed(by_level(tree, nodes)):
         children, starts = all_children(tree, nodes.numbers[here])
         sums = np.add.reduceat(AREAS[areas[children]], starts)
-        areas[nodes.cells[here]] = area_codes(sums / 4)
+        has_surface = np.maximum.reduceat(areas[children], starts) != SKIRT
+        areas[nodes.cells[here]] = np.where(has_surface, area_codes(sums / 4), SKIRT)
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
     for _, rows, owners in reversed(list(rows_by_level(tree, nodes))):
         _, _, starts, shares = _row_shares(tree, row_areas, rows, owners)

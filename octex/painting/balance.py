@@ -28,6 +28,8 @@ _WIDTH = 6.0
 _DARKEST, _LIGHTEST = 0.004, 0.97
 #: Rounds of least squares, and from what difference of logarithms on a picture may count for less.
 _ROUNDS, _FAR = 10, 0.02
+#: No lens makes corners darker, or brighter, by more than three stops: that much is what the pictures show.
+_MOST = np.log(8.0)
 #: How strongly, for each point, vignetting is held at none, and gains at one.
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
 
@@ -71,14 +73,12 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
     counted = usable.reshape(logs.shape).astype(np.float64)
     slopes = _slopes(np.repeat(squares, 3, axis=1), balance)
-    found = np.zeros((len(paint), slopes.shape[2]))
-    hold = np.full_like(found, _HOLD_GAIN)
-    hold[:, slopes.shape[2] - 2 if balance == "full" else 1 :] = _HOLD
-    for _ in range(_ROUNDS):
-        values = logs + (slopes @ found[:, :, None])[..., 0]
-        counts, _ = robust_weights(values, counted, _FAR)
-        ridge = hold * max(counts.sum() / len(counts), 1.0)
-        found += agreed_step(slopes, values, counts, ridge)
+    hold = np.full((len(paint), slopes.shape[2]), _HOLD_GAIN)
+    hold[:, 3:] = _HOLD
+    found = _agreed(logs, counted, slopes, hold)
+    while balance == "full" and (no_lens := _strongest(found[:, 3:]) > _MOST).any():
+        hold[no_lens, 3:] = np.inf
+        found = _agreed(logs, counted, slopes, hold)
     if balance == "gain":
         found = np.concatenate([np.repeat(found, 3, axis=1), np.zeros((len(found), 2))], axis=1)
     lone = counted.sum(axis=1) == 0
@@ -87,6 +87,23 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     elif not lone.all():
         found[:, :3] -= np.median(found[~lone, :3], axis=0)
     found[lone] = 0.0
+    return found
+
+
+def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s) -> Float64s:
+    """Return the numbers by which logarithms of pictures agree best; those held infinitely are 0."""
+    found = np.zeros_like(hold)
+    for _ in range(_ROUNDS):
+        values = logs + (slopes @ found[:, :, None])[..., 0]
+        counts, _ = robust_weights(values, counted, _FAR)
+        found += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
+    return found
+
+
+def _strongest(vignetting: Float64s) -> Float64s:
+    """Return the most by which vignetting (n, 2) changes logarithms of light anywhere in a picture."""
+    squares = np.linspace(0, 1, 33)
+    found: Float64s = np.abs(vignetting @ np.stack([squares, squares**2])).max(axis=1)
     return found
 
 

@@ -109,17 +109,17 @@ def blend_paint(
     """
     tree, is_skirt, is_fresh = raised.texture.tree, raised.is_skirt, raised.is_fresh
     paint = refine_paint(raised.paint, layer, tree, opacity)
-    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
+    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
     cells, on_leaves = _on_leaves(tree, paint)
     above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, layer.tree, cells, on_leaves.cells, above)
+    may_split = _may_split(tree, cells, on_leaves.flags, above)
     base = _split(raised.texture, may_split)
     met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
     fresh = is_fresh[cells]
     names = [name for name in met if name == target or blend == "over" or fresh.any()]
     parts = no_parts(base.tree, names)
-    is_averaged = ALPHA.name in names or bool(is_fresh.any())
+    is_averaged = ALPHA.name in names or bool((raised.old < 0).any())
     channels = _writable(base, base.channels if is_averaged else names)
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
@@ -130,14 +130,14 @@ def blend_paint(
             form = channels[name].format
             channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
             parts[name].values[cells[here], 0] = part
-    kept = on_kept(tree, paint, bare)
+    kept = on_kept(tree, paint, bare, is_skirt, executor)
     if kept.rows.size:
         old = {
             name: decode(own.kept_values[kept.rows], own.format.space)
             for name, own in raised.texture.channels.items()
             if name in parts
         }
-        no_fresh = np.zeros(kept.rows.size, np.bool_)  # also where a node is the average of new skirts alone
+        no_fresh = np.zeros(kept.rows.size, np.bool_)
         for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, no_fresh).items():
             form, stored = channels[name].format, channels[name].kept_values.copy()
             stored[kept.rows] = encode(new, form.dtype, form.space)
@@ -171,8 +171,7 @@ def average_tiles(
     old, no_skirt = np.where(made.is_new, -1, 0), np.zeros(made.is_new.size, np.bool_)
     raised = Raised(made.texture, old, made.is_fresh, [], no_skirt, [])
     above = nodes_above(made.texture.tree, made.painted, made.is_new, texture.tree, layer.tree)
-    none = np.empty(0, np.int64)
-    may_split = _may_split(made.texture.tree, layer.tree, none, none, above)
+    may_split = _may_split(made.texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (_split(each, may_split) for each in (made.texture, made.parts))
     channels, own = _writable(base, base.channels), _writable(parts, parts.channels)
     return _averaged(
@@ -234,7 +233,7 @@ def _averaged(
     ``was_told`` says that rows of all channels have been averaged below; see Merged.
     """
     after, is_fresh = base.with_cells(base.tree, channels), raised.is_fresh
-    names = channels if ALPHA.name in parts or is_fresh.any() else parts
+    names = channels if ALPHA.name in parts or (raised.old < 0).any() else parts
     rows = rows_of(base.tree.split, above.nodes.cells)
     left = {}
     for name in sorted(names, key=lambda name: name != ALPHA.name):
@@ -288,10 +287,6 @@ def _settled(
     rows = rows_of(found.tree.split, above.nodes.cells)
     stays = ~among(rows_of(after.tree.split, above.nodes.cells).cells, excess)
     rows_left = {name: own.rows[stays] for name, own in left.items()}
-    # Rows of other channels change where, or above where, cells are split or faced otherwise than before.
-    was = np.where(above.before.numbers >= 0, texture.tree.arrays.flags[above.before.cells], np.uint8(0))
-    is_new = (found.tree.arrays.flags[above.nodes.cells] ^ was) & np.uint8(FACING_FLAGS | SPLIT) != 0
-    is_told = is_told or bool(is_new.any())
     if is_told:
         for name in found.channels.keys() - left.keys():
             own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
@@ -319,15 +314,15 @@ def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
     return cells, Paint(*paint_on)
 
 
-def _may_split(tree: Octree, layer: Octree, cells: Int64s, sources: Int64s, above: Above) -> Int64s:
+def _may_split(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
     """Return cells, ascending, in which paint may make a difference between facings.
 
     These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
-    ways along an axis.
+    ways along an axis. ``painted`` (n,) are the flags of the paint on the leaves.
     """
     flags = tree.arrays.flags
     facings = flags & np.uint8(FACING_FLAGS)
-    leaves = cells[((flags[cells] | layer.arrays.flags[sources]) & SPLIT != 0) & (facings[cells] != 0)]
+    leaves = cells[((flags[cells] | painted) & SPLIT != 0) & (facings[cells] != 0)]
     nodes = above.nodes.cells
     both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
     chosen = (both != 0) | (flags[nodes] & SPLIT != 0)

@@ -122,7 +122,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
                 owners = np.searchsorted(source_codes, leaves >> 3 * (deeper - level))
                 values, coverage = _refined_paint(layer, name, leaves, deeper, opacity)
                 finer = Paint(leaves, values, coverage, cells[owners], flags[owners])
-                found[deeper] = _joined(found[deeper], finer)
+                found[deeper] = joined(found[deeper], finer)
     return found
 
 
@@ -228,24 +228,21 @@ def _add_within(
         flags[n] |= paint.flags[own]
 
 
-def with_skirt(
-    paint: Paint, skirt: Int64s, level: int, executor: Executor, beside: Paint | None = None
-) -> Paint:
-    """Add a skirt: its paint is the mean of the paint beside it, of this paint unless another is given."""
+def skirt_paint(skirt: Int64s, level: int, executor: Executor, beside: Paint) -> Paint:
+    """Return the paint of a skirt: the mean of the paint beside it."""
     if not skirt.size:
-        return paint
-    beside = paint if beside is None else beside
-    extra = Paint(
+        return some(beside, slice(0))
+    found = Paint(
         skirt,
-        np.zeros((skirt.size, paint.values.shape[1]), np.float32),
+        np.zeros((skirt.size, beside.values.shape[1]), np.float32),
         np.zeros(skirt.size, np.float32),
         np.zeros(skirt.size, np.int64),
         np.zeros(skirt.size, np.uint8),
     )
-    parts = [some(extra, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
+    parts = [some(found, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
     with sharing(executor) as pool:
         list(ordered_map(pool, lambda part: _average_beside(part, level, beside), parts))
-    return _joined(paint, extra)
+    return found
 
 
 @kernel
@@ -305,7 +302,8 @@ def some(paint: Paint, chosen: Bools | Int64s | slice) -> Paint:
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], flags[chosen])
 
 
-def _joined(*parts: Paint) -> Paint:
+def joined(*parts: Paint) -> Paint:
+    """Return all of the paint, on cells of one level."""
     codes, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(codes, kind="stable")
     return Paint(codes[order], *(column[order] for column in columns))

@@ -12,13 +12,15 @@ from octex.arrays import Bools, Float32s, Int64s
 from octex.painting.cells import (
     Paint,
     among_at,
+    joined,
     leave_bare,
     paint_at,
-    with_skirt,
+    skirt_paint,
+    some,
 )
-from octex.tree.areas import SKIRT
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 
 
@@ -30,23 +32,30 @@ class OnKept(NamedTuple):
     coverage: Float32s  # (n,)   0 … 1
 
 
-def on_kept(tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s]) -> OnKept:
+def on_kept(
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+) -> OnKept:
     """Return the paint on kept nodes around which there are no ``bare`` leaves, given by level.
 
-    It is the mean of the paint in them. The field reads their coefficients in cells off the surface, and from
-    the cells beside them at most: nothing that is not painted depends on them.
+    It is the mean of the paint in them, or else, where they are refined to beside paint, of that beside them.
+    The field reads their coefficients in cells off the surface, and from the cells beside them at most:
+    nothing that is not painted depends on them.
     """
     found: list[OnKept] = []
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
+    leaves = _on_surface(tree, paint, is_skirt) if above else []
     for level, painted in enumerate(above):
         own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if own.start == own.stop:
             continue
         first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
-        chosen = among(codes, painted)
+        chosen = among(codes, painted) | _touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_beside(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
+        off = codes[chosen & ~among(codes, painted)]
+        beside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
+        inside = joined(inside, beside)
         found.append(OnKept(np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
     if not found:
         return OnKept(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])
@@ -58,31 +67,51 @@ def with_old_skirts(
 ) -> list[Paint]:
     """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
 
-    Beside them are no ``bare`` leaves, given by level, but such as are beside paint themselves.
+    Beside them are no ``bare`` leaves, given by level, but such as are beside paint too, or do not see it.
     """
     found = list(paint)
-    if not tree.kept.cells.size:
+    if not is_skirt.any():
         return found
-    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    painted = [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
+    painted = _on_surface(tree, paint, is_skirt)
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         skirt = codes[~is_node & is_skirt[here]]
         if not skirt.size:
             continue
         skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        is_own = tree.arrays.areas[here][np.searchsorted(codes, skirt)] == SKIRT  # there for paint alone
-        reaches = is_own.copy()
-        reaches[is_own] = _touch(skirt[is_own], painted, level, half=True)
-        reaches[~reaches] = _touch(skirt[~reaches], painted, level)
-        skirt = skirt[reaches]
+        skirt = skirt[_touch(skirt, painted, level, refined=True)]
         if skirt.size:
             around = boundary(skirt, level)
             far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
             far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
-            skirt = skirt[~are_beside(skirt, far, level)]
-            found[level] = with_skirt(found[level], skirt, level, executor, paint_at(paint, around, level))
+            added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
+            found[level] = joined(found[level], _unseen(tree, added, far, level))
     return found
+
+
+def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
+    """Return the cells that have paint and are no skirts, by level."""
+    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
+    return [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
+
+
+def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
+    """Return a skirt's paint without what changes bare leaves ``far`` from paint, given by level.
+
+    Beside leaves that all face one way, paint that faces the opposite way stays, on that facing alone.
+    """
+    is_beside = are_beside(skirt.codes, far, level)
+    chosen = ~is_beside
+    for bit in np.unique(skirt.flags[is_beside] & np.uint8(FACING_FLAGS)).tolist():
+        if bit.bit_count() == 1:
+            opposite = bit << 1 if bit & POSITIVE_FACINGS else bit >> 1
+            flags = [tree.arrays.flags[locate(tree, own, at).cells] for at, own in enumerate(far)]
+            seeing = [own[each & FACING_FLAGS != opposite] for own, each in zip(far, flags, strict=True)]
+            own = is_beside & (skirt.flags & FACING_FLAGS == bit)
+            chosen[own] = ~are_beside(skirt.codes[own], seeing, level)
+    skirt.coverage[is_beside] = 0.0
+    skirt.flags[is_beside] |= np.uint8(SPLIT)
+    return some(skirt, chosen)
 
 
 def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
@@ -94,23 +123,20 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     return is_within(codes >> 3 * (level - top), around, top)
 
 
-def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, half: bool = False) -> Bools:
+def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
     """Say which cells (n,) of a level are in or beside some of leaves, given by level.
 
-    With ``half`` also those that are refined to beside some: to half a cell beyond themselves.
+    With ``refined`` also those that cells in or beside some are refined from.
     """
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
     found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
-        own = leaves[at][among_at(leaves[at], at, around, level)]
-        if not own.size:
-            continue
-        reached = with_boundary(own, at)
-        if half:
-            reached = with_boundary(distinct(reached >> 3 * (at - level - 1)), level + 1)
-        found |= among(codes, distinct(reached >> 3 * (1 if half else at - level)))
+        reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
+        for deeper in range(at, level, -1):
+            reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
+        found |= among(codes, reached)
     return found
 
 

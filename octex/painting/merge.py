@@ -20,9 +20,6 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 
-#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
-_HIDING = 1.0 - 1.0 / 512.0
-
 
 def merge(
     texture: OctreeTexture,
@@ -45,10 +42,11 @@ def merge(
     threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
     Where the layer is finer, leaves of the texture become nodes that keep their values, so the field next to
-    the paint does not move. Near its border finer paint lets some of the old colour through. Of white under
-    black it is up to 0.18 in the second fine cell from the border, 0.02 in the fourth and 0.001 from the
-    fifth on; 0.4, 0.2 and 0.005 for paint two levels finer. There, other channels move by up to 0.024 of
-    their range.
+    the paint does not move. Other channels do not move, except where the layer adds surface. Within three
+    coarser cells of its border, finer paint lets some of the old colour through. Of white under black, one
+    level finer, 99 % of lookups on a robot show less than 0.09 in the second fine cell from the border, 0.03
+    in the third and 0.001 in the fourth. More shows in textures that have channels besides the painted one:
+    0.17, 0.12, 0.07, 0.04 and 0.004 from the second cell to the sixth.
 
     Lookups with normals change next to finer paint where a cell has several facings: by up to 0.13 of the
     range in the first coarser cell, 0.07 to the middle of the second, 0.006 in the rest of it, and not
@@ -101,12 +99,11 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    hiding = _hiding(texture, target, blend)
     pieces = pieces_of(texture, layer)
     if pieces is not None:
         with own_making():
             found = merge_by_tiles(
-                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity, hiding=hiding,
+                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity,
                 executor=executor, progress=report,
             )  # fmt: skip
         if found is None:
@@ -117,9 +114,7 @@ def merged(
         return None
     tiles = tiles_around(texture, [each.codes for each in paint])
     part = texture if tiles is None else cut_out(texture, tiles)
-    raised = raise_texture(
-        part, texture, layer, paint, ground, executor, report, adds=blend != "erase", hiding=hiding
-    )
+    raised = raise_texture(part, texture, layer, paint, ground, executor, report, target=target, blend=blend)
     if not any(each.codes.size for each in raised.paint):
         return None
     report("merge", 0, 1)
@@ -127,11 +122,3 @@ def merged(
         made = blend_paint(part, raised, layer, target, blend, opacity, executor).texture
     report("merge", 1, 1)
     return Change(tiles, with_channels_of(part, given), made)
-
-
-def _hiding(texture: OctreeTexture, target: str, blend: Blend) -> float:
-    """Return the coverage from which on paint leaves nothing of what a texture had, of any channel."""
-    changed = {target, ALPHA.name} if blend == "over" else {target}
-    if blend not in ("over", "erase", "replace") or not changed >= texture.channels.keys():
-        return np.inf
-    return 0.0 if blend == "replace" else _HIDING

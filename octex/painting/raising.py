@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import encode
+from octex.channels import ALPHA, encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
@@ -26,15 +26,17 @@ from octex.painting.cells import (
     among_at,
     beside_larger,
     facings_within,
+    joined,
     leave_bare,
     skirt_of,
     skirt_on_nothing,
+    skirt_paint,
     some,
-    with_skirt,
 )
 from octex.painting.flat import Flat
 from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
+from octex.painting.pictures import Blend
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
@@ -52,6 +54,9 @@ from octex.tree.edit import (
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
+
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
 
 
 class Met(NamedTuple):
@@ -81,31 +86,38 @@ def raise_texture(
     executor: Executor,
     progress: Progress,
     *,
-    adds: bool,
-    hiding: float,
+    target: str,
+    blend: Blend,
     coarsest: int | None = None,
 ) -> Raised:
     """Bring a texture's tree to where paint, or the boundary around it, is finer; its field does not move.
 
-    ``whole`` is the texture that ``texture`` is a draft of, or itself.
+    ``whole`` is the texture that ``texture`` is a draft of, or itself; ``target`` is the channel to paint.
 
     Leaves above become nodes that keep their coefficients. Below them stand the cells that the surface meets,
     with what the field refines to; what it does not meet is culled. Where the texture has nothing, the
-    layer's cells are added, without values, if it ``adds``; else the paint there is dropped.
+    layer's cells are added, without values; to erase, the paint there is dropped.
 
     Paint below what was a leaf gets a skirt: cells off the surface beside it, which would else be refined
     from the coefficients kept, and show through. Leaves that have nothing but paint around them, all of which
-    leaves nothing of what was there, for its coverage is ``hiding`` or more, keep none: they need no skirt.
-    ``coarsest`` is the level of the largest leaf or kept node near paint, if that is known.
+    hides what was there, keep none: they need no skirt. ``coarsest`` is the level of the largest leaf or kept
+    node near paint, if that is known.
+
+    A skirt where nothing was counts for more than what the field refines to there, in every channel. So there
+    is none in textures of channels that are not painted: their field would move.
 
     All cells of the paint that is returned are cells of the texture, and none lies in another.
     """
     is_empty = texture.tree.n_leaves == 0  # its root stands for nothing
-    if not adds:
+    painted = {target, ALPHA.name} if blend == "over" else {target}
+    is_all_painted = painted >= texture.channels.keys()
+    least = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}
+    hiding = least.get(blend, np.inf) if is_all_painted else np.inf
+    if blend == "erase":
         paint = [] if is_empty else [_on(texture.tree, each, level) for level, each in enumerate(paint)]
     is_skirt = _skirts(texture, paint, ground, executor, progress)
     edited, paint, met = _raised(
-        texture, whole.tree, is_skirt, paint, ground, hiding, coarsest, executor, progress
+        texture, whole.tree, is_skirt, paint, ground, is_all_painted, hiding, coarsest, executor, progress
     )  # fmt: skip
     if is_empty:
         edited = edited._replace(old=np.full_like(edited.old, -1))
@@ -120,8 +132,8 @@ def _skirts(
 ) -> Bools:
     """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made.
 
-    These are more than half of the cells of a node, all alike. Near is what is in or beside nodes that paint
-    is in and that keep a coefficient; see `kept.on_kept`.
+    Those are in nodes of more than four cells, of which all leaves are alike. Near is what is in or beside
+    nodes that paint is in and that keep a coefficient; see `kept.on_kept`.
     """
     tree = texture.tree
     is_skirt: Bools = tree.arrays.areas == SKIRT
@@ -142,8 +154,9 @@ def _skirts(
             continue
         looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
         counts = np.diff(starts, append=children.size)
-        is_filled = np.minimum.reduceat(looks, starts) == np.maximum.reduceat(looks, starts)
         own = children - tree.arrays.level_cells[deeper]
+        least, most = np.where(is_node[own], 1 << 16, looks), np.where(is_node[own], -1, looks)
+        is_filled = np.minimum.reduceat(least, starts) == np.maximum.reduceat(most, starts)
         is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
         if is_filled.any():
             doubted.append((deeper, below[own[is_filled]]))
@@ -168,6 +181,7 @@ def _raised(
     is_skirt: Bools,
     paint: list[Paint],
     ground: Ground,
+    is_all_painted: bool,
     hiding: float,
     coarsest: int | None,
     executor: Executor,
@@ -204,8 +218,9 @@ def _raised(
             is_refined = (where.levels < level) & (where.is_leaf | (flags & KEPT != 0)) & ~is_old
             virtual[-1] = around[is_refined]
             rings[-1] = around[(where.levels == level) & ~is_old]
-            is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
-            absent[-1] = around[is_absent & near(around, below[-1], level)]
+            if is_all_painted:
+                is_absent = (where.levels < level - 1) & ~where.is_leaf & (flags & KEPT == 0)
+                absent[-1] = around[is_absent & near(around, below[-1], level)]
             is_below = is_refined & where.is_leaf
             tops += _above(around[is_below], where.of(is_below), level)
     if not tops and not any(codes.size for codes in (*added, *virtual)):
@@ -262,7 +277,7 @@ def _raised(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
         is_new = where.levels < level
-        with_skirts.append(with_skirt(each, skirt[is_free], level, executor))
+        with_skirts.append(joined(each, skirt_paint(skirt[is_free], level, executor, each)))
         added[level] = np.sort(
             np.concatenate([added[level], skirt[is_free & is_new & ~where.is_leaf]]), kind="stable"
         )
@@ -412,8 +427,7 @@ def _carried(
     """Give an edited tree the texture's values, and new cells what the field refines to.
 
     Cells that are added where nothing was take other channels from the coarser averages there. They are
-    listed by level in the third result, and marked in the second with new nodes above them, and with nodes
-    that are averages of skirts alone.
+    listed by level in the third result, and marked in the second with new nodes above them.
     """
     is_fresh = np.zeros(tree.n_cells, np.bool_)
     if tree is texture.tree:
@@ -424,9 +438,7 @@ def _carried(
     added: list[Int64s] = []
     found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
     looked_up = [(np.empty(0, np.int64), np.empty((0, 3)))]
-    codes = np.empty(0, np.int64)
-    for level, (own_codes, is_node) in enumerate(tree.walk()):
-        above, codes = codes, own_codes
+    for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
         cells, new_codes = first + new, codes[new]
@@ -447,9 +459,6 @@ def _carried(
         is_own = is_painted & ~where.is_leaf
         added[-1] = new_codes[is_own]
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
-        # Nodes that no surface is in are means of skirts alone, of new ones too.
-        is_beside = is_bare & ~where.is_leaf & (texture.tree.arrays.areas[where.cells] == SKIRT)
-        is_fresh[first - above.size + np.searchsorted(above, new_codes[is_beside] >> 3)] = True
         is_kept = texture.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))

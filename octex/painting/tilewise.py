@@ -101,7 +101,6 @@ def merge_by_tiles(
     target: str,
     blend: Blend,
     opacity: float,
-    hiding: float,
     executor: Executor,
     progress: Progress,
 ) -> OctreeTexture | None:
@@ -117,7 +116,7 @@ def merge_by_tiles(
         with workers(1) as alone:
             raised = raise_texture(
                 part, texture, own, paint, ground, alone, silent,
-                adds=blend != "erase", hiding=hiding, coarsest=pieces.coarsest,
+                target=target, blend=blend, coarsest=pieces.coarsest,
             )  # fmt: skip
             if not any(each.codes.size for each in raised.paint):
                 return None
