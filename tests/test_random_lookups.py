@@ -9,7 +9,7 @@ import pytest
 
 from octex.channels import BASE_COLOR
 from octex.errors import ArgumentError
-from octex.field.taps import spreads_of
+from octex.field.weights import spreads_of
 from octex.jit import DISABLED
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.octree import Octree

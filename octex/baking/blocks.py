@@ -13,12 +13,11 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
-from octex.field.facings import Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.field.footprints import long_footprints, spread
-from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC, single_quadratic_weights
-from octex.field.taps import AREA_WEIGHTS
 from octex.field.tiles import Tiles, tile_row
+from octex.field.values import Codes
+from octex.field.weights import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
 from octex.texture.blend import stored
@@ -153,7 +152,7 @@ class Blocks(NamedTuple):
                 _evaluate(*place, room, n_blocks, n_cells, used, sums)
         divisors = np.zeros(self.n_lanes, np.int32)
         for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
-            divisors[lane : lane + codes.components] = weighs and not is_alpha
+            divisors[lane : lane + codes.values.shape[1]] = weighs and not is_alpha
         missed = np.empty(n, np.int64)
         return missed[: _divide(sums, divisors, 1 + weighs, failed, shown.places, values, missed)]
 

@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.taps import LEAST
 from octex.field.tiles import Integer
+from octex.field.values import Codes
 from octex.field.windows import (
     BEGIN,
     CONTENT,

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
+from octex.field.blend import list_taps
 from octex.field.field import Field
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, spread
 from octex.field.lookups import ChannelRows, Lookup, Query, pass_on
-from octex.field.sinks import list_taps
 from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Taps, place_points
 from octex.tree.morton import encode_cells
@@ -183,7 +183,7 @@ class _Listing(Lookup):
                 continue
             looks = by_level[level]
             here, owners = self._field.level(level), looks.owners
-            left = np.zeros(len(looks.points) if self._mixed(here).size else 0, np.float32)
+            left = np.zeros(len(looks.points) if self.weighing(here).mixed.size else 0, np.float32)
             for begin in range(0, len(looks.points), BLOCK):
                 some = slice(begin, begin + BLOCK)
                 facing = None if normals is None else normals[owners[some]]

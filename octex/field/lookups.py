@@ -11,17 +11,17 @@ import numpy as np
 
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
+from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
-from octex.field.facings import Facings
-from octex.field.field import Field, Finder
+from octex.field.field import Field, Finder, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_area
-from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
-from octex.field.tiles import Tiles
+from octex.field.taps import BLOCK, Taps, place_points
+from octex.field.tiled import Looks, Search, Weighed, look_up_tiled
+from octex.field.values import Codes
+from octex.field.weights import Weighing
 from octex.field.windows import new_walk
-from octex.tree.order import order_of
+from octex.tree.order import order_of, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
@@ -35,11 +35,15 @@ _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
 _NO_NUMBERS = np.empty(0, np.int64)
-_NO_OWNERS = np.empty(0, np.int32)
 _NO_SHARES = np.empty(0, np.float32)
+NO_LOOKS = Looks(
+    np.empty(0, np.int32),
+    _NO_SHARES,
+    _NO_SHARES,
+    Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
+)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
-_NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 #: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
@@ -54,7 +58,7 @@ class Query(NamedTuple):
     footprints: Footprints | None = None  # None: the leaves where the points are
     normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
     #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
-    #: level, see `taps.mark_mixed`.
+    #: level, see `weights.mark_mixed`.
     mixed: Callable[[int], Uint8s] | None = None
 
     def of(self, points: Int64s) -> Query:
@@ -124,8 +128,8 @@ class PlainLookup:
         answer = np.empty((n, self._components), np.float32)
         lost = np.empty((2, n), np.int64)
         singles, doubles = (points, _NO_DOUBLES) if points.itemsize == 4 else (_NO_VECTORS, points)
-        given = singles, doubles, _NO_NUMBERS, *self._before
-        found = look_up_tiled(self._search, *given, answer, _NO_GRADIENTS, lost)
+        given = singles, doubles, *self._before, answer, _NO_GRADIENTS
+        found = look_up_tiled(self._search, *given, NO_LOOKS, lost)
         return answer if found == _ALL_FOUND else None
 
 
@@ -137,7 +141,10 @@ def plain_lookup(
     if not task.is_tiled:
         return None
     assert task._channel is not None
-    return PlainLookup(next(task._searches(field)), placement, task._channel)
+    code = FILTERS.index(filter)
+    by = task.weighing(field)
+    search = Search(code, next(field.searched(code)), field.n_cells - 1, False, by)
+    return PlainLookup(search, placement, task._channel)
 
 
 class Lookup:
@@ -222,95 +229,83 @@ class Lookup:
 
     def tiled(self, points: Floats) -> int:
         """Look up the leaves by tiles."""
-        looks = Probes(points, _NO_OWNERS, _NO_SHARES)
-        rim, fault = self._by_tiles(self._field, looks, self._query.normals, None, _NO_LEFT)
+        normals, looks = self._query.normals, NO_LOOKS
+        if not (normals is None or self._gradients or (self._channel and self._channel.has_alpha)):
+            # Weighed as they are summed: three quarters of the time.
+            n, sums = len(points), new_sums(len(points), self._answers[0], False)
+            looks = Looks(np.arange(n, dtype=np.int32), np.ones(n, np.float32), _NO_SHARES, sums)
+        rim, fault = self._by_tiles(self._field, points, looks)
+        if looks is not NO_LOOKS:
+            divide(looks.sums, 1.0, self._answers[0], _NO_GRADIENTS)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
         return fault
 
     def _by_tiles(
-        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sums | None, left: Left
+        self, here: Field, points: Floats, looks: Looks, normals: Float32s | None = None
     ) -> tuple[Int64s, int]:
         """Look up by a level's tiles, and what these do not have by coarser ones.
 
-        Returns the looks for the walk, and the first that is not finite or −1.
+        ``normals`` are those of the looks' owners, by default the query's. Returns the points for the walk,
+        and the first that is not finite or −1.
         """
-        count, facing = len(looks.points), _NO_VECTORS if normals is None else normals
-        which = _NO_NUMBERS
-        rims = []
-        for search in self._searches(here):
-            lost = np.empty((2, which.size if search.is_off else count), np.int64)
-            n_empty, n_rim, fault = self._search(search, looks, which, facing, sums, left, lost)
+        if normals is None:
+            normals = self._query.normals
+        code, by = FILTERS.index(self._query.filter), self.weighing(here)
+        which: Int64s | None = None
+        rims: list[Int64s] = []
+        for number, tiles in enumerate(here.searched(code)):
+            search = Search(code, tiles, here.n_cells - 1, number > 0, by)
+            which, rim, fault = self._search(search, points, which, looks, normals)
             if fault >= 0:
                 return _NO_NUMBERS, fault
-            if n_rim:
-                rims.append(lost[1, :n_rim])
-            if not n_empty:
+            rims.append(rim)
+            if not which.size:
                 break
-            which = lost[0, :n_empty]
-        rim = np.concatenate(rims) if rims else _NO_NUMBERS
+        rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
-            lost = np.empty((2, rim.size), np.int64)
-            search = self._search_by(here, tiles, False)
-            n_empty, n_rim, _ = self._search(search, looks, rim, facing, sums, left, lost)
-            rim = np.concatenate([lost[0, :n_empty], lost[1, :n_rim]])
+            search = Search(code, tiles, here.n_cells - 1, False, by)
+            lost = self._search(search, points, rim, looks, normals)
+            rim = np.concatenate(lost[:2])
         return rim, -1
 
     def _search(
-        self,
-        search: Search,
-        looks: Probes,
-        which: Int64s,
-        facing: Float32s,
-        sums: Sums | None,
-        left: Left,
-        lost: Int64s,
-    ) -> tuple[int, int, int]:
-        """Look up some looks, or all if ``which`` is empty, and list what is lost: see `look_up_tiled`.
-
-        They are added to ``sums`` if there are any.
-        """
+        self, search: Search, points: Floats, which: Int64s | None, looks: Looks, normals: Float32s | None
+    ) -> tuple[Int64s, Int64s, int]:
+        """Look up points, or some of them: see `look_up_tiled`. Return which are lost, and what is faulty."""
         assert self._channel is not None
-        channel, place = self._channel, self._placement
-        if sums is None:
-            gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
-            given = *_positions(looks.points), which, *place, facing
-            return look_up_tiled(search, *given, channel, self._answers[0], gradients, lost)
-        some, parts = looks, left[0]
-        if which.size:
-            some, parts = looks.of(which), np.zeros_like(parts[: which.size])
-        shown = *place, facing, some.owners, some.shares, parts
-        counts = add_tiled(search, _positions(some.points), *shown, channel.codes, sums, lost)
-        if not which.size:
-            return *counts, -1
-        left[0][which[: parts.size]] = parts
-        for numbers, count in zip(lost, counts, strict=True):
-            numbers[:count] = which[numbers[:count]]
-        return *counts, -1
+        answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
+        some, own, facing = looks, answers, _NO_VECTORS if normals is None else normals
+        if which is not None:
+            points = np.take(points, which, axis=0)
+            if looks is not NO_LOOKS:
+                left = np.zeros(which.size if looks.left.size else 0, np.float32)
+                some = Looks(looks.owners[which], looks.shares[which], left, looks.sums)
+            else:
+                own = np.empty((which.size, answers.shape[1]), np.float32)
+                gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
+                facing = facing if normals is None else np.take(normals, which, axis=0)
+        lost = np.empty((2, len(points)), np.int64)
+        given = *_positions(points), *self._placement, facing, self._channel, own, gradients
+        n_empty, n_rim, fault = look_up_tiled(search, *given, some, lost)
+        empty, rim = lost[0, :n_empty], lost[1, :n_rim]
+        if which is None:
+            return empty, rim, fault
+        if looks.left.size:
+            looks.left[which] = some.left
+        if looks is NO_LOOKS:
+            put_rows(own, which, answers)
+            if self._gradients:
+                self._gradients[0][which] = gradients
+        return which[empty], which[rim], fault
 
-    def _searches(self, here: Field) -> Iterator[Search]:
-        """Yield how a level's field is searched by tiles, its own and then coarser ones."""
-        filter_code = FILTERS.index(self._query.filter)
-        is_plain = here is self._field and self._query.normals is None
-        known = here.plain_searches if is_plain else {}
-        for number, tiles in enumerate(here.searched(filter_code)):
-            key = filter_code, number
-            if key not in known:
-                known[key] = self._search_by(here, tiles, number > 0)
-            yield known[key]
-
-    def _search_by(self, here: Field, tiles: Tiles, is_off: bool) -> Search:
-        """Return how a level's field is searched by some tiles."""
-        field, faces = self._field, self._query.normals is not None
-        areas, mixed = _NO_BYTES, self._mixed(here)
-        if here is not field:
-            areas = field.areas_of_averages(here.depth)[: here.n_cells]
-        facings = here.facings if faces else _NO_FACINGS
-        first_kept = field.n_cells
-        first_row = first_kept + field.tree.kept.cells.size
-        weighing = areas, facings, faces, first_kept, first_row, mixed
-        filter_code = FILTERS.index(self._query.filter)
-        return Search(filter_code, tiles, here.n_cells - 1, is_off, *weighing)
+    def weighing(self, here: Field) -> Weighing:
+        """Return what weighs the taps of a level."""
+        query, mixed = self._query, _NO_BYTES
+        faces = query.normals is not None
+        if not (here is self._field or query.mixed is None or faces) and here.tree.split.cells.size:
+            mixed = query.mixed(here.depth)
+        return here.weighing(self._field, faces, mixed)
 
     def leaves(self, points: Floats) -> int:
         """Look up the leaves, in any tree."""
@@ -349,11 +344,12 @@ class Lookup:
             for level in range(self._field.depth + 1):
                 if level in by_level:
                     here, looks = self._field.level(level), by_level[level]
-                    count = len(looks.points) if self._mixed(here).size else 0
+                    count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
                     rim: Int64s | None = None
                     if self.adds_tiled(here):
-                        rim, _ = self._by_tiles(here, looks, normals, sums[0], left)
+                        own = Looks(looks.owners, looks.shares, left[0], sums[0])
+                        rim, _ = self._by_tiles(here, looks.points, own, normals)
                     if rim is None or rim.size:
                         self._add_by_taps(here, looks, rim, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
@@ -420,7 +416,7 @@ class Lookup:
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
 
-        ``left`` takes what mixes opposite facings, and its derivatives: see `taps.leave_mixed`.
+        ``left`` takes what mixes opposite facings, and its derivatives: see `weights.weigh_taps`.
         """
         if len(self._places) < len(points):
             self._places = np.empty((len(points), 3))
@@ -434,21 +430,9 @@ class Lookup:
                 adds=self._query.footprints is not None,
             )
         taps = self._finders[here.depth].find(places, self._rows)
-        field = self._field
-        if here is not field:
-            weigh_by_area(taps, field.areas_of_averages(here.depth)[: here.n_cells])
-        if normals is not None:
-            taps = here.facing(taps, normals, field)
-        elif left[0].size:
-            leave_mixed(taps, self._mixed(here), *left)
+        if normals is not None or here is not self._field:
+            taps = weighed(taps, self.weighing(here), normals, *left)
         return taps, fault
-
-    def _mixed(self, here: Field) -> Uint8s:
-        """Mark the cells of a level that mix opposite facings; none where nothing can, or with normals."""
-        query = self._query
-        if here is self._field or query.mixed is None or query.normals is not None:
-            return _NO_BYTES
-        return query.mixed(here.depth) if here.tree.split.cells.size else _NO_BYTES
 
     def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:
         """Yield the channels by number, and their taps and codes; alpha weighs those that are not alpha."""

@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Float32s, Uint32s
-from octex.field.facings import Facings, see, view_along
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
-from octex.field.sinks import Flat, value_of
 from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
-from octex.field.taps import LEAST, OFF, weigh_by_area
+from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
+from octex.field.values import Flat, value_of
+from octex.field.weights import Facings, Weighing, view_along, weigh
 from octex.field.windows import NODES, Walk, follow
 from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
-from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
+from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.search import fixed, nearest_cell
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
@@ -188,26 +188,6 @@ def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
 
 
 @inlined
-def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> float:
-    """Let cells that mix opposite facings weigh nothing; return the part of the weight that is taken away."""
-    first, total, gone = arrays.level_cells[level], 0.0, 0.0
-    for tap in range(n):
-        weight = np.float64(scratch.taps.weights[tap])
-        total += weight
-        cell = np.int64(scratch.taps.rows[tap])
-        if cell < first or cell >= arrays.facings.size:
-            continue
-        flags = arrays.flags[cell]
-        if flags & np.uint8(SPLIT) == 0 or flags & flags >> np.uint8(1) & np.uint8(POSITIVE_FACINGS) == 0:
-            continue
-        row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
-        if arrays.spreads[row] >= arrays.threshold:
-            gone += weight
-            scratch.taps.weights[tap] = np.float32(0.0)
-    return gone / total if total > 0.0 else 0.0
-
-
-@inlined
 def _tree_of(arrays: LookupArrays) -> TreeArrays:
     return TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
 
@@ -311,7 +291,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     _clear(scratch)
     x, y, z = _placed(arrays, point)
     view = view_along(np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2]))
-    is_facing = max(view[0], max(view[1], view[2])) > np.float32(0.0)
+    is_facing = bool(max(view[0], max(view[1], view[2])) > np.float32(0.0))
     flat, facings = _flat(arrays), Facings(arrays.flags, arrays.facings, arrays.kept)
     depth = arrays.level_cells.size - 2
     level, upper = _level_of(width, arrays.place[3], depth)
@@ -321,17 +301,19 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
         if share > 0.0:
             n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
             scratch.taps.ends[0] = n
-            if level < depth:
-                scratch.taps.covers[0] = np.float32(0.0 if is_off else 1.0)
-                weigh_by_area(scratch.taps, arrays.areas)
-            begin, end = 0, n
-            if is_facing:
-                rows = facings, flat.first_kept, flat.first_row
-                is_split = facings.rows.size > 0
-                begin, (end, _) = n, see(scratch.taps, 0, n, *rows, view, scratch.sight, is_split, flat, 0)
-            elif level < depth and arrays.spreads.size > 0:
-                left = _leave_mixed(arrays, level, n, scratch)
-            _add(arrays, begin, end, share, scratch)
+            is_leaf, is_split = level == depth, is_facing and facings.rows.size > 0
+            areas = arrays.areas[: 0 if is_leaf else arrays.areas.size]
+            first = int(arrays.level_cells[level])
+            mixed = arrays.mixed[
+                first : first if is_leaf or is_facing else int(arrays.level_cells[level + 1])
+            ]
+            by = Weighing(areas, mixed, int(first), facings, is_facing, flat.first_kept, flat.first_row)
+            end, _, total, gone = weigh(
+                scratch.taps, 0, n, by, view, scratch.sight, is_facing, is_split, flat, 0
+            )
+            left = gone / total if gone > 0.0 else 0.0
+            part = share * np.float64(OFF) / total if is_off and total > 0.0 and not is_leaf else share
+            _add(arrays, n, end, part, scratch)
         passed = share * left if left > _ROUNDED else 0.0
         share, upper = upper + passed, 0.0
         level += 1

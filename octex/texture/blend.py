@@ -9,8 +9,8 @@ import numpy as np
 from octex.arrays import Float32s, Uint8s, bit_counts
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.lookups import ChannelRows
-from octex.field.sinks import Codes
-from octex.field.taps import mark_mixed, spreads_of
+from octex.field.values import Codes
+from octex.field.weights import mark_mixed, spreads_of
 from octex.jit import kernel
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree

@@ -84,7 +84,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
 
 
 @kernel
-def put_rows(rows: Float32s, numbers: Int32s, target: Float32s) -> None:
+def put_rows(rows: Float32s, numbers: Int32s | Int64s, target: Float32s) -> None:
     """Write rows (n, m) where they belong among as many others, by number."""
     for n in range(numbers.size):
         prefetch(target, int(numbers[min(n + AHEAD, numbers.size - 1)]))
