@@ -43,8 +43,8 @@ LookUp = Callable[[Given, list[Array]], int]
 BLOCK = 1 << 16
 #: Most points sorted at once: what is given of them and their answers are copied meanwhile.
 _SORTED = 1 << 19
-#: Fewer points of a block are looked up as they come.
-_LEAST_SORTED = 1 << 12
+#: Points that are looked up as they come, where more are sorted since lookups read much.
+LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
@@ -246,10 +246,12 @@ def in_space(
     threads: int | None,
     executor: Executor | None,
     placement: Placement,
+    least: int = 0,
 ) -> None:
     """Look points up as ``in_blocks`` does, where they do not come in an order like that of space in this.
 
-    That is for lookups in which points that lie close together share most of the work.
+    That is for lookups that read much, or in which points that lie close together share most of the work.
+    Points that are no more than ``least``, by default than a block, are looked up as they come.
     """
     try:
         for begin in range(0, len(given["points"]), _SORTED):
@@ -257,7 +259,7 @@ def in_space(
             here = {name: array[rows] for name, array in given.items()}
             there = [answer[rows] for answer in answers]
             numbers = _NO_NUMBERS
-            if len(here["points"]) > BLOCK:
+            if len(here["points"]) > (least or BLOCK):
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
             if not numbers.size:
@@ -269,22 +271,6 @@ def in_space(
     except ArgumentError:
         in_blocks(given, answers, look_up, threads, executor)  # which names the first row
         raise
-
-
-def block_in_space(look_up: LookUp, placement: Placement, given: Given, answers: list[Array]) -> int:
-    """Look up a block like ``look_up``, in an order like that of space.
-
-    That is for lookups that read much: points that lie close together read what is still near.
-    """
-    numbers = _NO_NUMBERS
-    if len(given["points"]) >= _LEAST_SORTED:
-        numbers = order_in_space(Positions.of(given["points"]), *placement)
-    if not numbers.size:
-        return look_up(given, answers)
-    here, found = _in_order(numbers, given, answers)
-    fault = look_up(here, found)
-    _put_back(found, numbers, answers)
-    return fault
 
 
 def _in_order(numbers: Int32s, given: Given, answers: list[Array]) -> tuple[Given, list[Array]]:

@@ -40,13 +40,13 @@ from octex.texture.file import ARCHIVE_ENDING, ENDING, File, Parts, described, t
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
+    LEAST_SORTED,
     Answers,
     Given,
     Lens,
     LookUp,
     LookupOptions,
     SurfacePoints,
-    block_in_space,
     check_apart,
     each_block,
     in_blocks,
@@ -283,13 +283,13 @@ class OctreeTexture:
         if self._file is not None:
             self._read_for(len(given["points"]))
         look_up_block: LookUp = partial(self._sampled, answers.channels, lens, normalize)
-        if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
-            look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
         is_crowded = given.keys() <= {"points", "normals"} and self._field.tiles is None
         if is_crowded:
             self._field.prepare(FILTERS.index(filter))
-        if self._field.n_leaves >= _MANY_LEAVES or is_crowded:
+        if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
+            in_space(*task, self.placement, LEAST_SORTED)
+        elif self._field.n_leaves >= _MANY_LEAVES or is_crowded:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
