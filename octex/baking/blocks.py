@@ -24,6 +24,7 @@ from octex.texture.blend import stored
 from octex.texture.lookup import ANISOTROPY
 from octex.tree.layout import SPLIT
 from octex.tree.placement import Placement
+from octex.tree.search import placed
 
 #: Most cells of a block, stored or not; and how many that are stored are decoded at once, with alpha and
 #: weights 16 bytes each for four channels' components.
@@ -334,9 +335,8 @@ def _evaluate(
         steps = planes, planes * ni, planes * ni * nj
         last = planes * (volume - 1) - 2 * (steps[0] + steps[1] + steps[2])
         for texel in range(begin, end):
-            x = (shown.rest[texel, 0] - origin[0]) * scale
-            y = (shown.rest[texel, 1] - origin[1]) * scale
-            z = (shown.rest[texel, 2] - origin[2]) * scale
+            x, y, z = shown.rest[texel, 0], shown.rest[texel, 1], shown.rest[texel, 2]
+            x, y, z = placed(x, y, z, origin, scale)
             for look in range(looks.starts[triangle], looks.starts[triangle + 1]):
                 u, of_x = _weights_of(x + looks.offsets[look, 0], cells)
                 v, of_y = _weights_of(y + looks.offsets[look, 1], cells)

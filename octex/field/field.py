@@ -15,7 +15,7 @@ from octex.errors import TextureFileError
 from octex.field.blend import list_taps
 from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
-from octex.field.sources import Asked, find_taps
+from octex.field.sources import Batch, find_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
@@ -331,8 +331,8 @@ class Finder:
             if room > taps.rows.size:
                 taps = _with_room(taps, end, room)
             here = places if number == 0 else places[which]
-            asked = Asked(here, which, last, self._empty, self._rim[n_rim:], ahead)
-            end, n_empty, more = find_taps(above, self.filter, number > 0, asked, taps, end)
+            batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
+            end, n_empty, more = find_taps(above, self.filter, number > 0, batch, taps, end)
             n_rim += more
             which = self._empty[:n_empty].copy()
             if not n_empty:

@@ -1,4 +1,4 @@
-"""Lookups: the looks of footprints at all levels, through sources, stages and sinks."""
+"""Lookups: what is asked of points, by tiles, bricks or the walk; footprints at all levels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from octex.field.field import Field, Finder, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import BLOCK, Taps, place_points
-from octex.field.tiled import Looks, Search, Weighed, look_up_tiled
+from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.values import Codes
 from octex.field.weights import Weighing
 from octex.field.windows import new_walk
@@ -36,7 +36,7 @@ _NO_BYTES = np.empty(0, np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
 _NO_NUMBERS = np.empty(0, np.int64)
 _NO_SHARES = np.empty(0, np.float32)
-NO_LOOKS = Looks(
+NO_ADDITIONS = Additions(
     np.empty(0, np.int32),
     _NO_SHARES,
     _NO_SHARES,
@@ -129,7 +129,7 @@ class PlainLookup:
         lost = np.empty((2, n), np.int64)
         singles, doubles = (points, _NO_DOUBLES) if points.itemsize == 4 else (_NO_VECTORS, points)
         given = singles, doubles, *self._before, answer, _NO_GRADIENTS
-        found = look_up_tiled(self._search, *given, NO_LOOKS, lost)
+        found = look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
         return answer if found == _ALL_FOUND else None
 
 
@@ -185,12 +185,12 @@ class Lookup:
 
     @property
     def is_tiled(self) -> bool:
-        """Say whether leaves are looked up by tiles, from source to sink at once."""
+        """Say whether leaves are looked up by tiles, from points to values at once."""
         code = FILTERS.index(self._query.filter)
         return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
 
     def adds_tiled(self, here: Field) -> bool:
-        """Say whether looks at a level are added up by tiles, from source to sink at once."""
+        """Say whether looks at a level are added up by tiles, from points to sums at once."""
         is_plain = self._query.filter == "quadratic" and not self._gradients
         has_alpha = self._channel is None or self._channel.has_alpha
         return is_plain and not has_alpha and here.tiles_for(QUADRATIC) is not None
@@ -229,20 +229,20 @@ class Lookup:
 
     def tiled(self, points: Floats) -> int:
         """Look up the leaves by tiles."""
-        normals, looks = self._query.normals, NO_LOOKS
+        normals, additions = self._query.normals, NO_ADDITIONS
         if not (normals is None or self._gradients or (self._channel and self._channel.has_alpha)):
             # Weighed as they are summed: three quarters of the time.
             n, sums = len(points), new_sums(len(points), self._answers[0], False)
-            looks = Looks(np.arange(n, dtype=np.int32), np.ones(n, np.float32), _NO_SHARES, sums)
-        rim, fault = self._by_tiles(self._field, points, looks)
-        if looks is not NO_LOOKS:
-            divide(looks.sums, 1.0, self._answers[0], _NO_GRADIENTS)
+            additions = Additions(np.arange(n, dtype=np.int32), np.ones(n, np.float32), _NO_SHARES, sums)
+        rim, fault = self._by_tiles(self._field, points, additions)
+        if additions is not NO_ADDITIONS:
+            divide(additions.sums, 1.0, self._answers[0], _NO_GRADIENTS)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
         return fault
 
     def _by_tiles(
-        self, here: Field, points: Floats, looks: Looks, normals: Float32s | None = None
+        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
     ) -> tuple[Int64s, int]:
         """Look up by a level's tiles, and what these do not have by coarser ones.
 
@@ -256,7 +256,7 @@ class Lookup:
         rims: list[Int64s] = []
         for number, tiles in enumerate(here.searched(code)):
             search = Search(code, tiles, here.n_cells - 1, number > 0, by)
-            which, rim, fault = self._search(search, points, which, looks, normals)
+            which, rim, fault = self._search(search, points, which, additions, normals)
             if fault >= 0:
                 return _NO_NUMBERS, fault
             rims.append(rim)
@@ -265,22 +265,27 @@ class Lookup:
         rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
             search = Search(code, tiles, here.n_cells - 1, False, by)
-            lost = self._search(search, points, rim, looks, normals)
+            lost = self._search(search, points, rim, additions, normals)
             rim = np.concatenate(lost[:2])
         return rim, -1
 
     def _search(
-        self, search: Search, points: Floats, which: Int64s | None, looks: Looks, normals: Float32s | None
+        self,
+        search: Search,
+        points: Floats,
+        which: Int64s | None,
+        additions: Additions,
+        normals: Float32s | None,
     ) -> tuple[Int64s, Int64s, int]:
         """Look up points, or some of them: see `look_up_tiled`. Return which are lost, and what is faulty."""
         assert self._channel is not None
         answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
-        some, own, facing = looks, answers, _NO_VECTORS if normals is None else normals
+        some, own, facing = additions, answers, _NO_VECTORS if normals is None else normals
         if which is not None:
             points = np.take(points, which, axis=0)
-            if looks is not NO_LOOKS:
-                left = np.zeros(which.size if looks.left.size else 0, np.float32)
-                some = Looks(looks.owners[which], looks.shares[which], left, looks.sums)
+            if additions is not NO_ADDITIONS:
+                left = np.zeros(which.size if additions.left.size else 0, np.float32)
+                some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
             else:
                 own = np.empty((which.size, answers.shape[1]), np.float32)
                 gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
@@ -291,9 +296,9 @@ class Lookup:
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]
         if which is None:
             return empty, rim, fault
-        if looks.left.size:
-            looks.left[which] = some.left
-        if looks is NO_LOOKS:
+        if additions.left.size:
+            additions.left[which] = some.left
+        if additions is NO_ADDITIONS:
             put_rows(own, which, answers)
             if self._gradients:
                 self._gradients[0][which] = gradients
@@ -348,7 +353,7 @@ class Lookup:
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
                     rim: Int64s | None = None
                     if self.adds_tiled(here):
-                        own = Looks(looks.owners, looks.shares, left[0], sums[0])
+                        own = Additions(looks.owners, looks.shares, left[0], sums[0])
                         rim, _ = self._by_tiles(here, looks.points, own, normals)
                     if rim is None or rim.size:
                         self._add_by_taps(here, looks, rim, normals, sums, left)
@@ -450,7 +455,7 @@ class Lookup:
 
 
 def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
-    """Return taps and codes as sinks take them: float32 numbers decoded, a row for each tap."""
+    """Return taps and codes as `blend` takes them: float32 numbers decoded, a row for each tap."""
     assert channel.space is not None
     end = int(taps.ends.max(initial=0))
     values, kept_values, split_values, _ = channel.codes

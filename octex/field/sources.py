@@ -39,7 +39,7 @@ from octex.tree.morton import encode
 from octex.tree.search import UNITS
 
 
-class Asked(NamedTuple):
+class Batch(NamedTuple):
     """Points whose taps are sought by tiles, and lists of those that these do not answer."""
 
     places: Float64s  # (n, 3)   in texture space
@@ -80,9 +80,9 @@ def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: N
 
 
 @fused_part
-def nearest_rows(tiles: Tiles, asked: Asked, found: Uint32s) -> int:
+def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
     """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
-    places, last, empty, ahead = asked.places, asked.last, asked.empty, asked.ahead
+    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
     near, codes = new_near(), new_zeros(GROUP, np.int32)
     flat = places.reshape(-1)
     n_empty = 0
@@ -156,20 +156,20 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
 
 @inlined
 def _finish(
-    asked: Asked, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
+    batch: Batch, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
 ) -> tuple[int, int, int]:
     """Note where the taps of a point are; one that has none, or too small ones, is listed instead.
 
     Returns the end of the taps, and how many points are listed.
     """
-    point = asked.which[np.uint64(n)]
+    point = batch.which[np.uint64(n)]
     at = np.uint64(point)
     if not total >= LEAST:
         taps.starts[at] = taps.ends[at] = start
         if end == start:
-            asked.empty[np.uint64(n_empty)] = point
+            batch.empty[np.uint64(n_empty)] = point
             return end, n_empty + 1, n_rim
-        asked.rim[np.uint64(n_rim)] = point
+        batch.rim[np.uint64(n_rim)] = point
         return start, n_empty, n_rim + 1
     taps.starts[at], taps.ends[at] = start, end
     taps.covers[at] = total
@@ -177,9 +177,9 @@ def _finish(
 
 
 @fused_kernel
-def _linear_taps(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[int, int, int]:
+def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of trilinear interpolation. See `find_taps`."""
-    places, which, ahead, last = asked.places, asked.which, asked.ahead, asked.last
+    places, which, ahead, last = batch.places, batch.which, batch.ahead, batch.last
     near = new_near()
     steps, octants, bits = (
         new_zeros(3 * GROUP, np.float32),
@@ -217,12 +217,12 @@ def _linear_taps(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[int,
                 ask_for(ahead, int(taps.rows[np.uint64(tap)]))
             if gradient:
                 _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
-            end, n_empty, n_rim = _finish(asked, begin + n, taps, start, end, total, n_empty, n_rim)
+            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
         for n in range(count if tiles.marks.size > 0 else 0):
             at = np.uint64(which[np.uint64(begin + n)])
             if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
                 taps.ends[at] = taps.starts[at]
-                asked.rim[n_rim] = at
+                batch.rim[n_rim] = at
                 n_rim += 1
     return end, n_empty, n_rim
 
@@ -467,13 +467,13 @@ def _take_word(
 
 @inlined
 def _spline_taps(
-    tiles: Tiles, asked: Asked, taps: Taps, end: int, group: Group, tables: Tables, reach: int
+    tiles: Tiles, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
 ) -> tuple[int, int, int]:
     """Find the taps of a spline over (2 · reach + 1)³ cells. See `find_taps`."""
-    flat = asked.places.reshape(-1)
+    flat = batch.places.reshape(-1)
     n_empty = n_rim = 0
-    for begin in range(0, asked.places.shape[0], GROUP):
-        count = min(GROUP, asked.places.shape[0] - begin)
+    for begin in range(0, batch.places.shape[0], GROUP):
+        count = min(GROUP, batch.places.shape[0] - begin)
         if reach == 1:
             _place_quadratic(flat, begin, count, tiles.depth, group)
             if group.slopes.size > 0:
@@ -482,34 +482,34 @@ def _spline_taps(
             _place_quartic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, reach, asked.ahead)
+            _find_window(tiles, group, n, reach, batch.ahead)
             start, total = end, np.float32(0.0)
             if reach == 1 and tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
             else:
                 for word in range(1 if reach == 1 else 4):
-                    end, total = _take_word(group, n, word, tables, reach, asked.last, taps, end, total)
-            end, n_empty, n_rim = _finish(asked, begin + n, taps, start, end, total, n_empty, n_rim)
+                    end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
+            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
     return end, n_empty, n_rim
 
 
 @kernel
-def _quadratic_taps(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, asked, taps, end, new_group(taps.slopes.shape[0] > 0), _QUADRATIC, 1)
+def _quadratic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUADRATIC, 1)
 
 
 @kernel
-def _quartic_taps(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, asked, taps, end, new_group(taps.slopes.shape[0] > 0), _QUARTIC, 2)
+def _quartic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUARTIC, 2)
 
 
 @kernel
-def _nearest_around(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[int, int]:
+def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int]:
     """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
 
     Else as `find_taps`.
     """
-    places, which = asked.places, asked.which
+    places, which = batch.places, batch.which
     group = new_group(False)
     shift = 21 - tiles.depth
     size = 1 << shift
@@ -524,7 +524,7 @@ def _nearest_around(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[i
             _find_place(group, n, a, b, c, 1)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, asked.ahead)
+            _find_window(tiles, group, n, 1, batch.ahead)
             x, y, z = (
                 places[begin + n, 0] * UNITS,
                 places[begin + n, 1] * UNITS,
@@ -557,30 +557,30 @@ def _nearest_around(tiles: Tiles, asked: Asked, taps: Taps, end: int) -> tuple[i
                     nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
             point = which[begin + n]
             if nearest < 0:
-                asked.empty[n_empty] = point
+                batch.empty[n_empty] = point
                 n_empty += 1
                 continue
-            taps.rows[end], taps.weights[end] = min(int(nearest), asked.last), OFF
+            taps.rows[end], taps.weights[end] = min(int(nearest), batch.last), OFF
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
     return end, n_empty
 
 
 @part
-def _nearest_taps(tiles: Tiles, asked: Asked, taps: Taps) -> int:
+def _nearest_taps(tiles: Tiles, batch: Batch, taps: Taps) -> int:
     """Find the cells that hold all points there are; return how many none holds, which are listed."""
-    n_empty = nearest_rows(tiles, asked, taps.rows)
-    for n in range(asked.places.shape[0]):
+    n_empty = nearest_rows(tiles, batch, taps.rows)
+    for n in range(batch.places.shape[0]):
         taps.starts[n], taps.ends[n] = n, n + 1
         taps.weights[n] = taps.covers[n] = np.float32(1.0)
     for n in range(n_empty):
-        taps.ends[asked.empty[n]] = taps.starts[asked.empty[n]]
+        taps.ends[batch.empty[n]] = taps.starts[batch.empty[n]]
     return n_empty
 
 
 @kernel
 def find_taps(
-    tiles: Tiles, filter_code: int, is_off: bool, asked: Asked, taps: Taps, end: int
+    tiles: Tiles, filter_code: int, is_off: bool, batch: Batch, taps: Taps, end: int
 ) -> tuple[int, int, int]:
     """Find the taps of points by tiles, from index ``end`` on.
 
@@ -589,16 +589,16 @@ def find_taps(
     """
     if filter_code == NEAREST:
         if is_off:
-            end, n_empty = _nearest_around(tiles, asked, taps, end)
+            end, n_empty = _nearest_around(tiles, batch, taps, end)
             return end, n_empty, 0
-        return asked.places.shape[0], _nearest_taps(tiles, asked, taps), 0
+        return batch.places.shape[0], _nearest_taps(tiles, batch, taps), 0
     if filter_code == LINEAR:
-        end, n_empty, n_rim = _linear_taps(tiles, asked, taps, end)
+        end, n_empty, n_rim = _linear_taps(tiles, batch, taps, end)
     elif filter_code == QUADRATIC:
-        end, n_empty, n_rim = _quadratic_taps(tiles, asked, taps, end)
+        end, n_empty, n_rim = _quadratic_taps(tiles, batch, taps, end)
     else:
-        end, n_empty, n_rim = _quartic_taps(tiles, asked, taps, end)
+        end, n_empty, n_rim = _quartic_taps(tiles, batch, taps, end)
     if is_off:
-        for n in asked.which:
+        for n in batch.which:
             scale_off(taps, n)
     return end, n_empty, n_rim

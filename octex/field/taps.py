@@ -16,7 +16,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel, new_array, new_zeros, prefetch
-from octex.tree.search import Origin, Positions, position
+from octex.tree.search import Origin, Positions, placed, position
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
 #: taps stay in the processor's second cache.
@@ -139,9 +139,10 @@ def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) 
     for n in range(rows.shape[0]):
         x, y, z = np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
         faults |= int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
-        places[n, 0] = min(max(0.0, (x - origin[0]) * inverse), 1.0)
-        places[n, 1] = min(max(0.0, (y - origin[1]) * inverse), 1.0)
-        places[n, 2] = min(max(0.0, (z - origin[2]) * inverse), 1.0)
+        x, y, z = placed(x, y, z, origin, inverse)
+        places[n, 0] = min(max(0.0, x), 1.0)
+        places[n, 1] = min(max(0.0, y), 1.0)
+        places[n, 2] = min(max(0.0, z), 1.0)
     return faults != 0
 
 

@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from octex.arrays import Float32s, Uint32s
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
+from octex.field.neighborhood import Way, taps_around
 from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.values import Flat, value_of
 from octex.field.weights import Facings, Weighing, view_along, weigh
-from octex.field.windows import NODES, Walk, follow
 from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
 from octex.tree.layout import MAX_DEPTH, TreeArrays
-from octex.tree.search import fixed, nearest_cell
+from octex.tree.search import fixed, nearest_cell, placed
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
 Vector = Any
@@ -32,10 +30,9 @@ _ROUNDED = 1e-6
 @inlined
 def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
     """Return where a rest position lies in texture space, clamped to 0 … 1."""
-    inverse = 1.0 / arrays.place[3]
-    x = (np.float64(point[0]) - arrays.place[0]) * inverse
-    y = (np.float64(point[1]) - arrays.place[1]) * inverse
-    z = (np.float64(point[2]) - arrays.place[2]) * inverse
+    place = arrays.place
+    x, y, z = np.float64(point[0]), np.float64(point[1]), np.float64(point[2])
+    x, y, z = placed(x, y, z, (place[0], place[1], place[2]), 1.0 / place[3])
     return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
 
 
@@ -126,37 +123,14 @@ def _tiled(
 
 @step
 def _walked(
-    tree: TreeArrays,
-    kept: Uint32s,
-    level: int,
-    x: float,
-    y: float,
-    z: float,
-    filter_code: int,
-    walk: Walk,
-    rows: Uint32s,
-    weights: Float32s,
-    slopes: Float32s,
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    tree = TreeArrays(tree.groups, tree.level_cells[: level + 2], tree.level_nodes, tree.flags, tree.areas)
+    cells, walk, taps = arrays.level_cells[: level + 2], scratch.walk, scratch.taps
+    tree = TreeArrays(arrays.groups, cells, arrays.level_nodes, arrays.flags, arrays.areas)
     walk.previous[3] = min(walk.previous[3], level)
-    x, y, z = rounded(x), rounded(y), rounded(z)
-    i, j, k = finest(x), finest(y), finest(z)
-    here = follow(tree, kept, walk, i, j, k, filter_code, 2)
-    is_cut = here == level and walk.levels[here, NODES] != 0  # its nodes count as leaves
-    is_off = False
-    while True:
-        fill_window(walk, filter_code, 2, 1, x, y, z, i, j, k, here)
-        n, total = collect(tree, kept, walk, here, is_cut, filter_code, 2, 1, rows, 0)
-        if total > 0.0 or (here == 0 and is_cut):
-            break
-        if is_cut or walk.levels[here, NODES] == 0:
-            here -= 1
-        is_cut = is_off = True
-    cover = 0.0 if is_off else total
-    write_taps(walk, n, total, max(cover, np.float64(OFF)), True, weights, slopes, 0)
-    return n, cover
+    way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
+    return taps_around(way, x, y, z, True, taps.rows, taps.weights, taps.slopes, 0)
 
 
 @inlined
@@ -174,10 +148,7 @@ def _find(
         if n > 0:
             break  # at the rim of the spline's support
         here -= 1
-    n, cover = _walked(
-        _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
-        scratch.walk, *scratch.taps[:3],
-    )  # fmt: skip
+    n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, new_array, new_zeros, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin, Positions, count_of, position
+from octex.tree.search import UNITS, Origin, Positions, count_of, placed, position
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -55,7 +55,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     Returns none if they come in a like order, or are not all finite.
     """
     n = count_of(points)
-    cells, shift = 1 << _COARSE, np.float64(1 << _COARSE) / size
+    cells, inverse = 1 << _COARSE, 1.0 / size
     digits, counts = new_array(n, np.uint16), new_zeros((1 << 3 * _COARSE) + 1, np.int64)
     nothing = new_array(0, np.int32)
     previous, changes = -1, 0
@@ -63,9 +63,10 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
         x, y, z = position(points, m)
         if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
             return nothing
-        i = int(min(max((x - origin[0]) * shift, 0.0), cells - 1.0))
-        j = int(min(max((y - origin[1]) * shift, 0.0), cells - 1.0))
-        k = int(min(max((z - origin[2]) * shift, 0.0), cells - 1.0))
+        x, y, z = placed(x, y, z, origin, inverse)
+        i = int(min(max(x * cells, 0.0), cells - 1.0))
+        j = int(min(max(y * cells, 0.0), cells - 1.0))
+        k = int(min(max(z * cells, 0.0), cells - 1.0))
         digit = int(encode(i, j, k))
         changes += digit != previous
         previous = digit
