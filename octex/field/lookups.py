@@ -13,7 +13,7 @@ from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
-from octex.field.field import Field, Finder, weighed
+from octex.field.field import Field, Finder, NotFiniteError, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import BLOCK, Taps, place_points
@@ -95,15 +95,17 @@ def look_up(
     if not channels:
         return -1
     task = Lookup(field, placement, query, channels, alpha, answers, gradients)
-    if query.footprints is not None:
-        return task.footprints(points)
-    if len(channels) == 1 or not task.is_sortable(len(points)):
-        return task.at(points)
-    alone = (
-        Lookup(field, placement, query, [channel], alpha, [answer], ())
-        for channel, answer in zip(channels, answers, strict=True)
-    )
-    return max(each.at(points) for each in alone)
+    try:
+        if query.footprints is not None:
+            task.footprints(points)
+        elif len(channels) == 1 or not task.is_sortable(len(points)):
+            task.at(points)
+        else:
+            for channel, answer in zip(channels, answers, strict=True):
+                Lookup(field, placement, query, [channel], alpha, [answer], ()).at(points)
+    except NotFiniteError as error:
+        return error.row
+    return -1
 
 
 def _positions(points: Floats) -> Positions:
@@ -189,65 +191,61 @@ class Lookup:
         code = FILTERS.index(self._query.filter)
         return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
 
-    def adds_tiled(self, here: Field) -> bool:
-        """Say whether looks at a level are added up by tiles, from points to sums at once."""
-        is_plain = self._query.filter == "quadratic" and not self._gradients
-        has_alpha = self._channel is None or self._channel.has_alpha
-        return is_plain and not has_alpha and here.tiles_for(QUADRATIC) is not None
-
     def is_sortable(self, count: int) -> bool:
         """Say whether so many points are looked up by bricks, a channel after the other."""
-        query, spaces = self._query, {each.space for each in self._channels}
+        query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
         has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
-    def at(self, points: Floats) -> int:
-        """Look up the leaves in the way that suits."""
-        return self.tiled(points) if self.is_tiled else self.untiled(points)
+    def at(self, points: Floats) -> None:
+        """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
+        if self.is_tiled:
+            self.tiled(points)
+        else:
+            self.untiled(points)
 
-    def untiled(self, points: Floats) -> int:
+    def untiled(self, points: Floats) -> None:
         """Look up the leaves without tiles."""
-        is_sorted = len(self._channels) == 1 and self.is_sortable(len(points))
-        return self.sorted(points) if is_sorted else self.leaves(points)
+        if len(self._channels) == 1 and self.is_sortable(len(points)):
+            self.sorted(points)
+        else:
+            self.leaves(points)
 
-    def sorted(self, points: Floats) -> int:
+    def sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in the order of space."""
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
         fault = place_points(_positions(points), *self._placement, places)
         if fault >= 0:
-            return fault
+            raise NotFiniteError(fault)
         asked = Asked(places, order_of(places), results, missed)
         values = Values.of(channel.codes, alpha)
         n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
-        return -1
 
-    def tiled(self, points: Floats) -> int:
+    def tiled(self, points: Floats) -> None:
         """Look up the leaves by tiles."""
         normals, additions = self._query.normals, NO_ADDITIONS
         if not (normals is None or self._gradients or (self._channel and self._channel.has_alpha)):
             # Weighed as they are summed: three quarters of the time.
             n, sums = len(points), new_sums(len(points), self._answers[0], False)
             additions = Additions(np.arange(n, dtype=np.int32), np.ones(n, np.float32), _NO_SHARES, sums)
-        rim, fault = self._by_tiles(self._field, points, additions)
+        rim = self._by_tiles(self._field, points, additions)
         if additions is not NO_ADDITIONS:
             divide(additions.sums, 1.0, self._answers[0], _NO_GRADIENTS)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
-        return fault
 
     def _by_tiles(
         self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
-    ) -> tuple[Int64s, int]:
-        """Look up by a level's tiles, and what these do not have by coarser ones.
+    ) -> Int64s:
+        """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
 
-        ``normals`` are those of the looks' owners, by default the query's. Returns the points for the walk,
-        and the first that is not finite or −1.
+        ``normals`` are those of the looks' owners, by default the query's.
         """
         if normals is None:
             normals = self._query.normals
@@ -256,18 +254,15 @@ class Lookup:
         rims: list[Int64s] = []
         for number, tiles in enumerate(here.searched(code)):
             search = Search(code, tiles, here.n_cells - 1, number > 0, by)
-            which, rim, fault = self._search(search, points, which, additions, normals)
-            if fault >= 0:
-                return _NO_NUMBERS, fault
+            which, rim = self._search(search, points, which, additions, normals)
             rims.append(rim)
             if not which.size:
                 break
         rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
             search = Search(code, tiles, here.n_cells - 1, False, by)
-            lost = self._search(search, points, rim, additions, normals)
-            rim = np.concatenate(lost[:2])
-        return rim, -1
+            rim = np.concatenate(self._search(search, points, rim, additions, normals))
+        return rim
 
     def _search(
         self,
@@ -276,8 +271,8 @@ class Lookup:
         which: Int64s | None,
         additions: Additions,
         normals: Float32s | None,
-    ) -> tuple[Int64s, Int64s, int]:
-        """Look up points, or some of them: see `look_up_tiled`. Return which are lost, and what is faulty."""
+    ) -> tuple[Int64s, Int64s]:
+        """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
         assert self._channel is not None
         answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
         some, own, facing = additions, answers, _NO_VECTORS if normals is None else normals
@@ -293,16 +288,18 @@ class Lookup:
         lost = np.empty((2, len(points)), np.int64)
         given = *_positions(points), *self._placement, facing, self._channel, own, gradients
         n_empty, n_rim, fault = look_up_tiled(search, *given, some, lost)
+        if fault >= 0:
+            raise NotFiniteError(fault)
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]
         if which is None:
-            return empty, rim, fault
+            return empty, rim
         if additions.left.size:
             additions.left[which] = some.left
         if additions is NO_ADDITIONS:
             put_rows(own, which, answers)
             if self._gradients:
                 self._gradients[0][which] = gradients
-        return which[empty], which[rim], fault
+        return which[empty], which[rim]
 
     def weighing(self, here: Field) -> Weighing:
         """Return what weighs the taps of a level."""
@@ -312,34 +309,44 @@ class Lookup:
             mixed = query.mixed(here.depth)
         return here.weighing(self._field, faces, mixed)
 
-    def leaves(self, points: Floats) -> int:
+    def leaves(self, points: Floats) -> None:
         """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
         is_asked = self._query.normals is None and self._field.tiles is not None
-        for begin in range(0, len(points), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            normals = None if self._query.normals is None else self._query.normals[rows]
-            taps, fault = self.weighed_taps(self._field, points[rows], normals)
-            if fault >= 0:
-                return begin + fault
+        for rows, taps in self.each_block(points):
             for number, used, codes in self.each_weighed(taps, is_asked, always=False):
                 results = self._answers[number][rows]
                 blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
-        return -1
 
-    def footprints(self, points: Floats) -> int:
-        """Look footprints up: add the looks at all levels up."""
+    def each_block(self, points: Floats) -> Iterator[tuple[slice, Taps]]:
+        """Yield the taps of the leaves, weighed, a block of points after another."""
+        for begin in range(0, len(points), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            normals = None if self._query.normals is None else self._query.normals[rows]
+            taps, fault = self.weighed_taps(self._field, points[rows], normals)
+            if fault >= 0:
+                raise NotFiniteError(begin + fault)
+            yield rows, taps
+
+    def each_run(self, points: Floats) -> Iterator[tuple[slice, dict[int, Probes]]]:
+        """Yield the looks of footprints: see `footprints.spread`."""
         assert self._query.footprints is not None
         is_finite = np.isfinite(points)
         if not is_finite.all():
-            return int(np.argmin(is_finite)) // 3
+            raise NotFiniteError(int(np.argmin(is_finite)) // 3)
         depth, code = self._field.depth, FILTERS.index(self._query.filter)
-        task = points, self._query.footprints, self._placement.size, depth, code
+        return spread(points, self._query.footprints, self._placement.size, depth, code)
+
+    def footprints(self, points: Floats) -> None:
+        """Look footprints up: add the looks at all levels up."""
         gradient = bool(self._gradients)
-        for run, by_level in spread(*task):
+        # By tiles, from points to sums at once.
+        is_bare = self._channel is not None and not self._channel.has_alpha
+        is_added = is_bare and self._query.filter == "quadratic" and not gradient
+        for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             sums = list(map(new_sums, repeat(n_points), self._answers, repeat(gradient)))
             if gradient:
@@ -352,9 +359,9 @@ class Lookup:
                     count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
                     rim: Int64s | None = None
-                    if self.adds_tiled(here):
+                    if is_added and here.tiles_for(QUADRATIC) is not None:
                         own = Additions(looks.owners, looks.shares, left[0], sums[0])
-                        rim, _ = self._by_tiles(here, looks.points, own, normals)
+                        rim = self._by_tiles(here, looks.points, own, normals)
                     if rim is None or rim.size:
                         self._add_by_taps(here, looks, rim, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
@@ -368,7 +375,6 @@ class Lookup:
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
                 rows = run.start + np.flatnonzero(bare)
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
-        return -1
 
     def _add_by_taps(
         self,
@@ -398,7 +404,7 @@ class Lookup:
         rows: Int64s,
         numbers: Sequence[int],
         alpha: ChannelRows | None,
-        look_up_points: Callable[[Lookup, Floats], int],
+        look_up_points: Callable[[Lookup, Floats], None],
     ) -> None:
         """Look some channels of some points up anew, in another way."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]

@@ -50,6 +50,7 @@ from octex.jit import inlined, kernel, new_array, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.octree import Octree
+from octex.tree.order import cell_of
 from octex.tree.search import UNITS
 
 #: Cells whose taps are found at once: most have 8 to 27.
@@ -92,8 +93,8 @@ def taps_around(
     of the tree truncated at the deepest level that has any there.
     """
     walk = way.walk
-    x, y, z = rounded(x), rounded(y), rounded(z)
-    i, j, k = finest(x), finest(y), finest(z)
+    x, y, z = _rounded(x), _rounded(y), _rounded(z)
+    i, j, k = cell_of(x, UNITS), cell_of(y, UNITS), cell_of(z, UNITS)
     level = follow(way.arrays, way.kept_cells, walk, i, j, k, way.filter_code, way.parents)
     is_cut = way.is_truncated and walk.levels[level, NODES] != 0
     is_off = False
@@ -113,18 +114,12 @@ def taps_around(
 
 
 @inlined
-def rounded(x: float) -> float:
+def _rounded(x: float) -> float:
     """Clamp a coordinate to 0 … 1 and round it to 2⁻⁵².
 
     Weights at the rim of a spline's support are then zero, or large enough for the quotients of slopes.
     """
     return min(max(x, 0.0), 1.0) + 1.0 - 1.0
-
-
-@inlined
-def finest(x: float) -> int:
-    """Fixed-point position, 0 … 2²¹ − 1: of the finest cell that holds a coordinate 0 … 1."""
-    return min(int(x * UNITS), UNITS - 1)
 
 
 @inlined

@@ -28,7 +28,7 @@ from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, new_array, part
 from octex.tree.search import Origin, Positions, count_of
 
-#: Points taken from source to sink at once.
+#: Points that are looked up at once.
 _STEP = 256
 
 
@@ -51,7 +51,7 @@ class Weighed(NamedTuple):
 
 
 class Additions(NamedTuple):
-    """Additions whose sums are added to those of others; or none."""
+    """Looks whose sums are added to those of others; or none."""
 
     owners: Int32s  # (n,)   whose looks these are
     shares: Float32s  # (n,)   what their sums are multiplied by

@@ -17,7 +17,7 @@ from octex.field.taps import AT_ONCE, Taps, end_of, let_sum_to_off
 from octex.field.values import NO_FIVE, Codes, Five, Flat, flat_of, with_row
 from octex.jit import decoded, inlined, kernel, new_array, new_zeros, part, popcount, prefetch, trailing_zeros
 from octex.tree.areas import AREAS
-from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 
 #: What averages weigh by the codes of their cells' areas: the root of the area, in cell faces; 1 if that is
@@ -381,42 +381,33 @@ def weigh_taps(
 
 
 @kernel
-def spreads_of(
-    table: Floats, values: ChannelValues, facings: Uint8s, first_row: int, spreads: Float32s
+def mark_mixed(
+    cells: Uint32s,
+    facings: Uint8s,
+    table: Floats,
+    values: ChannelValues,
+    first: int,
+    threshold: float,
+    mixed: Uint8s,
 ) -> None:
-    """Write how far the decoded values of opposite facings differ, in any component, to ``spreads`` (rows,).
-
-    The rows of consecutive split cells begin at ``first_row`` of ``values`` (rows, components) and
-    ``spreads``; only each cell's first is written.
-    """
-    if values.shape[0] < 2:
-        return
-    row = first_row
-    for n in range(facings.size):
-        flags = np.uint64(facings[n])
-        largest = np.float32(0.0)
-        for axis in range(3):
-            if flags >> np.uint64(2 * axis) & np.uint64(3) == np.uint64(3):
-                at = row + popcount(flags & (np.uint64(1) << np.uint64(2 * axis)) - np.uint64(1))
-                at = max(min(at, values.shape[0] - 2), 0)
-                for component in range(values.shape[1]):
-                    apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
-                    largest = max(largest, abs(apart))
-        if row < spreads.size:
-            spreads[row] = largest
-        row += popcount(flags & np.uint64(FACING_FLAGS))
-
-
-@kernel
-def mark_mixed(cells: Uint32s, facings: Uint8s, spreads: Float32s, threshold: float, mixed: Uint8s) -> None:
     """Mark the split cells whose opposite facings differ by ``threshold`` or more in ``mixed`` (cells,).
 
-    ``spreads`` (rows,) say how far they differ, at each split cell's first row.
+    The decoded ``values`` (rows, components) of the split table are compared in each component, of cells from
+    number ``first`` on; others do not differ.
     """
     row = 0
     for n in range(cells.size):
-        flags = facings[n] & np.uint8(FACING_FLAGS)
-        is_double = flags & (flags >> np.uint8(1)) & np.uint8(POSITIVE_FACINGS) != 0
-        if is_double and np.int64(cells[n]) < mixed.size and row < spreads.size:
-            mixed[cells[n]] = spreads[row] >= threshold
-        row += popcount(np.uint64(flags))
+        flags = np.uint64(facings[n] & np.uint8(FACING_FLAGS))
+        largest, is_double = np.float32(0.0), False
+        for axis in range(3):
+            if flags >> np.uint64(2 * axis) & np.uint64(3) != np.uint64(3):
+                continue
+            is_double = True
+            at = row + popcount(flags & (np.uint64(1) << np.uint64(2 * axis)) - np.uint64(1))
+            at = max(min(at, values.shape[0] - 2), 0)
+            for component in range(values.shape[1] if cells[n] >= first and values.shape[0] > 1 else 0):
+                apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
+                largest = max(largest, np.float32(abs(apart)))
+        if is_double and np.int64(cells[n]) < mixed.size:
+            mixed[cells[n]] = largest >= threshold
+        row += popcount(flags)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Float32s, Int32s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
+from octex.field.field import NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
 from octex.field.lookups import Query
 from octex.field.splines import FILTERS
@@ -35,7 +36,7 @@ _MOST_BLUR = float(np.finfo(np.float64).max)
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
 #: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
-#: is not finite or −1.
+#: is not finite or −1, or raises NotFiniteError.
 LookUp = Callable[[Given, list[Array]], int]
 
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
@@ -304,7 +305,10 @@ def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[
             sound = sound & (array >= 0)
         if not sound.all():
             return _Fault(name, int(np.argmin(sound)) // (array.size // len(array))), answers
-    row = look_up(taken, answers)
+    try:
+        row = look_up(taken, answers)
+    except NotFiniteError as error:
+        row = error.row
     return (_Fault("points", row) if row >= 0 else None), answers
 
 

@@ -437,9 +437,8 @@ class OctreeTexture:
         """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
         query = self._query(lens, given, name)
         (read,), alpha = self._read(name)
-        taps, fault = list_blends(self._field, self.placement, given["points"], query, read, alpha)
-        answers += taps
-        return fault
+        answers += list_blends(self._field, self.placement, given["points"], query, read, alpha)
+        return -1
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
         """Return a channel's stored values (rows, components), float32, as ``sample`` returns values.
@@ -530,9 +529,9 @@ class OctreeTexture:
         """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
         query = self._query(lens, given, name)
         task = self._field, self.placement, given["points"], query, self._read(name)[0][0]
-        found, fault = reads_of(*task, cells_alone=cells_alone)
+        found = reads_of(*task, cells_alone=cells_alone)
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
-        return fault
+        return -1
 
     def _add_reads(
         self, spans: Rows, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given
