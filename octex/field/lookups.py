@@ -229,14 +229,7 @@ class Lookup:
 
     def tiled(self, points: Floats) -> None:
         """Look up the leaves by tiles."""
-        normals, additions = self._query.normals, NO_ADDITIONS
-        if not (normals is None or self._gradients or (self._channel and self._channel.has_alpha)):
-            # Weighed as they are summed: three quarters of the time.
-            n, sums = len(points), new_sums(len(points), self._answers[0], False)
-            additions = Additions(np.arange(n, dtype=np.int32), np.ones(n, np.float32), _NO_SHARES, sums)
-        rim = self._by_tiles(self._field, points, additions)
-        if additions is not NO_ADDITIONS:
-            divide(additions.sums, 1.0, self._answers[0], _NO_GRADIENTS)
+        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 

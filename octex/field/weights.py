@@ -284,6 +284,7 @@ def weigh(
     """
     five, total, gone = NO_FIVE, 0.0, 0.0
     gradient = components == 0 and taps.slopes.shape[0] > 0
+    x = y = z = np.float32(0.0)  # of all slopes
     if gradient:
         sight.slopes[:] = np.float32(0.0)
     if faces:
@@ -299,10 +300,14 @@ def weigh(
         total += np.float64(weight)
         cell = np.int64(row) - by.first_mixed
         is_mixed = bool(0 <= cell < by.mixed.size and by.mixed[np.uint64(cell)] != 0)
-        for axis in range(3 if gradient else 0):
-            slope = factor * taps.slopes[np.uint64(tap), axis]
-            sight.slopes[0, axis] += slope
-            sight.slopes[1, axis] += slope if is_mixed else np.float32(0.0)
+        if gradient:
+            at = np.uint64(tap)
+            p, q, r = taps.slopes[at, 0], taps.slopes[at, 1], taps.slopes[at, 2]
+            x, y, z = x + factor * p, y + factor * q, z + factor * r
+            if is_mixed:
+                sight.slopes[1, 0] += factor * p
+                sight.slopes[1, 1] += factor * q
+                sight.slopes[1, 2] += factor * r
         if is_mixed:
             gone += np.float64(weight)
             weight = factor = np.float32(0.0)
@@ -333,6 +338,8 @@ def weigh(
                 five = with_row(five, flat, own, share * weight, components)
             else:
                 end = _write(taps, end, tap, np.uint32(own), share * weight, share * factor, gradient)
+    if gradient:
+        sight.slopes[0, 0], sight.slopes[0, 1], sight.slopes[0, 2] = x, y, z
     return end, five, total, gone
 
 
