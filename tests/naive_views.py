@@ -13,7 +13,7 @@ from octex.channels import decode
 from octex.field.field import Field
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.splines import FILTERS
-from octex.field.taps import AREA_WEIGHTS
+from octex.field.weights import AREA_WEIGHTS
 from octex.texture import OctreeTexture
 from octex.tree.layout import SPLIT
 

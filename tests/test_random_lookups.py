@@ -9,7 +9,7 @@ import pytest
 
 from octex.channels import BASE_COLOR
 from octex.errors import ArgumentError
-from octex.field.taps import spreads_of
+from octex.field.weights import mark_mixed
 from octex.jit import DISABLED
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.octree import Octree
@@ -91,6 +91,6 @@ def test_bounds_whose_root_cell_is_out_of_range_are_refused(extent: float) -> No
 @pytest.mark.parametrize("rows", [0, 1])
 def test_no_row_beyond_a_split_table_is_read(rows: int) -> None:
     values = np.array([[0.0], [5.0], [9.0]], np.float32)
-    spreads = np.zeros(3, np.float32)
-    spreads_of(np.empty(0, np.float32), values[:rows], np.array([3], np.uint8), 0, spreads)
-    assert not spreads.any()
+    cells, facings, mixed = np.zeros(1, np.uint32), np.array([3], np.uint8), np.zeros(3, np.uint8)
+    mark_mixed(cells, facings, np.empty(0, np.float32), values[:rows], 0, 1e-9, mixed)
+    assert not mixed.any()

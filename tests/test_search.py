@@ -6,9 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex import jit
+from octex.field.field import Field
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
+from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
+from octex.tree.placement import Placement
 from octex.tree.search import Positions, child, in_leaves, nearest_cells
 from tests import naive
 from tests.strategies import Leaves, leaf_sets, points_around
@@ -121,3 +124,19 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     nearest_cells(arrays, points, *UNIT, cells, np.empty(50, np.bool_))
     assert cells.min() >= 0 and cells.max() < tree.n_cells
     in_leaves(arrays, Positions.of(points), *UNIT, np.empty(50, np.bool_))
+
+
+def test_points_between_two_steps_lie_in_one_cell_however_they_are_asked_for() -> None:
+    depth, placement = 10, Placement((0.1, -0.3, 0.7), 0.9437)
+    ends = np.arange(1, 1 << depth)  # of cells along x, every other of which is stored
+    places = np.full((len(ends), 3), 2.0**-12)
+    places[:, 0] = ends / 2.0**depth - 2.0**-31
+    points = placement.to_rest(places)
+    cells = np.zeros((1 << depth - 1, 3), np.int64)
+    cells[:, 0] = np.arange(0, 1 << depth, 2)
+    tree = Octree.from_leaves(np.sort(encode_cells(cells)), depth)
+    steps = np.floor(placement.to_texture_space(points)[:, 0] * 2.0**30 + 0.5).astype(np.int64)
+    inside = np.empty(len(points), np.bool_)
+    in_leaves(tree.arrays, Positions.of(points), *placement, inside)
+    np.testing.assert_array_equal(inside, steps >> 20 & 1 == 0)
+    np.testing.assert_array_equal(Field(tree).taps(points, placement, "nearest").covers > 0, inside)

@@ -13,18 +13,18 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
 from octex.baking.texels import Shown
-from octex.field.facings import Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.field.footprints import long_footprints, spread
-from octex.field.sinks import Codes
 from octex.field.splines import QUADRATIC, single_quadratic_weights
-from octex.field.taps import AREA_WEIGHTS
 from octex.field.tiles import Tiles, tile_row
+from octex.field.values import Codes
+from octex.field.weights import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
 from octex.texture.blend import stored
 from octex.texture.lookup import ANISOTROPY
 from octex.tree.layout import SPLIT
 from octex.tree.placement import Placement
+from octex.tree.search import placed
 
 #: Most cells of a block, stored or not; and how many that are stored are decoded at once, with alpha and
 #: weights 16 bytes each for four channels' components.
@@ -153,7 +153,7 @@ class Blocks(NamedTuple):
                 _evaluate(*place, room, n_blocks, n_cells, used, sums)
         divisors = np.zeros(self.n_lanes, np.int32)
         for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
-            divisors[lane : lane + codes.components] = weighs and not is_alpha
+            divisors[lane : lane + codes.values.shape[1]] = weighs and not is_alpha
         missed = np.empty(n, np.int64)
         return missed[: _divide(sums, divisors, 1 + weighs, failed, shown.places, values, missed)]
 
@@ -335,9 +335,8 @@ def _evaluate(
         steps = planes, planes * ni, planes * ni * nj
         last = planes * (volume - 1) - 2 * (steps[0] + steps[1] + steps[2])
         for texel in range(begin, end):
-            x = (shown.rest[texel, 0] - origin[0]) * scale
-            y = (shown.rest[texel, 1] - origin[1]) * scale
-            z = (shown.rest[texel, 2] - origin[2]) * scale
+            x, y, z = shown.rest[texel, 0], shown.rest[texel, 1], shown.rest[texel, 2]
+            x, y, z = placed(x, y, z, origin, scale)
             for look in range(looks.starts[triangle], looks.starts[triangle + 1]):
                 u, of_x = _weights_of(x + looks.offsets[look, 0], cells)
                 v, of_y = _weights_of(y + looks.offsets[look, 1], cells)

@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
-from octex.field.facings import View, face_cell
 from octex.field.splines import QUADRATIC, quadratic_weights
+from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
 from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays

@@ -27,7 +27,7 @@ from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
 from octex.conversion.prune import Pruned
 from octex.conversion.samples import MOST_POINTS, Samples, lay_out
-from octex.field.facings import View, facings_of, view_of
+from octex.field.weights import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import inlined, kernel
 from octex.texture.channel import Channel

@@ -29,7 +29,7 @@ from octex.field.bricks import (
     new_bricks,
     note_nodes,
 )
-from octex.field.facings import view_of
+from octex.field.weights import view_of
 from octex.jit import fused_kernel, inlined, step, weighted_cube
 from octex.texture.blend import stored
 from octex.tree.layout import FACING_FLAGS, SPLIT

@@ -22,26 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.sinks import Codes
-from octex.field.splines import QUADRATIC, quadratic_weights
-from octex.field.taps import LEAST
+from octex.field.neighborhood import Way, taps_around
+from octex.field.splines import QUADRATIC
+from octex.field.taps import LEAST, Taps, new_taps
 from octex.field.tiles import Integer
-from octex.field.windows import (
-    BEGIN,
-    CONTENT,
-    INSIDE,
-    KEEPING,
-    REFINED,
-    SHARES,
-    Walk,
-    bit_at,
-    cell_at,
-    change_level,
-    follow,
-    leave_refined,
-    place_of,
-    weigh_windows,
-)
+from octex.field.values import Codes
+from octex.field.windows import MOST_TAPS, Walk
 from octex.jit import (
     decoded,
     fused_kernel,
@@ -55,8 +41,7 @@ from octex.jit import (
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree
-from octex.tree.order import AHEAD, Order, cell_of, end_of_cell, sort_by_digit
-from octex.tree.search import UNITS
+from octex.tree.order import AHEAD, Order, end_of_cell, sort_by_digit
 
 # Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
 AT_SIX = 64 * (MAX_DEPTH + 2)
@@ -437,56 +422,16 @@ def _answer(
 
 
 @inlined
-def _answer_by_walk(
-    tree: Tree,
-    values: Values,
-    walk: Walk,
-    asked: Asked,
-    n: int,
-    n_missed: int,
-) -> int:
+def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int, n_missed: int) -> int:
     """Answer a point by the walk, see `neighborhood`; return how many are missed then."""
-    x, y, z = asked.places[n, 0] + 1.0 - 1.0, asked.places[n, 1] + 1.0 - 1.0, asked.places[n, 2] + 1.0 - 1.0
-    i, j, k = cell_of(x, UNITS), cell_of(y, UNITS), cell_of(z, UNITS)
-    arrays, kept_cells = tree.arrays, tree.kept_cells
-    level = follow(arrays, kept_cells, walk, i, j, k, QUADRATIC, 2)
-    windows, levels = walk.windows, walk.levels
-    shift, cells = MAX_DEPTH - level, float(1 << level)
-    of_x = quadratic_weights(x * cells - (i >> shift))
-    of_y = quadratic_weights(y * cells - (j >> shift))
-    of_z = quadratic_weights(z * cells - (k >> shift))
-    for w in range(3):
-        for v in range(3):
-            both = of_z[w] * of_y[v]
-            for u in range(3):
-                windows[SHARES, u + 3 * (v + 3 * w)] = both * of_x[u]
+    x, y, z = asked.places[n, 0], asked.places[n, 1], asked.places[n, 2]
+    end, _ = taps_around(way, x, y, z, True, found.rows, found.weights, found.slopes, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
-    while True:
-        begin, keeping = levels[level, BEGIN], levels[level, KEEPING] != 0
-        if keeping:
-            weigh_windows(walk, level, 2)
-        kept = np.uint64(0)
-        if kept_cells.size > 0:
-            kept = walk.kept[level, 0]
-        bits = (walk.cells[level, 0] ^ walk.nodes[level, 0] | kept) & INSIDE[0, begin, 0]
-        while bits != 0:
-            place = trailing_zeros(bits)
-            bits &= bits - np.uint64(1)
-            at = place_of(2, begin, place)
-            share = windows[SHARES, at]
-            if keeping and walk.below_kept[level, 0] & bit_at(place) != 0:
-                share *= windows[REFINED + level, at]
-            row = max(cell_at(arrays, walk, level, 0, place), 0)
-            if kept & bit_at(place) != 0:
-                row = kept_row(tree, row)
-            if share != 0.0:
-                a, b, c, d, covered = value_of(values, row)
-                sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
-                sum_d, total = sum_d + share * d, total + share * covered
-        if level == 0 or levels[level - 1, CONTENT] == 0 or not leave_refined(walk, level, QUADRATIC, 2, 1):
-            break
-        change_level(walk, SHARES, level, 2, False)
-        level -= 1
+    for tap in range(end):
+        share = np.float64(found.weights[np.uint64(tap)])
+        a, b, c, d, covered = value_of(values, int(found.rows[np.uint64(tap)]))
+        sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
+        sum_d, total = sum_d + share * d, total + share * covered
     return _answer(asked, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
 
 
@@ -556,6 +501,8 @@ def look_up_crowded(
     enter(tree, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
     ends[0], split[0] = codes.size, False
+    way = Way(tree.arrays, tree.kept_cells, walk, QUADRATIC, 2, 1, False)
+    found = new_taps(1, MOST_TAPS, False)
     path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
     while begin < codes.size:
         while begin >= ends[level]:
@@ -588,7 +535,7 @@ def look_up_crowded(
                 is_done = level >= MAX_DEPTH
             if is_done:
                 for m in range(begin, end):
-                    n_missed = _answer_by_walk(tree, values, walk, asked, int(numbers[m]), n_missed)
+                    n_missed = _answer_by_walk(values, way, found, asked, int(numbers[m]), n_missed)
                 begin = end
                 continue
             note_nodes(bricks, level + 1)

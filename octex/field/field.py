@@ -12,11 +12,10 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import TextureFileError
+from octex.field.blend import list_taps
 from octex.field.bricks import Tree
-from octex.field.facings import MOST_ROWS, Facings, face, facings_of
 from octex.field.neighborhood import walked_taps
-from octex.field.sinks import list_taps
-from octex.field.sources import SOURCES
+from octex.field.sources import Batch, find_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
@@ -28,8 +27,8 @@ from octex.field.taps import (
     new_taps,
     place_points,
 )
-from octex.field.tiled import Search
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
+from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import unlocked
 from octex.parallel import built_once
@@ -41,6 +40,8 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 _NONE = np.empty(0, np.uint8)
 _NOTHING: Uint8s = np.empty((1, 1), np.uint8)
+_NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
+_NO_FACINGS = Facings(_NONE, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 class Listed(NamedTuple):
@@ -77,9 +78,6 @@ class Field:
         self._lock = RLock()
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, Uint8s] = {}
-        #: How leaves are searched without normals, by filter and by how many tiles were searched before: made
-        #: once, which is a part of a lookup of one point.
-        self.plain_searches: dict[tuple[int, int], Search] = {}
 
     def __reduce__(self) -> tuple[type[Field], tuple[Octree]]:
         return Field, (self.tree,)
@@ -236,19 +234,33 @@ class Field:
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = finder.find(here)
-            yield taps if normals is None else self.facing(taps, normals[begin : begin + BLOCK], self)
+            if normals is not None:
+                taps = weighed(taps, self.weighing(self, True), normals[begin : begin + BLOCK])
+            yield taps
 
-    def facing(self, taps: Taps, normals: Float32s, whole: Field) -> Taps:
-        """Return what faces the normals (points, 3) of taps, which change: see `facings.face`.
+    def weighing(self, whole: Field, faces: bool, mixed: Uint8s = _NONE) -> Weighing:
+        """Return what weighs the taps of this field, toward normals or not.
 
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """
-        first_kept = whole.n_cells
-        end = int(taps.ends.max(initial=0))
-        if self.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
-            taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
-        face(taps, self.facings, first_kept, first_kept + whole.tree.kept.cells.size, normals, _NOTHING)
-        return taps
+        areas = _NONE if self is whole else unlocked(whole.areas_of_averages(self.depth)[: self.n_cells])
+        facings, first_kept = self.facings if faces else _NO_FACINGS, whole.n_cells
+        return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
+
+
+def weighed(
+    taps: Taps,
+    by: Weighing,
+    normals: Float32s | None,
+    left: Float32s = _NO_LEFT[0],
+    left_slopes: Float32s = _NO_LEFT[1],
+) -> Taps:
+    """Return taps weighed, which change: see `weights.weigh_taps`."""
+    end = int(taps.ends.max(initial=0))
+    if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+        taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
+    weigh_taps(taps, by, _NO_LEFT[1] if normals is None else normals, _NOTHING, left, left_slopes)
+    return taps
 
 
 def _with_room(taps: Taps, used: int, room: int) -> Taps:
@@ -313,17 +325,16 @@ class Finder:
 
     def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
         """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
-        source, ahead = SOURCES[self.filter], Ahead(rows, _NOTHING[:0], _NONE, _NONE)
+        ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
         end = n_rim = 0
         last = self.field.n_cells - 1
         for number, above in enumerate(self.field.searched(self.filter)):
             room = end + MOST_TILED[self.filter] * which.size + 8
             if room > taps.rows.size:
                 taps = _with_room(taps, end, room)
-            end, n_empty, more = source(
-                *(above, places if number == 0 else places[which], which, number > 0, last),
-                *(taps, end, self._empty, self._rim[n_rim:], ahead),
-            )
+            here = places if number == 0 else places[which]
+            batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
+            end, n_empty, more = find_taps(above, self.filter, number > 0, batch, taps, end)
             n_rim += more
             which = self._empty[:n_empty].copy()
             if not n_empty:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.field import Field
-from octex.field.footprints import NO_SLOPES, Footprints, Probes, spread
+from octex.field.blend import list_taps
+from octex.field.field import Field, NotFiniteError
+from octex.field.footprints import NO_SLOPES, Probes
 from octex.field.lookups import ChannelRows, Lookup, Query, pass_on
-from octex.field.sinks import list_taps
-from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Taps, place_points
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
@@ -40,12 +39,12 @@ def list_blends(
     query: Query,
     channel: ChannelRows,
     alpha: ChannelRows | None,
-) -> tuple[TapList, int]:
-    """List what `lookups.look_up` blends of a channel; also the first row that is not finite, or −1."""
+) -> TapList:
+    """List what `lookups.look_up` blends of a channel. Raises NotFiniteError."""
     task = _Listing(field, placement, query, [channel], alpha, [], [])
     if query.footprints is None:
         return task.leaves_listed(points)
-    return task.footprints_listed(points, query.footprints)
+    return task.footprints_listed(points)
 
 
 class Reads(NamedTuple):
@@ -63,11 +62,11 @@ def reads_of(
     channel: ChannelRows,
     *,
     cells_alone: bool = False,
-) -> tuple[dict[int, Reads], int]:
+) -> dict[int, Reads]:
     """Return what `lookups.look_up` reads of a channel, by the level looked at.
 
-    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Returns also the
-    first row of points that is not finite, or −1.
+    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Raises
+    NotFiniteError.
     """
     listing = _Listing(field, placement, query, [channel], None, [], [])
     return listing.cells(points) if cells_alone else listing.reads(points)
@@ -76,15 +75,10 @@ def reads_of(
 class _Listing(Lookup):
     """Lookups of one channel."""
 
-    def leaves_listed(self, points: Floats) -> tuple[TapList, int]:
+    def leaves_listed(self, points: Floats) -> TapList:
         """List the blends of leaves."""
         counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-        for begin in range(0, len(points), BLOCK):
-            some = slice(begin, begin + BLOCK)
-            normals = None if self._query.normals is None else self._query.normals[some]
-            taps, fault = self.weighed_taps(self._field, points[some], normals)
-            if fault >= 0:
-                return _join_parts(counts, rows, weights), begin + fault
+        for some, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
             room = int((taps.ends - taps.starts).sum()) + 1
             starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
@@ -93,16 +87,12 @@ class _Listing(Lookup):
             counts.append(np.diff(starts))
             rows.append(found[: starts[-1]])
             weights.append(shares[: starts[-1]])
-        return _join_parts(counts, rows, weights), -1
+        return _join_parts(counts, rows, weights)
 
-    def footprints_listed(self, points: Floats, footprints: Footprints) -> tuple[TapList, int]:
+    def footprints_listed(self, points: Floats) -> TapList:
         """List the blends of footprints: looks at all levels, added up."""
         counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
-        is_finite = np.isfinite(points).all(axis=1)
-        if not is_finite.all():
-            return _join_parts(counts, rows, weights), int(np.argmin(is_finite))
-        depth, code = self._field.depth, FILTERS.index(self._query.filter)
-        for run, by_level in spread(points, footprints, self._placement.size, depth, code):
+        for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
             for _, taps, owner_of, shares in self._looks(run, by_level):
@@ -122,7 +112,7 @@ class _Listing(Lookup):
                 again = _Listing(
                     *(self._field, self._placement, self._query.of(numbers), self._channels, None, [], [])
                 )
-                more, _ = again.footprints_listed(points[numbers], footprints.of(numbers))
+                more = again.footprints_listed(points[numbers])
                 owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
                 order = np.argsort(owner, kind="stable")
                 row = np.concatenate([row, more.rows])[order]
@@ -130,45 +120,37 @@ class _Listing(Lookup):
             counts.append(np.bincount(owner, minlength=n_points))
             rows.append(row)
             weights.append(part.astype(np.float32))
-        return _join_parts(counts, rows, weights), -1
+        return _join_parts(counts, rows, weights)
 
-    def reads(self, points: Floats) -> tuple[dict[int, Reads], int]:
+    def reads(self, points: Floats) -> dict[int, Reads]:
         """List what is read at each level."""
-        depth, code = self._field.depth, FILTERS.index(self._query.filter)
+        depth = self._field.depth
         found: dict[int, list[Reads]] = {}
         if self._query.footprints is None:
-            for begin in range(0, len(points), BLOCK):
-                some = slice(begin, begin + BLOCK)
-                normals = None if self._query.normals is None else self._query.normals[some]
-                taps, fault = self.weighed_taps(self._field, points[some], normals)
-                if fault >= 0:
-                    return {}, begin + fault
+            for _, taps in self.each_block(points):
                 found.setdefault(depth, []).append(self._read(taps, depth))
         else:
-            is_finite = np.isfinite(points).all(axis=1)
-            if not is_finite.all():
-                return {}, int(np.argmin(is_finite))
-            for run, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+            for run, by_level in self.each_run(points):
                 for level, taps, _, _ in self._looks(run, by_level):
                     found.setdefault(level, []).append(self._read(taps, level))
-        return joined_reads(found), -1
+        return joined_reads(found)
 
-    def cells(self, points: Floats) -> tuple[dict[int, Reads], int]:
+    def cells(self, points: Floats) -> dict[int, Reads]:
         """List the cells that hold points that are looked at, at each level, whatever is stored."""
-        depth, code = self._field.depth, FILTERS.index(self._query.filter)
+        depth = self._field.depth
         places = np.empty((len(points), 3))
         fault = place_points(Positions.of(points), *self._placement, places)
         if fault >= 0:
-            return {}, fault
+            raise NotFiniteError(fault)
         if self._query.footprints is None:
-            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}, -1
+            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}
         found: dict[int, list[Reads]] = {}
-        for _, by_level in spread(points, self._query.footprints, self._placement.size, depth, code):
+        for _, by_level in self.each_run(points):
             for level, looks in by_level.items():
                 places = np.empty((len(looks.points), 3))
                 place_points(Positions.of(looks.points), *self._placement, places)
                 found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
-        return joined_reads(found), -1
+        return joined_reads(found)
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return what the taps of the latest block of points read, and which cells hold these."""
@@ -183,7 +165,7 @@ class _Listing(Lookup):
                 continue
             looks = by_level[level]
             here, owners = self._field.level(level), looks.owners
-            left = np.zeros(len(looks.points) if self._mixed(here).size else 0, np.float32)
+            left = np.zeros(len(looks.points) if self.weighing(here).mixed.size else 0, np.float32)
             for begin in range(0, len(looks.points), BLOCK):
                 some = slice(begin, begin + BLOCK)
                 facing = None if normals is None else normals[owners[some]]

@@ -1,4 +1,4 @@
-"""Lookups: the looks of footprints at all levels, through sources, stages and sinks."""
+"""Lookups: what is asked of points, by tiles, bricks or the walk; footprints at all levels."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
+from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
-from octex.field.facings import Facings
-from octex.field.field import Field, Finder
+from octex.field.field import Field, Finder, NotFiniteError, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.sinks import Codes, Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import BLOCK, Taps, leave_mixed, place_points, weigh_by_area
-from octex.field.tiled import Search, Weighed, add_tiled, look_up_tiled
-from octex.field.tiles import Tiles
+from octex.field.taps import BLOCK, Taps, place_points
+from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
+from octex.field.values import Codes
+from octex.field.weights import Weighing
 from octex.field.windows import new_walk
 from octex.jit import direct, unlocked
-from octex.tree.order import order_of
+from octex.tree.order import order_of, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
@@ -36,13 +36,17 @@ _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
 _NO_NUMBERS = np.empty(0, np.int64)
-_NO_OWNERS = np.empty(0, np.int32)
 _NO_SHARES = np.empty(0, np.float32)
+NO_ADDITIONS = Additions(
+    np.empty(0, np.int32),
+    _NO_SHARES,
+    _NO_SHARES,
+    Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
+)
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
-_NO_FACINGS = Facings(_NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 #: What searches and channels hold is unlocked where they are made.
-_look_up_tiled, _add_tiled = direct(look_up_tiled), direct(add_tiled)
+_look_up_tiled = direct(look_up_tiled)
 
 
 #: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
@@ -57,7 +61,7 @@ class Query(NamedTuple):
     footprints: Footprints | None = None  # None: the leaves where the points are
     normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
     #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
-    #: level, see `taps.mark_mixed`.
+    #: level, see `weights.mark_mixed`.
     mixed: Callable[[int], Uint8s] | None = None
 
     def of(self, points: Int64s) -> Query:
@@ -94,15 +98,17 @@ def look_up(
     if not channels:
         return -1
     task = Lookup(field, placement, query, channels, alpha, answers, gradients)
-    if query.footprints is not None:
-        return task.footprints(points)
-    if len(channels) == 1 or not task.is_sortable(len(points)):
-        return task.at(points)
-    alone = (
-        Lookup(field, placement, query, [channel], alpha, [answer], ())
-        for channel, answer in zip(channels, answers, strict=True)
-    )
-    return max(each.at(points) for each in alone)
+    try:
+        if query.footprints is not None:
+            task.footprints(points)
+        elif len(channels) == 1 or not task.is_sortable(len(points)):
+            task.at(points)
+        else:
+            for channel, answer in zip(channels, answers, strict=True):
+                Lookup(field, placement, query, [channel], alpha, [answer], ()).at(points)
+    except NotFiniteError as error:
+        return error.row
+    return -1
 
 
 def _positions(points: Floats) -> Positions:
@@ -127,8 +133,8 @@ class PlainLookup:
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
         lost = np.empty((2, n), np.int64)
-        given = *_positions(points), _NO_NUMBERS, *self._before
-        found = _look_up_tiled(self._search, *given, answer, _NO_GRADIENTS, lost)
+        given = *_positions(points), *self._before, answer, _NO_GRADIENTS
+        found = _look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
         return answer if found == _ALL_FOUND else None
 
 
@@ -140,7 +146,10 @@ def plain_lookup(
     if not task.is_tiled:
         return None
     assert task._channel is not None
-    return PlainLookup(next(task._searches(field)), placement, task._channel)
+    code = FILTERS.index(filter)
+    by = task.weighing(field)
+    search = Search(code, next(field.searched(code)), field.n_cells - 1, False, by)
+    return PlainLookup(search, placement, task._channel)
 
 
 class Lookup:
@@ -181,168 +190,159 @@ class Lookup:
 
     @property
     def is_tiled(self) -> bool:
-        """Say whether leaves are looked up by tiles, from source to sink at once."""
+        """Say whether leaves are looked up by tiles, from points to values at once."""
         code = FILTERS.index(self._query.filter)
         return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
 
-    def adds_tiled(self, here: Field) -> bool:
-        """Say whether looks at a level are added up by tiles, from source to sink at once."""
-        is_plain = self._query.filter == "quadratic" and not self._gradients
-        has_alpha = self._channel is None or self._channel.has_alpha
-        return is_plain and not has_alpha and here.tiles_for(QUADRATIC) is not None
-
     def is_sortable(self, count: int) -> bool:
         """Say whether so many points are looked up by bricks, a channel after the other."""
-        query, spaces = self._query, {each.space for each in self._channels}
+        query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
         has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
-    def at(self, points: Floats) -> int:
-        """Look up the leaves in the way that suits."""
-        return self.tiled(points) if self.is_tiled else self.untiled(points)
+    def at(self, points: Floats) -> None:
+        """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
+        if self.is_tiled:
+            self.tiled(points)
+        else:
+            self.untiled(points)
 
-    def untiled(self, points: Floats) -> int:
+    def untiled(self, points: Floats) -> None:
         """Look up the leaves without tiles."""
-        is_sorted = len(self._channels) == 1 and self.is_sortable(len(points))
-        return self.sorted(points) if is_sorted else self.leaves(points)
+        if len(self._channels) == 1 and self.is_sortable(len(points)):
+            self.sorted(points)
+        else:
+            self.leaves(points)
 
-    def sorted(self, points: Floats) -> int:
+    def sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in the order of space."""
         (channel,), (results,) = self._channels, self._answers
         alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
         fault = place_points(_positions(points), *self._placement, places)
         if fault >= 0:
-            return fault
+            raise NotFiniteError(fault)
         asked = Asked(places, order_of(places), results, missed)
         values = Values.of(channel.codes, alpha)
         n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
-        return -1
 
-    def tiled(self, points: Floats) -> int:
+    def tiled(self, points: Floats) -> None:
         """Look up the leaves by tiles."""
-        looks = Probes(points, _NO_OWNERS, _NO_SHARES)
-        rim, fault = self._by_tiles(self._field, looks, self._query.normals, None, _NO_LEFT)
+        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
-        return fault
 
     def _by_tiles(
-        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sums | None, left: Left
-    ) -> tuple[Int64s, int]:
-        """Look up by a level's tiles, and what these do not have by coarser ones.
+        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
+    ) -> Int64s:
+        """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
 
-        Returns the looks for the walk, and the first that is not finite or −1.
+        ``normals`` are those of the looks' owners, by default the query's.
         """
-        count, facing = len(looks.points), _NO_VECTORS if normals is None else normals
-        which = _NO_NUMBERS
-        rims = []
-        for search in self._searches(here):
-            lost = np.empty((2, which.size if search.is_off else count), np.int64)
-            n_empty, n_rim, fault = self._search(search, looks, which, facing, sums, left, lost)
-            if fault >= 0:
-                return _NO_NUMBERS, fault
-            if n_rim:
-                rims.append(lost[1, :n_rim])
-            if not n_empty:
+        if normals is None:
+            normals = self._query.normals
+        code, by = FILTERS.index(self._query.filter), self.weighing(here)
+        which: Int64s | None = None
+        rims: list[Int64s] = []
+        for number, tiles in enumerate(here.searched(code)):
+            search = Search(code, tiles, here.n_cells - 1, number > 0, by)
+            which, rim = self._search(search, points, which, additions, normals)
+            rims.append(rim)
+            if not which.size:
                 break
-            which = lost[0, :n_empty]
-        rim = np.concatenate(rims) if rims else _NO_NUMBERS
+        rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
-            lost = np.empty((2, rim.size), np.int64)
-            search = self._search_by(here, tiles, False)
-            n_empty, n_rim, _ = self._search(search, looks, rim, facing, sums, left, lost)
-            rim = np.concatenate([lost[0, :n_empty], lost[1, :n_rim]])
-        return rim, -1
+            search = Search(code, tiles, here.n_cells - 1, False, by)
+            rim = np.concatenate(self._search(search, points, rim, additions, normals))
+        return rim
 
     def _search(
         self,
         search: Search,
-        looks: Probes,
-        which: Int64s,
-        facing: Float32s,
-        sums: Sums | None,
-        left: Left,
-        lost: Int64s,
-    ) -> tuple[int, int, int]:
-        """Look up some looks, or all if ``which`` is empty, and list what is lost: see `look_up_tiled`.
-
-        They are added to ``sums`` if there are any.
-        """
+        points: Floats,
+        which: Int64s | None,
+        additions: Additions,
+        normals: Float32s | None,
+    ) -> tuple[Int64s, Int64s]:
+        """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
         assert self._channel is not None
-        channel, place = self._channel, self._placement
-        if sums is None:
-            gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
-            given = *_positions(looks.points), which, *place, facing
-            return _look_up_tiled(search, *given, channel, self._answers[0], gradients, lost)
-        some, parts = looks, left[0]
-        if which.size:
-            some, parts = looks.of(which), np.zeros_like(parts[: which.size])
-        shown = *place, facing, some.owners, some.shares, parts
-        counts = _add_tiled(search, _positions(some.points), *shown, channel.codes, sums, lost)
-        if not which.size:
-            return *counts, -1
-        left[0][which[: parts.size]] = parts
-        for numbers, count in zip(lost, counts, strict=True):
-            numbers[:count] = which[numbers[:count]]
-        return *counts, -1
+        answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
+        some, own, facing = additions, answers, _NO_VECTORS if normals is None else unlocked(normals)
+        if which is not None:
+            points = np.take(points, which, axis=0)
+            if additions is not NO_ADDITIONS:
+                left = np.zeros(which.size if additions.left.size else 0, np.float32)
+                some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
+            else:
+                own = np.empty((which.size, answers.shape[1]), np.float32)
+                gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
+                facing = facing if normals is None else np.take(normals, which, axis=0)
+        lost = np.empty((2, len(points)), np.int64)
+        given = *_positions(points), *self._placement, facing, self._channel, own, gradients
+        n_empty, n_rim, fault = _look_up_tiled(search, *given, some, lost)
+        if fault >= 0:
+            raise NotFiniteError(fault)
+        empty, rim = lost[0, :n_empty], lost[1, :n_rim]
+        if which is None:
+            return empty, rim
+        if additions.left.size:
+            additions.left[which] = some.left
+        if additions is NO_ADDITIONS:
+            put_rows(own, which, answers)
+            if self._gradients:
+                self._gradients[0][which] = gradients
+        return which[empty], which[rim]
 
-    def _searches(self, here: Field) -> Iterator[Search]:
-        """Yield how a level's field is searched by tiles, its own and then coarser ones."""
-        filter_code = FILTERS.index(self._query.filter)
-        is_plain = here is self._field and self._query.normals is None
-        known = here.plain_searches if is_plain else {}
-        for number, tiles in enumerate(here.searched(filter_code)):
-            key = filter_code, number
-            if key not in known:
-                known[key] = self._search_by(here, tiles, number > 0)
-            yield known[key]
+    def weighing(self, here: Field) -> Weighing:
+        """Return what weighs the taps of a level."""
+        query, mixed = self._query, _NO_BYTES
+        faces = query.normals is not None
+        if not (here is self._field or query.mixed is None or faces) and here.tree.split.cells.size:
+            mixed = query.mixed(here.depth)
+        return here.weighing(self._field, faces, mixed)
 
-    def _search_by(self, here: Field, tiles: Tiles, is_off: bool) -> Search:
-        """Return how a level's field is searched by some tiles."""
-        field, faces = self._field, self._query.normals is not None
-        areas, mixed = _NO_BYTES, self._mixed(here)
-        if here is not field:
-            areas = unlocked(field.areas_of_averages(here.depth)[: here.n_cells])
-        facings = here.facings if faces else _NO_FACINGS
-        first_kept = field.n_cells
-        first_row = first_kept + field.tree.kept.cells.size
-        weighing = areas, facings, faces, first_kept, first_row, mixed
-        filter_code = FILTERS.index(self._query.filter)
-        return Search(filter_code, tiles, here.n_cells - 1, is_off, *weighing)
-
-    def leaves(self, points: Floats) -> int:
+    def leaves(self, points: Floats) -> None:
         """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
         is_asked = self._query.normals is None and self._field.tiles is not None
-        for begin in range(0, len(points), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            normals = None if self._query.normals is None else self._query.normals[rows]
-            taps, fault = self.weighed_taps(self._field, points[rows], normals)
-            if fault >= 0:
-                return begin + fault
+        for rows, taps in self.each_block(points):
             for number, used, codes in self.each_weighed(taps, is_asked, always=False):
                 results = self._answers[number][rows]
                 blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
-        return -1
 
-    def footprints(self, points: Floats) -> int:
-        """Look footprints up: add the looks at all levels up."""
+    def each_block(self, points: Floats) -> Iterator[tuple[slice, Taps]]:
+        """Yield the taps of the leaves, weighed, a block of points after another."""
+        for begin in range(0, len(points), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            normals = None if self._query.normals is None else self._query.normals[rows]
+            taps, fault = self.weighed_taps(self._field, points[rows], normals)
+            if fault >= 0:
+                raise NotFiniteError(begin + fault)
+            yield rows, taps
+
+    def each_run(self, points: Floats) -> Iterator[tuple[slice, dict[int, Probes]]]:
+        """Yield the looks of footprints: see `footprints.spread`."""
         assert self._query.footprints is not None
         is_finite = np.isfinite(points)
         if not is_finite.all():
-            return int(np.argmin(is_finite)) // 3
+            raise NotFiniteError(int(np.argmin(is_finite)) // 3)
         depth, code = self._field.depth, FILTERS.index(self._query.filter)
-        task = points, self._query.footprints, self._placement.size, depth, code
+        return spread(points, self._query.footprints, self._placement.size, depth, code)
+
+    def footprints(self, points: Floats) -> None:
+        """Look footprints up: add the looks at all levels up."""
         gradient = bool(self._gradients)
-        for run, by_level in spread(*task):
+        # By tiles, from points to sums at once.
+        is_bare = self._channel is not None and not self._channel.has_alpha
+        is_added = is_bare and self._query.filter == "quadratic" and not gradient
+        for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             sums = list(map(new_sums, repeat(n_points), self._answers, repeat(gradient)))
             if gradient:
@@ -352,11 +352,12 @@ class Lookup:
             for level in range(self._field.depth + 1):
                 if level in by_level:
                     here, looks = self._field.level(level), by_level[level]
-                    count = len(looks.points) if self._mixed(here).size else 0
+                    count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
                     rim: Int64s | None = None
-                    if self.adds_tiled(here):
-                        rim, _ = self._by_tiles(here, looks, normals, sums[0], left)
+                    if is_added and here.tiles_for(QUADRATIC) is not None:
+                        own = Additions(looks.owners, looks.shares, left[0], sums[0])
+                        rim = self._by_tiles(here, looks.points, own, normals)
                     if rim is None or rim.size:
                         self._add_by_taps(here, looks, rim, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
@@ -370,7 +371,6 @@ class Lookup:
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
                 rows = run.start + np.flatnonzero(bare)
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
-        return -1
 
     def _add_by_taps(
         self,
@@ -400,7 +400,7 @@ class Lookup:
         rows: Int64s,
         numbers: Sequence[int],
         alpha: ChannelRows | None,
-        look_up_points: Callable[[Lookup, Floats], int],
+        look_up_points: Callable[[Lookup, Floats], None],
     ) -> None:
         """Look some channels of some points up anew, in another way."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
@@ -423,7 +423,7 @@ class Lookup:
     ) -> tuple[Taps, int]:
         """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
 
-        ``left`` takes what mixes opposite facings, and its derivatives: see `taps.leave_mixed`.
+        ``left`` takes what mixes opposite facings, and its derivatives: see `weights.weigh_taps`.
         """
         if len(self._places) < len(points):
             self._places = np.empty((len(points), 3))
@@ -437,21 +437,9 @@ class Lookup:
                 adds=self._query.footprints is not None,
             )
         taps = self._finders[here.depth].find(places, self._rows)
-        field = self._field
-        if here is not field:
-            weigh_by_area(taps, field.areas_of_averages(here.depth)[: here.n_cells])
-        if normals is not None:
-            taps = here.facing(taps, normals, field)
-        elif left[0].size:
-            leave_mixed(taps, self._mixed(here), *left)
+        if normals is not None or here is not self._field:
+            taps = weighed(taps, self.weighing(here), normals, *left)
         return taps, fault
-
-    def _mixed(self, here: Field) -> Uint8s:
-        """Mark the cells of a level that mix opposite facings; none where nothing can, or with normals."""
-        query = self._query
-        if here is self._field or query.mixed is None or query.normals is not None:
-            return _NO_BYTES
-        return query.mixed(here.depth) if here.tree.split.cells.size else _NO_BYTES
 
     def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:
         """Yield the channels by number, and their taps and codes; alpha weighs those that are not alpha."""
@@ -469,7 +457,7 @@ class Lookup:
 
 
 def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
-    """Return taps and codes as sinks take them: float32 numbers decoded, a row for each tap."""
+    """Return taps and codes as `blend` takes them: float32 numbers decoded, a row for each tap."""
     assert channel.space is not None
     end = int(taps.ends.max(initial=0))
     values, kept_values, split_values, _ = channel.codes

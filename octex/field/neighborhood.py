@@ -9,6 +9,8 @@ the field refines to it (paper 4.2).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint32s
@@ -48,6 +50,7 @@ from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.octree import Octree
+from octex.tree.order import cell_of
 from octex.tree.search import UNITS
 
 #: Cells whose taps are found at once: most have 8 to 27.
@@ -55,16 +58,25 @@ _CELLS_AT_ONCE = 1 << 14
 _MIDDLE = 13
 
 
+class Way(NamedTuple):
+    """A walk through a tree for a filter: what its steps share."""
+
+    arrays: TreeArrays
+    kept_cells: Uint32s  # (kept nodes,)   ascending, the nodes flagged KEPT
+    walk: Walk
+    filter_code: int  # LINEAR, QUADRATIC or QUARTIC
+    parents: int  # along an edge of a block: 3 for QUARTIC, else 2
+    columns: int  # 4 with slopes, else 1
+    is_truncated: bool  # nodes of the last level count as leaves
+
+
 @inlined
-def _taps_of(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
+def taps_around(
+    way: Way,
     x: float,
     y: float,
     z: float,
-    filter_code: int,
     is_constant: bool,
-    walk: Walk,
     rows: Uint32s,
     weights: Float32s,
     slopes: Float32s,
@@ -72,64 +84,37 @@ def _taps_of(
 ) -> tuple[int, float]:
     """Write the taps of a point of texture space from index ``first`` on; return the end, and the cover.
 
-    ``filter_code`` is 1 linear, 2 quadratic, 3 quartic. ``rows``, ``weights`` (m,) and ``slopes`` (m, 3), or
-    (0, 3) if they are not wanted, must have room for MOST_TAPS. A row is a cell's number, or the number of
-    cells + r for row r of ``kept_cells`` (ascending, the nodes flagged KEPT). Weights sum to the cover, or to
-    OFF if that is more; slopes are their derivatives by x, y and z, if ``is_constant`` those of weights with
-    a constant sum. The point is first clamped into the root; it must be finite.
+    ``rows``, ``weights`` (m,) and ``slopes`` (m, 3), or (0, 3) if they are not wanted, must have room for
+    MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of the kept nodes. Weights sum
+    to the cover, or to OFF if that is more; slopes are their derivatives by x, y and z, if ``is_constant``
+    those of weights with a constant sum. The point is first clamped into the root; it must be finite.
 
     The cover is how much of the spline's weight falls on leaves, 0 … 1. Where it is zero, the taps are those
     of the tree truncated at the deepest level that has any there.
     """
-    if filter_code == QUARTIC:
-        return _taps_within(
-            arrays, kept_cells, x, y, z, QUARTIC, 3, is_constant, walk, rows, weights, slopes, first
-        )
-    return _taps_within(
-        arrays, kept_cells, x, y, z, filter_code, 2, is_constant, walk, rows, weights, slopes, first
-    )
-
-
-@inlined
-def _taps_within(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
-    x: float,
-    y: float,
-    z: float,
-    filter_code: int,
-    parents: int,
-    is_constant: bool,
-    walk: Walk,
-    rows: Uint32s,
-    weights: Float32s,
-    slopes: Float32s,
-    first: int,
-) -> tuple[int, float]:
-    x, y, z = rounded(x), rounded(y), rounded(z)
-    i, j, k = finest(x), finest(y), finest(z)
-    columns = 4 if slopes.shape[0] > 0 else 1
-    level = follow(arrays, kept_cells, walk, i, j, k, filter_code, parents)
-    truncated = False
+    walk = way.walk
+    x, y, z = _rounded(x), _rounded(y), _rounded(z)
+    i, j, k = cell_of(x, UNITS), cell_of(y, UNITS), cell_of(z, UNITS)
+    level = follow(way.arrays, way.kept_cells, walk, i, j, k, way.filter_code, way.parents)
+    is_cut = way.is_truncated and walk.levels[level, NODES] != 0
+    is_off = False
     while True:
-        fill_window(walk, filter_code, parents, columns, x, y, z, i, j, k, level)
-        n_taps, total = collect(
-            arrays, kept_cells, walk, level, truncated, filter_code, parents, columns, rows, first
-        )
-        if total > 0.0 or (level == 0 and truncated):
+        _fill_window(way, x, y, z, i, j, k, level)
+        n_taps, total = _collect(way, level, is_cut, rows, first)
+        if total > 0.0 or (level == 0 and is_cut):
             break
         # Off the surface: next is the level above, or this one if it is the last and yet holds nodes.
-        if truncated or walk.levels[level, NODES] == 0:
+        if is_cut or walk.levels[level, NODES] == 0:
             level -= 1
-        truncated = True
-    cover = 0.0 if truncated else total
+        is_cut = is_off = True
+    cover = 0.0 if is_off else total
     wanted = max(cover, np.float64(OFF))
-    write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, weights, slopes, first)
+    _write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, weights, slopes, first)
     return first + n_taps, cover
 
 
 @inlined
-def rounded(x: float) -> float:
+def _rounded(x: float) -> float:
     """Clamp a coordinate to 0 … 1 and round it to 2⁻⁵².
 
     Weights at the rim of a spline's support are then zero, or large enough for the quotients of slopes.
@@ -138,32 +123,13 @@ def rounded(x: float) -> float:
 
 
 @inlined
-def finest(x: float) -> int:
-    """Fixed-point position, 0 … 2²¹ − 1: of the finest cell that holds a coordinate 0 … 1."""
-    return min(int(x * UNITS), UNITS - 1)
-
-
-@inlined
-def fill_window(
-    walk: Walk,
-    filter_code: int,
-    parents: int,
-    columns: int,
-    x: float,
-    y: float,
-    z: float,
-    i: int,
-    j: int,
-    k: int,
-    level: int,
-) -> None:
+def _fill_window(way: Way, x: float, y: float, z: float, i: int, j: int, k: int, level: int) -> None:
     """Let the spline's weights and slopes fall on the cells of a window."""
-    windows = walk.windows
-    side = 2 * parents - 1
+    windows, filter_code, side = way.walk.windows, way.filter_code, 2 * way.parents - 1
     shift = MAX_DEPTH - level
     cells = float(1 << level)
     x, y, z = x * cells - (i >> shift), y * cells - (j >> shift), z * cells - (k >> shift)
-    for column in range(columns):
+    for column in range(way.columns):
         of_x = _spline(filter_code, column == 1, x, cells)
         of_y = _spline(filter_code, column == 2, y, cells)
         of_z = _spline(filter_code, column == 3, z, cells)
@@ -194,45 +160,20 @@ def _spline(
 
 
 @inlined
-def collect(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
-    walk: Walk,
-    level: int,
-    truncated: bool,
-    filter_code: int,
-    parents: int,
-    columns: int,
-    rows: Uint32s,
-    first: int,
-) -> tuple[int, float]:
+def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -> tuple[int, float]:
     """Write taps for what falls on a window, and on those above by refinement.
 
     If ``truncated``, the level's nodes count as leaves. Returns the number of taps and their weight.
     """
-    n_taps = 0
-    total = 0.0
+    walk, n_taps, total = way.walk, 0, 0.0
     while True:
-        n_taps, total = _settle(
-            arrays,
-            kept_cells,
-            walk,
-            level,
-            truncated,
-            filter_code,
-            parents,
-            columns,
-            rows,
-            first,
-            n_taps,
-            total,
-        )
+        n_taps, total = _settle(way, level, truncated, rows, first, n_taps, total)
         if level == 0 or walk.levels[level - 1, CONTENT] == 0:
             break
-        if not leave_refined(walk, level, filter_code, parents, columns):
+        if not leave_refined(walk, level, way.filter_code, way.parents, way.columns):
             break
-        for column in range(columns):
-            change_level(walk, SHARES + column, level, parents, False)
+        for column in range(way.columns):
+            change_level(walk, SHARES + column, level, way.parents, False)
         level -= 1
         truncated = False
     return n_taps, total
@@ -240,23 +181,13 @@ def collect(
 
 @inlined
 def _settle(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
-    walk: Walk,
-    level: int,
-    truncated: bool,
-    filter_code: int,
-    parents: int,
-    columns: int,
-    rows: Uint32s,
-    first: int,
-    n_taps: int,
-    total: float,
+    way: Way, level: int, truncated: bool, rows: Uint32s, first: int, n_taps: int, total: float
 ) -> tuple[int, float]:
     """Write taps for what falls on the leaves and kept nodes of a window; return number and weight of all."""
+    arrays, kept_cells, walk, parents = way.arrays, way.kept_cells, way.walk, way.parents
     windows = walk.windows
     begin = walk.levels[level, BEGIN]
-    keeping = filter_code != LINEAR and walk.levels[level, KEEPING] != 0
+    keeping = way.filter_code != LINEAR and walk.levels[level, KEEPING] != 0
     if keeping:
         weigh_windows(walk, level, parents)
     for word in range(1 if parents == 2 else 4):
@@ -279,7 +210,7 @@ def _settle(
             walk.taps[0, n_taps] = share
             rows[first + n_taps] = max(cell, 0)
             any_share = share != 0.0
-            for column in range(1, columns):
+            for column in range(1, way.columns):
                 slope = windows[SHARES + column, at] * factor
                 walk.taps[column, n_taps] = slope
                 any_share |= slope != 0.0
@@ -303,7 +234,7 @@ def _find_kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
 
 
 @inlined
-def write_taps(
+def _write_taps(
     walk: Walk,
     n_taps: int,
     total: float,
@@ -355,17 +286,18 @@ def walked_taps(
     taps.
     """
     n_cells = np.uint32(arrays.flags.size)
-    shift = np.uint32(first_kept - arrays.flags.size)
+    shift, columns = np.uint32(first_kept - arrays.flags.size), 4 if taps.slopes.shape[0] > 0 else 1
     for m in range(begin, which.size):
         if end + MOST_TAPS > taps.rows.size:
             return m, end
         n = which[m]
         start = end
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        end, cover = _taps_of(
-            *(arrays, kept_cells, x, y, z, filter_code, is_constant, walk),
-            *(taps.rows, taps.weights, taps.slopes, start),
-        )
+        found = x, y, z, is_constant, taps.rows, taps.weights, taps.slopes, start
+        if filter_code == QUARTIC:
+            end, cover = taps_around(Way(arrays, kept_cells, walk, QUARTIC, 3, columns, False), *found)
+        else:
+            end, cover = taps_around(Way(arrays, kept_cells, walk, filter_code, 2, columns, False), *found)
         for tap in range(start, end):
             if taps.rows[tap] >= n_cells:
                 taps.rows[tap] += shift
@@ -410,7 +342,7 @@ def _refine_cells(
     weights: Float32s,
 ) -> int:
     """Write the taps of cells from ``begin`` on, as many as fit; return how many are done."""
-    no_slopes = np.empty((0, 3), np.float32)
+    way, no_slopes = Way(arrays, kept_cells, walk, QUADRATIC, 2, 1, False), np.empty((0, 3), np.float32)
     shift = MAX_DEPTH - level
     end = 0
     starts[0] = 0
@@ -428,9 +360,9 @@ def _refine_cells(
             walk.levels[each, UPPER] = i >> half & 1 | (j >> half & 1) << 1 | (k >> half & 1) << 2
             change_level(walk, SHARES, each, 2, False)
         first = min(level, deepest)
-        count, total = collect(arrays, kept_cells, walk, first, False, QUADRATIC, 2, 1, rows, end)
+        count, total = _collect(way, first, False, rows, end)
         if total > 0.0:
-            write_taps(walk, count, total, 1.0, True, weights, no_slopes, end)
+            _write_taps(walk, count, total, 1.0, True, weights, no_slopes, end)
             end += count
         done += 1
         starts[done] = end

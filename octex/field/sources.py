@@ -12,8 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint16s, Uint32s, Uint64s
-from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
-from octex.field.taps import OFF, Ahead, Taps, ask_for, finish
+from octex.field.splines import (
+    LINEAR,
+    NEAREST,
+    QUADRATIC,
+    quartic_slopes,
+    quartic_weights,
+    single_quadratic_weights,
+)
+from octex.field.taps import LEAST, OFF, Ahead, Taps, ask_for, scale_off
 from octex.field.tiles import GROUP, Near, Tiles, code_in_tile, find_tiles, is_marked, new_near, tile_key
 from octex.jit import (
     fused_kernel,
@@ -28,6 +35,17 @@ from octex.jit import (
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
+
+
+class Batch(NamedTuple):
+    """Points whose taps are sought by tiles, and lists of those that these do not answer."""
+
+    places: Float64s  # (n, 3)   in texture space
+    which: Int64s  # (n,)   the points' numbers among the taps
+    last: int  # the largest number of a cell
+    empty: Int64s  # (n,)   takes points without any cell around them
+    rim: Int64s  # (n,)   takes points for the walk: their weights are too small, or other levels count there
+    ahead: Ahead  # what is asked for of the cells
 
 
 @inlined
@@ -60,14 +78,9 @@ def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: N
 
 
 @fused_part
-def nearest_rows(
-    tiles: Tiles, places: Float64s, last: int, found: Uint32s, empty: Int64s, ahead: Ahead
-) -> int:
-    """Write the cells that hold points (n, 3) of texture space to ``found`` (n,).
-
-    ``last`` is the largest cell number; ``ahead`` is asked for.
-    Points that no cell of the tiles holds are listed in ``empty``; returns their number.
-    """
+def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
+    """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
+    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
     near, codes = new_near(), np.zeros(GROUP, np.int32)
     flat = places.reshape(-1)
     n_empty = 0
@@ -139,20 +152,32 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
             end += 1
 
 
-@fused_kernel
-def linear_taps(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    is_off: bool,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    rim: Int64s,
-    ahead: Ahead,
+@inlined
+def _finish(
+    batch: Batch, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
 ) -> tuple[int, int, int]:
-    """Find the taps of trilinear interpolation, from index ``end`` on. See `quadratic_taps`."""
+    """Note where the taps of a point are; one that has none, or too small ones, is listed instead.
+
+    Returns the end of the taps, and how many points are listed.
+    """
+    point = batch.which[np.uint64(n)]
+    at = np.uint64(point)
+    if not total >= LEAST:
+        taps.starts[at] = taps.ends[at] = start
+        if end == start:
+            batch.empty[np.uint64(n_empty)] = point
+            return end, n_empty + 1, n_rim
+        batch.rim[np.uint64(n_rim)] = point
+        return start, n_empty, n_rim + 1
+    taps.starts[at], taps.ends[at] = start, end
+    taps.covers[at] = total
+    return end, n_empty, n_rim
+
+
+@fused_kernel
+def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the taps of trilinear interpolation. See `find_taps`."""
+    places, which, ahead, last = batch.places, batch.which, batch.ahead, batch.last
     near = new_near()
     steps, octants, bits = (
         np.zeros(3 * GROUP, np.float32),
@@ -190,13 +215,12 @@ def linear_taps(
                 ask_for(ahead, int(taps.rows[np.uint64(tap)]))
             if gradient:
                 _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
-            point = int(which[np.uint64(begin + n)])
-            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
+            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
         for n in range(count if tiles.marks.size > 0 else 0):
             at = np.uint64(which[np.uint64(begin + n)])
             if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
                 taps.ends[at] = taps.starts[at]
-                rim[n_rim] = at
+                batch.rim[n_rim] = at
                 n_rim += 1
     return end, n_empty, n_rim
 
@@ -439,93 +463,51 @@ def _take_word(
     return end, total
 
 
-@fused_kernel
-def quadratic_taps(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    is_off: bool,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    rim: Int64s,
-    ahead: Ahead,
+@inlined
+def _spline_taps(
+    tiles: Tiles, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
 ) -> tuple[int, int, int]:
-    """Find the taps of the quadratic spline at points (n, 3) of texture space, from index ``end`` on.
-
-    ``which`` (n,) are the points' numbers among the taps; ``is_off`` says that they are off the surface;
-    ``last`` is the largest cell number; ``ahead`` is asked for.
-    Points without any cell around them are listed in ``empty``, those whose weights are too small in ``rim``.
-    Returns the end of the taps and how many both are.
-    """
-    group = new_group(taps.slopes.shape[0] > 0)
-    flat = places.reshape(-1)
+    """Find the taps of a spline over (2 · reach + 1)³ cells. See `find_taps`."""
+    flat = batch.places.reshape(-1)
     n_empty = n_rim = 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
-        _place_quadratic(flat, begin, count, tiles.depth, group)
-        if group.slopes.size > 0:
-            _slope_quadratic(flat, begin, count, tiles.depth, group)
+    for begin in range(0, batch.places.shape[0], GROUP):
+        count = min(GROUP, batch.places.shape[0] - begin)
+        if reach == 1:
+            _place_quadratic(flat, begin, count, tiles.depth, group)
+            if group.slopes.size > 0:
+                _slope_quadratic(flat, begin, count, tiles.depth, group)
+        else:
+            _place_quartic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, ahead)
+            _find_window(tiles, group, n, reach, batch.ahead)
             start, total = end, np.float32(0.0)
-            if tiles.marks.size > 0 and _is_window_marked(tiles, group):
+            if reach == 1 and tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
             else:
-                end, total = _take_word(group, n, 0, _QUADRATIC, 1, last, taps, end, total)
-            point = int(which[np.uint64(begin + n)])
-            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
+                for word in range(1 if reach == 1 else 4):
+                    end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
+            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
     return end, n_empty, n_rim
 
 
-@fused_kernel
-def quartic_taps(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    is_off: bool,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    rim: Int64s,
-    ahead: Ahead,
-) -> tuple[int, int, int]:
-    """Find the taps of the quartic spline. See `quadratic_taps`."""
-    group = new_group(taps.slopes.shape[0] > 0)
-    flat = places.reshape(-1)
-    n_empty = n_rim = 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
-        _place_quartic(flat, begin, count, tiles.depth, group)
-        find_tiles(tiles, group.near, count)
-        for n in range(count):
-            _find_window(tiles, group, n, 2, ahead)
-            start, total = end, np.float32(0.0)
-            for word in range(4):
-                end, total = _take_word(group, n, word, _QUARTIC, 2, last, taps, end, total)
-            point = int(which[np.uint64(begin + n)])
-            end, n_empty, n_rim = finish(taps, point, start, end, total, is_off, empty, n_empty, rim, n_rim)
-    return end, n_empty, n_rim
+@kernel
+def _quadratic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUADRATIC, 1)
 
 
-@part
-def nearest_around(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    ahead: Ahead,
-) -> tuple[int, int]:
+@kernel
+def _quartic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUARTIC, 2)
+
+
+@kernel
+def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int]:
     """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
 
-    Else as `quadratic_taps`.
+    Else as `find_taps`.
     """
+    places, which = batch.places, batch.which
     group = new_group(False)
     shift = 21 - tiles.depth
     size = 1 << shift
@@ -540,7 +522,7 @@ def nearest_around(
             _find_place(group, n, a, b, c, 1)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, ahead)
+            _find_window(tiles, group, n, 1, batch.ahead)
             x, y, z = (
                 places[begin + n, 0] * UNITS,
                 places[begin + n, 1] * UNITS,
@@ -573,43 +555,48 @@ def nearest_around(
                     nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
             point = which[begin + n]
             if nearest < 0:
-                empty[n_empty] = point
+                batch.empty[n_empty] = point
                 n_empty += 1
                 continue
-            taps.rows[end], taps.weights[end] = min(int(nearest), last), OFF
+            taps.rows[end], taps.weights[end] = min(int(nearest), batch.last), OFF
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
     return end, n_empty
 
 
-@kernel
-def nearest_taps(
-    tiles: Tiles,
-    places: Float64s,
-    which: Int64s,
-    is_off: bool,
-    last: int,
-    taps: Taps,
-    end: int,
-    empty: Int64s,
-    _rim: Int64s,
-    ahead: Ahead,
-) -> tuple[int, int, int]:
-    """Find the cells that hold points; see `quadratic_taps`. Off the surface, those nearest to them.
-
-    On the surface it takes all points there are, and begins at 0. None is listed in ``_rim``.
-    """
-    if is_off:
-        end, n_empty = nearest_around(tiles, places, which, last, taps, end, empty, ahead)
-        return end, n_empty, 0
-    n_empty = nearest_rows(tiles, places, last, taps.rows, empty, ahead)
-    for n in range(places.shape[0]):
+@part
+def _nearest_taps(tiles: Tiles, batch: Batch, taps: Taps) -> int:
+    """Find the cells that hold all points there are; return how many none holds, which are listed."""
+    n_empty = nearest_rows(tiles, batch, taps.rows)
+    for n in range(batch.places.shape[0]):
         taps.starts[n], taps.ends[n] = n, n + 1
         taps.weights[n] = taps.covers[n] = np.float32(1.0)
     for n in range(n_empty):
-        taps.ends[empty[n]] = taps.starts[empty[n]]
-    return places.shape[0], n_empty, 0
+        taps.ends[batch.empty[n]] = taps.starts[batch.empty[n]]
+    return n_empty
 
 
-#: What finds the taps of points of texture space by tiles, by filter.
-SOURCES = nearest_taps, linear_taps, quadratic_taps, quartic_taps
+@kernel
+def find_taps(
+    tiles: Tiles, filter_code: int, is_off: bool, batch: Batch, taps: Taps, end: int
+) -> tuple[int, int, int]:
+    """Find the taps of points by tiles, from index ``end`` on.
+
+    ``is_off`` says that they are off the surface. Returns the end of the taps, and how many points are listed
+    as without cells and for the walk.
+    """
+    if filter_code == NEAREST:
+        if is_off:
+            end, n_empty = _nearest_around(tiles, batch, taps, end)
+            return end, n_empty, 0
+        return batch.places.shape[0], _nearest_taps(tiles, batch, taps), 0
+    if filter_code == LINEAR:
+        end, n_empty, n_rim = _linear_taps(tiles, batch, taps, end)
+    elif filter_code == QUADRATIC:
+        end, n_empty, n_rim = _quadratic_taps(tiles, batch, taps, end)
+    else:
+        end, n_empty, n_rim = _quartic_taps(tiles, batch, taps, end)
+    if is_off:
+        for n in batch.which:
+            scale_off(taps, n)
+    return end, n_empty, n_rim

@@ -11,7 +11,7 @@ from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
 from octex.field.tiles import Tiles
 from octex.kernels.layout import LookupArrays
-from octex.texture.blend import NO_TABLE, facing_spreads, stored
+from octex.texture.blend import NO_TABLE, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
@@ -23,7 +23,7 @@ def arrays_of(
 ) -> LookupArrays:
     """Prepare a channel for lookups in kernels.
 
-    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 4 more where cells are
+    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 5 more where cells are
     split, and for float32 that is not linear light, which is decoded. ``bleed_threshold`` is as for
     `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
     """
@@ -33,11 +33,12 @@ def arrays_of(
     tree, field = texture.tree, texture._field
     areas = tree.arrays.areas.copy()
     areas[tree.leaf_cells()] = 0
-    spreads = np.zeros(tree.split.areas.size, np.float32)
+    mixed = np.zeros(tree.n_cells if tree.split.cells.size else 0, np.uint8)
     for level in range(tree.max_depth):
         above = field.level(level).tree
-        if above.split.areas.size:
-            spreads[: above.split.areas.size] += facing_spreads(known, above)
+        if above.split.cells.size:
+            first = int(tree.arrays.level_cells[level])
+            mixed[first : above.n_cells] = mixed_cells(known, above, threshold)[first:]
     alpha = texture.channels.get("alpha")
     if alpha is known or (alpha is not None and alpha.format.components != 1):
         alpha = None
@@ -51,8 +52,7 @@ def arrays_of(
         *_values(known),
         *(_NO_VALUES if alpha is None else _values(alpha)),
         known.format.components,
-        spreads,
-        threshold,
+        mixed,
     )
 
 

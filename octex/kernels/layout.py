@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.facings import MOST_ROWS, Sight, new_sight
 from octex.field.taps import Taps, new_taps
+from octex.field.weights import MOST_ROWS, Sight, new_sight
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
@@ -43,8 +43,7 @@ class LookupArrays(NamedTuple):
     split_alpha: Array
     alpha_table: Array
     components: int
-    spreads: Float32s  # (facings,)   how far opposite facings of a cell differ, at its first
-    threshold: float
+    mixed: Uint8s  # (cells,)   which mix opposite facings, as averages; (0,) without any
 
 
 class Scratch(NamedTuple):

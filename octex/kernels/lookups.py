@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from octex.arrays import Float32s, Uint32s
-from octex.field.facings import Facings, see, view_along
 from octex.field.footprints import ROUND_FINER, WHOLE
-from octex.field.neighborhood import collect, fill_window, finest, rounded, write_taps
-from octex.field.sinks import Flat, value_of
+from octex.field.neighborhood import Way, taps_around
 from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
-from octex.field.taps import LEAST, OFF, weigh_by_area
+from octex.field.taps import LEAST, OFF
 from octex.field.tiles import Tiles, code_in_tile, tile_row
-from octex.field.windows import NODES, Walk, follow
+from octex.field.values import Flat, value_of
+from octex.field.weights import Facings, Weighing, view_along, weigh
 from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
-from octex.tree.layout import MAX_DEPTH, POSITIVE_FACINGS, SPLIT, TreeArrays
-from octex.tree.search import fixed, nearest_cell
+from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.tree.search import fixed, nearest_cell, placed
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
 Vector = Any
@@ -32,10 +30,9 @@ _ROUNDED = 1e-6
 @inlined
 def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
     """Return where a rest position lies in texture space, clamped to 0 … 1."""
-    inverse = 1.0 / arrays.place[3]
-    x = (np.float64(point[0]) - arrays.place[0]) * inverse
-    y = (np.float64(point[1]) - arrays.place[1]) * inverse
-    z = (np.float64(point[2]) - arrays.place[2]) * inverse
+    place = arrays.place
+    x, y, z = np.float64(point[0]), np.float64(point[1]), np.float64(point[2])
+    x, y, z = placed(x, y, z, (place[0], place[1], place[2]), 1.0 / place[3])
     return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
 
 
@@ -126,37 +123,14 @@ def _tiled(
 
 @step
 def _walked(
-    tree: TreeArrays,
-    kept: Uint32s,
-    level: int,
-    x: float,
-    y: float,
-    z: float,
-    filter_code: int,
-    walk: Walk,
-    rows: Uint32s,
-    weights: Float32s,
-    slopes: Float32s,
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    tree = TreeArrays(tree.groups, tree.level_cells[: level + 2], tree.level_nodes, tree.flags, tree.areas)
+    cells, walk, taps = arrays.level_cells[: level + 2], scratch.walk, scratch.taps
+    tree = TreeArrays(arrays.groups, cells, arrays.level_nodes, arrays.flags, arrays.areas)
     walk.previous[3] = min(walk.previous[3], level)
-    x, y, z = rounded(x), rounded(y), rounded(z)
-    i, j, k = finest(x), finest(y), finest(z)
-    here = follow(tree, kept, walk, i, j, k, filter_code, 2)
-    is_cut = here == level and walk.levels[here, NODES] != 0  # its nodes count as leaves
-    is_off = False
-    while True:
-        fill_window(walk, filter_code, 2, 1, x, y, z, i, j, k, here)
-        n, total = collect(tree, kept, walk, here, is_cut, filter_code, 2, 1, rows, 0)
-        if total > 0.0 or (here == 0 and is_cut):
-            break
-        if is_cut or walk.levels[here, NODES] == 0:
-            here -= 1
-        is_cut = is_off = True
-    cover = 0.0 if is_off else total
-    write_taps(walk, n, total, max(cover, np.float64(OFF)), True, weights, slopes, 0)
-    return n, cover
+    way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
+    return taps_around(way, x, y, z, True, taps.rows, taps.weights, taps.slopes, 0)
 
 
 @inlined
@@ -174,10 +148,7 @@ def _find(
         if n > 0:
             break  # at the rim of the spline's support
         here -= 1
-    n, cover = _walked(
-        _tree_of(arrays), arrays.kept, level, x, y, z, filter_code,
-        scratch.walk, *scratch.taps[:3],
-    )  # fmt: skip
+    n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
 
 
@@ -185,26 +156,6 @@ def _find(
 def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
     for tap in range(n):
         scratch.taps.weights[tap] *= np.float32(factor)
-
-
-@inlined
-def _leave_mixed(arrays: LookupArrays, level: int, n: int, scratch: Scratch) -> float:
-    """Let cells that mix opposite facings weigh nothing; return the part of the weight that is taken away."""
-    first, total, gone = arrays.level_cells[level], 0.0, 0.0
-    for tap in range(n):
-        weight = np.float64(scratch.taps.weights[tap])
-        total += weight
-        cell = np.int64(scratch.taps.rows[tap])
-        if cell < first or cell >= arrays.facings.size:
-            continue
-        flags = arrays.flags[cell]
-        if flags & np.uint8(SPLIT) == 0 or flags & flags >> np.uint8(1) & np.uint8(POSITIVE_FACINGS) == 0:
-            continue
-        row = min(int(arrays.facings[cell]), arrays.spreads.size - 1)
-        if arrays.spreads[row] >= arrays.threshold:
-            gone += weight
-            scratch.taps.weights[tap] = np.float32(0.0)
-    return gone / total if total > 0.0 else 0.0
 
 
 @inlined
@@ -311,7 +262,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     _clear(scratch)
     x, y, z = _placed(arrays, point)
     view = view_along(np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2]))
-    is_facing = max(view[0], max(view[1], view[2])) > np.float32(0.0)
+    is_facing = bool(max(view[0], max(view[1], view[2])) > np.float32(0.0))
     flat, facings = _flat(arrays), Facings(arrays.flags, arrays.facings, arrays.kept)
     depth = arrays.level_cells.size - 2
     level, upper = _level_of(width, arrays.place[3], depth)
@@ -321,17 +272,19 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
         if share > 0.0:
             n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
             scratch.taps.ends[0] = n
-            if level < depth:
-                scratch.taps.covers[0] = np.float32(0.0 if is_off else 1.0)
-                weigh_by_area(scratch.taps, arrays.areas)
-            begin, end = 0, n
-            if is_facing:
-                rows = facings, flat.first_kept, flat.first_row
-                is_split = facings.rows.size > 0
-                begin, (end, _) = n, see(scratch.taps, 0, n, *rows, view, scratch.sight, is_split, flat, 0)
-            elif level < depth and arrays.spreads.size > 0:
-                left = _leave_mixed(arrays, level, n, scratch)
-            _add(arrays, begin, end, share, scratch)
+            is_leaf, is_split = level == depth, is_facing and facings.rows.size > 0
+            areas = arrays.areas[: 0 if is_leaf else arrays.areas.size]
+            first = int(arrays.level_cells[level])
+            mixed = arrays.mixed[
+                first : first if is_leaf or is_facing else int(arrays.level_cells[level + 1])
+            ]
+            by = Weighing(areas, mixed, int(first), facings, is_facing, flat.first_kept, flat.first_row)
+            end, _, total, gone = weigh(
+                scratch.taps, 0, n, by, view, scratch.sight, is_facing, is_split, flat, 0
+            )
+            left = gone / total if gone > 0.0 else 0.0
+            part = share * np.float64(OFF) / total if is_off and total > 0.0 and not is_leaf else share
+            _add(arrays, n, end, part, scratch)
         passed = share * left if left > _ROUNDED else 0.0
         share, upper = upper + passed, 0.0
         level += 1

@@ -164,6 +164,16 @@ def reach(square: float, slack: float) -> np.float32:
 
 
 @inlined
+def agrees(normals: Float32s, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
+    """Say whether a thing faces as is wanted at a place (of none: any way); one without a normal does."""
+    if directions.shape[0] == 0:
+        return True
+    x, y, z = normals[row, 0], normals[row, 1], normals[row, 2]
+    cosine = directions[n, 0] * x + directions[n, 1] * y + directions[n, 2] * z
+    return bool(cosine >= least_cosine or x * x + y * y + z * z == 0.0)
+
+
+@inlined
 def begin(boxes: Boxes, search: Search) -> int:
     """Let the root wait; return how many nodes do."""
     search.nodes[0, 0], search.nodes[0, 1] = boxes.firsts.size - 2, 0

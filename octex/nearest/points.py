@@ -12,6 +12,7 @@ from octex.nearest.boxes import (
     WIDTH,
     Boxes,
     Search,
+    agrees,
     begin,
     boxes_of,
     is_around,
@@ -84,16 +85,6 @@ def _square(positions: Float64s, row: int, point: tuple[float, float, float]) ->
 
 
 @inlined
-def _agrees(cloud: Points, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
-    """Say whether a point faces as is wanted at a place; one without a normal does."""
-    if directions.shape[0] == 0:
-        return True
-    x, y, z = cloud.normals[row, 0], cloud.normals[row, 1], cloud.normals[row, 2]
-    cosine = directions[n, 0] * x + directions[n, 1] * y + directions[n, 2] * z
-    return bool(cosine >= least_cosine or x * x + y * y + z * z == 0.0)
-
-
-@inlined
 def _add_group(
     cloud: Points,
     group: int,
@@ -108,7 +99,7 @@ def _add_group(
     total = 0.0
     for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
         part = 1.0 - _square(cloud.positions, row, point) / square
-        if part > 0.0 and _agrees(cloud, row, directions, n, least_cosine):
+        if part > 0.0 and agrees(cloud.normals, row, directions, n, least_cosine):
             total += part * part
             for k in range(sums.size):
                 sums[k] += part * part * cloud.values[row, k]
@@ -160,7 +151,7 @@ def _around(
             for component in range(sums.size):
                 means[n, component] = sums[component] / total
         elif farthest >= 0.0:
-            last = _nearest(cloud, search, point, farthest, directions, n, least_cosine, last)
+            last = _nearest(cloud, search, point, farthest, directions, n, least_cosine, last, -1)
             if last >= 0:
                 found[n] = True
                 for component in range(sums.size):
@@ -177,11 +168,15 @@ def _nearest(
     n: int,
     least_cosine: float,
     guess: int,
+    without: int,
 ) -> int:
-    """Return the row of the nearest point, no farther than ``farthest``, or −1; a guess speeds it up."""
+    """Return the row of the nearest point, no farther than ``farthest``, or −1; a guess speeds it up.
+
+    Row ``without`` does not count.
+    """
     boxes = cloud.boxes
     best, chosen = farthest * farthest, -1
-    if guess >= 0 and _agrees(cloud, guess, directions, n, least_cosine):
+    if guess >= 0 and agrees(cloud.normals, guess, directions, n, least_cosine):
         square = _square(cloud.positions, guess, point)
         if square <= best:
             best, chosen = square, guess
@@ -199,7 +194,9 @@ def _nearest(
             first = (node * 8 + child) * 8
             for row in range(first, min(first + 8, cloud.positions.shape[0])):
                 square = _square(cloud.positions, row, point)
-                if square > best or row == chosen or not _agrees(cloud, row, directions, n, least_cosine):
+                if square > best or row in (chosen, without):
+                    continue
+                if not agrees(cloud.normals, row, directions, n, least_cosine):
                     continue
                 if square < best or chosen < 0 or cloud.order[row] < cloud.order[chosen]:
                     best, chosen = square, row
@@ -210,24 +207,11 @@ def _nearest(
 @kernel
 def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
     """Return how far, squared, the nearest other point is from each of some rows; 0 for its like."""
-    search = new_search()
+    search, no_directions = new_search(), np.empty((0, 3), np.float64)
     squares = np.empty(chosen.size, np.float64)
     for n in range(chosen.size):
-        own = chosen[n]
+        own = int(chosen[n])
         point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]
-        x, y, z, slack = local(cloud.boxes, *point)
-        i, j, k = np.float32(x), np.float32(y), np.float32(z)
-        best = np.inf
-        bound = reach(best, slack)
-        waiting = begin(cloud.boxes, search)
-        while waiting > 0:
-            node, near, waiting = next_node(cloud.boxes, search, waiting, 0, i, j, k, bound)
-            while near != np.uint64(0):
-                first = (node * 8 + trailing_zeros(near)) * 8
-                near &= near - np.uint64(1)
-                for row in range(first, min(first + 8, cloud.positions.shape[0])):
-                    if row != own and _square(cloud.positions, row, point) < best:
-                        best = _square(cloud.positions, row, point)
-                        bound = reach(best, slack)
-        squares[n] = best
+        other = _nearest(cloud, search, point, np.inf, no_directions, n, -1.0, -1, own)
+        squares[n] = _square(cloud.positions, other, point) if other >= 0 else np.inf
     return squares

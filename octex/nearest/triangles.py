@@ -13,6 +13,7 @@ from octex.nearest.boxes import (
     Boxes,
     Kept,
     Search,
+    agrees,
     begin,
     boxes_of,
     is_around,
@@ -121,96 +122,66 @@ def _on_triangle(corners: Float64s, row: int, x: float, y: float, z: float) -> t
     return rx * rx + ry * ry + rz * rz, p, q
 
 
-@inlined
-def _agrees(mesh: Triangles, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
-    """Say whether a triangle faces as is wanted at a point."""
-    if directions.shape[0] == 0:
-        return True
-    normals = mesh.normals
-    cosine = (
-        directions[n, 0] * normals[row, 0]
-        + directions[n, 1] * normals[row, 1]
-        + directions[n, 2] * normals[row, 2]
-    )
-    return bool(cosine >= least_cosine)
+Best = tuple[float, int, float, float]
+
+
+class Sought(NamedTuple):
+    """A point that something is sought near to."""
+
+    point: tuple[float, float, float]
+    local: tuple[float, float, float, float]  # see `boxes.local`
+    directions: Float64s  # (points, 3) or (0, 3)
+    n: int  # its row of them
+    least_cosine: float
 
 
 @inlined
-def _best_in(
-    mesh: Triangles,
-    node: int,
-    near: np.uint64,
-    point: tuple[float, float, float],
-    directions: Float64s,
-    n: int,
-    least_cosine: float,
-    best: tuple[float, int, float, float],
-) -> tuple[float, int, float, float]:
+def _best_in(mesh: Triangles, node: int, near: np.uint64, sought: Sought, best: Best) -> Best:
     """Return the best of some triangles in a node, and of what was best: its square, row and weights."""
     square, chosen, p, q = best
     while near != np.uint64(0):
         child = trailing_zeros(near)
         near &= near - np.uint64(1)
         row = node * 8 + child
-        if row == chosen or not _agrees(mesh, row, directions, n, least_cosine):
+        if row == chosen or not agrees(mesh.normals, row, sought.directions, sought.n, sought.least_cosine):
             continue
-        far, of_b, of_c = _on_triangle(mesh.corners, row, *point)
+        far, of_b, of_c = _on_triangle(mesh.corners, row, *sought.point)
         if far < square or (far == square and (chosen < 0 or mesh.order[row] < mesh.order[chosen])):
             square, chosen, p, q = far, row, of_b, of_c
     return square, chosen, p, q
 
 
 @inlined
-def _best_kept(
-    mesh: Triangles,
-    search: Search,
-    kept: Kept,
-    local_point: tuple[float, float, float, float],
-    point: tuple[float, float, float],
-    directions: Float64s,
-    n: int,
-    least_cosine: float,
-    best: tuple[float, int, float, float],
-) -> tuple[float, int, float, float]:
+def _best_kept(mesh: Triangles, search: Search, kept: Kept, sought: Sought, best: Best) -> Best:
     """Return the best of the triangles in the nodes that are kept, and of what was best."""
-    x, y, z, slack = local_point
+    x, y, z, slack = sought.local
     i, j, k = np.float32(x), np.float32(y), np.float32(z)
     bound = reach(best[0], slack)
     bounds = mesh.boxes.bounds
     # The triangle with the nearest box first: it mostly is the one, and few others need be looked at.
     first = nearest_box(bounds, kept.nodes, kept.filled[0], i, j, k)
     if first >= 0:
-        only = np.uint64(1) << np.uint64(first & 7)
-        best = _best_in(mesh, first >> 3, only, point, directions, n, least_cosine, best)
+        best = _best_in(mesh, first >> 3, np.uint64(1) << np.uint64(first & 7), sought, best)
         bound = reach(best[0], slack)
     for row in range(kept.filled[0]):
         near = squares_to_boxes(bounds, kept.nodes[row], i, j, k, bound, search.children)
         if near != np.uint64(0):
-            best = _best_in(mesh, kept.nodes[row], near, point, directions, n, least_cosine, best)
+            best = _best_in(mesh, kept.nodes[row], near, sought, best)
             bound = reach(best[0], slack)
     return best
 
 
 @inlined
-def _best_of_all(
-    mesh: Triangles,
-    search: Search,
-    local_point: tuple[float, float, float, float],
-    point: tuple[float, float, float],
-    directions: Float64s,
-    n: int,
-    least_cosine: float,
-    best: tuple[float, int, float, float],
-) -> tuple[float, int, float, float]:
+def _best_of_all(mesh: Triangles, search: Search, sought: Sought, best: Best) -> Best:
     """Return the best of all triangles, and of what was best."""
-    x, y, z, slack = local_point
+    x, y, z, slack = sought.local
     i, j, k = np.float32(x), np.float32(y), np.float32(z)
     bound = reach(best[0], slack)
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
         node, near, waiting = next_node(mesh.boxes, search, waiting, 0, i, j, k, bound)
         if near != np.uint64(0):
-            best = _best_in(mesh, node, near, point, directions, n, least_cosine, best)
+            best = _best_in(mesh, node, near, sought, best)
             bound = reach(best[0], slack)
     return best
 
@@ -233,14 +204,15 @@ def _nearest(
         point = points[n, 0], points[n, 1], points[n, 2]
         here = local(boxes, *point)
         x, y, z, slack = here
+        sought = Sought(point, here, directions, n, least_cosine)
         best = distance * distance, -1, 0.0, 0.0
         # Points mostly come in the order of some surface, and are as near to this one as the one before.
         if radius >= 0.0 and (
             is_around(kept, x, y, z, radius) or keep_around(boxes, search, kept, x, y, z, radius, slack)
         ):
-            best = _best_kept(mesh, search, kept, here, point, directions, n, least_cosine, best)
+            best = _best_kept(mesh, search, kept, sought, best)
         if best[1] < 0 or not is_around(kept, x, y, z, np.sqrt(best[0]) + slack):
-            best = _best_of_all(mesh, search, here, point, directions, n, least_cosine, best)
+            best = _best_of_all(mesh, search, sought, best)
         radius = np.sqrt(best[0]) + slack if best[1] >= 0 else -1.0
         square, chosen, p, q = best
         triangles[n] = mesh.order[chosen] if chosen >= 0 else -1

@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Uint8s, bit_counts
+from octex.arrays import Array, Float32s, Uint8s
 from octex.channels import ColorSpace, decode, decode_table
 from octex.field.lookups import ChannelRows
-from octex.field.sinks import Codes
-from octex.field.taps import mark_mixed, spreads_of
+from octex.field.values import Codes
+from octex.field.weights import mark_mixed
 from octex.jit import kernel, unlocked
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
@@ -35,22 +35,17 @@ def stored(channel: Channel) -> ChannelRows:
     )
 
 
-def facing_spreads(channel: Channel, tree: Octree) -> Float32s:
-    """Say how far opposite facings differ in split cells of the tree's deepest level, at their first rows."""
-    spreads = np.zeros(tree.split.areas.size, np.float32)
-    first = int(np.searchsorted(tree.split.cells, tree.arrays.level_cells[tree.max_depth]))
-    row = int(bit_counts(tree.split.facings[:first]).sum())
-    codes, space, _ = stored(channel.of(tree))
-    split_values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
-    spreads_of(codes.table, split_values, tree.split.facings[first:], row, spreads)
-    return spreads
-
-
 def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:
-    """Mark the cells (cells,) of a tree whose opposite facings differ by ``threshold`` or more."""
+    """Mark the cells (cells,) of a tree whose opposite facings differ by ``threshold`` or more.
+
+    Of split cells above the deepest level, which are leaves, none differ.
+    """
     mixed = np.zeros(tree.n_cells, np.uint8)
     cells, facings, _ = tree.split
-    mark_mixed(cells, facings, facing_spreads(channel, tree), float(threshold), mixed)
+    codes, space, _ = stored(channel.of(tree))
+    values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
+    first = int(tree.arrays.level_cells[tree.max_depth])
+    mark_mixed(cells, facings, codes.table, values, first, float(threshold), mixed)
     return mixed
 
 

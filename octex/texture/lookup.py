@@ -13,6 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Float32s, Int32s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
+from octex.field.field import NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
 from octex.field.lookups import Query
 from octex.field.splines import FILTERS
@@ -35,7 +36,7 @@ _MOST_BLUR = float(np.finfo(np.float64).max)
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
 #: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
-#: is not finite or −1.
+#: is not finite or −1, or raises NotFiniteError.
 LookUp = Callable[[Given, list[Array]], int]
 
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
@@ -43,8 +44,8 @@ LookUp = Callable[[Given, list[Array]], int]
 BLOCK = 1 << 16
 #: Most points sorted at once: what is given of them and their answers are copied meanwhile.
 _SORTED = 1 << 19
-#: Fewer points of a block are looked up as they come.
-_LEAST_SORTED = 1 << 12
+#: Points that are looked up as they come, where more are sorted since lookups read much.
+LEAST_SORTED = 1 << 12
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
@@ -257,10 +258,12 @@ def in_space(
     threads: int | None,
     executor: Executor | None,
     placement: Placement,
+    least: int = 0,
 ) -> None:
     """Look points up as ``in_blocks`` does, where they do not come in an order like that of space in this.
 
-    That is for lookups in which points that lie close together share most of the work.
+    That is for lookups that read much, or in which points that lie close together share most of the work.
+    Points that are no more than ``least``, by default than a block, are looked up as they come.
     """
     try:
         for begin in range(0, len(given["points"]), _SORTED):
@@ -268,7 +271,7 @@ def in_space(
             here = {name: array[rows] for name, array in given.items()}
             there = [answer[rows] for answer in answers]
             numbers = _NO_NUMBERS
-            if len(here["points"]) > BLOCK:
+            if len(here["points"]) > (least or BLOCK):
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
             if not numbers.size:
@@ -280,22 +283,6 @@ def in_space(
     except ArgumentError:
         in_blocks(given, answers, look_up, threads, executor)  # which names the first row
         raise
-
-
-def block_in_space(look_up: LookUp, placement: Placement, given: Given, answers: list[Array]) -> int:
-    """Look up a block like ``look_up``, in an order like that of space.
-
-    That is for lookups that read much: points that lie close together read what is still near.
-    """
-    numbers = _NO_NUMBERS
-    if len(given["points"]) >= _LEAST_SORTED:
-        numbers = order_in_space(Positions.of(given["points"]), *placement)
-    if not numbers.size:
-        return look_up(given, answers)
-    here, found = _in_order(numbers, given, answers)
-    fault = look_up(here, found)
-    _put_back(found, numbers, answers)
-    return fault
 
 
 def _in_order(numbers: Int32s, given: Given, answers: list[Array]) -> tuple[Given, list[Array]]:
@@ -329,7 +316,10 @@ def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[
             sound = sound & (array >= 0)
         if not sound.all():
             return _Fault(name, int(np.argmin(sound)) // (array.size // len(array))), answers
-    row = look_up(taken, answers)
+    try:
+        row = look_up(taken, answers)
+    except NotFiniteError as error:
+        row = error.row
     return (_Fault("points", row) if row >= 0 else None), answers
 
 

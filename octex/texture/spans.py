@@ -107,9 +107,9 @@ def _read_of(
     """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
     query, ((read,), _) = texture._query(lens, given, name), texture._read(name)
     task = texture._field, texture.placement, given["points"], query, read
-    found, fault = reads_of(*task, cells_alone=cells_alone)
+    found = reads_of(*task, cells_alone=cells_alone)
     answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
-    return fault
+    return -1
 
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:

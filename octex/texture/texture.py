@@ -36,6 +36,7 @@ from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken,
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
+    LEAST_SORTED,
     Answers,
     FootprintOptions,
     Given,
@@ -44,7 +45,6 @@ from octex.texture.lookup import (
     LookupOptions,
     SurfacePoints,
     asked,
-    block_in_space,
     check_apart,
     each_block,
     in_blocks,
@@ -258,13 +258,13 @@ class OctreeTexture:
         if self.source.path:  # not memory
             here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
-        if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
-            look_up_block = partial(block_in_space, look_up_block, self.placement)
         task = given, answers.arrays, look_up_block, threads, executor
         is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
         if is_crowded:
             here._field.prepare(FILTERS.index(filter))
-        if here._field.n_leaves >= _MANY_LEAVES or is_crowded:
+        if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
+            in_space(*task, self.placement, LEAST_SORTED)
+        elif here._field.n_leaves >= _MANY_LEAVES or is_crowded:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
@@ -387,9 +387,8 @@ class OctreeTexture:
         """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
         query = self._query(lens, given, name)
         (read,), alpha = self._read(name)
-        taps, fault = list_blends(self._field, self.placement, given["points"], query, read, alpha)
-        answers += taps
-        return fault
+        answers += list_blends(self._field, self.placement, given["points"], query, read, alpha)
+        return -1
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
         """Return a channel's stored values (rows, components), float32, in the units of ``sample``.

@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin, Positions, count_of, position
+from octex.tree.search import UNITS, Origin, Positions, count_of, placed, position
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -53,7 +53,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     Returns none if they come in a like order, or are not all finite.
     """
     n = count_of(points)
-    cells, shift = 1 << _COARSE, np.float64(1 << _COARSE) / size
+    cells, inverse = 1 << _COARSE, 1.0 / size
     digits, counts = np.empty(n, np.uint16), np.zeros((1 << 3 * _COARSE) + 1, np.int64)
     nothing = np.empty(0, np.int32)
     previous, changes = -1, 0
@@ -61,9 +61,10 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
         x, y, z = position(points, m)
         if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
             return nothing
-        i = int(min(max((x - origin[0]) * shift, 0.0), cells - 1.0))
-        j = int(min(max((y - origin[1]) * shift, 0.0), cells - 1.0))
-        k = int(min(max((z - origin[2]) * shift, 0.0), cells - 1.0))
+        x, y, z = placed(x, y, z, origin, inverse)
+        i = int(min(max(x * cells, 0.0), cells - 1.0))
+        j = int(min(max(y * cells, 0.0), cells - 1.0))
+        k = int(min(max(z * cells, 0.0), cells - 1.0))
         digit = int(encode(i, j, k))
         changes += digit != previous
         previous = digit
@@ -82,7 +83,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
 
 
 @kernel
-def put_rows(rows: Float32s, numbers: Int32s, target: Float32s) -> None:
+def put_rows(rows: Float32s, numbers: Int32s | Int64s, target: Float32s) -> None:
     """Write rows (n, m) where they belong among as many others, by number."""
     for n in range(numbers.size):
         prefetch(target, int(numbers[min(n + AHEAD, numbers.size - 1)]))

@@ -85,7 +85,7 @@ class Placement(NamedTuple):
 
     def to_texture_space(self, points: npt.ArrayLike) -> Float64s:
         """Map rest positions (n, 3) into texture space, in float64."""
-        return np.asarray((as_points(points) - np.array(self.origin)) / self.size)
+        return np.asarray((as_points(points) - np.array(self.origin)) * (1.0 / self.size))
 
     def to_rest(self, points: npt.ArrayLike) -> Float64s:
         """Map points (n, 3) of texture space to rest positions, in float64."""

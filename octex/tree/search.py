@@ -7,7 +7,7 @@ kernel read outside them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,6 +50,16 @@ def position(points: Positions, n: int | np.uint64) -> tuple[float, float, float
         rows = points.singles
         return np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
     return points.doubles[n, 0], points.doubles[n, 1], points.doubles[n, 2]
+
+
+@inlined
+def placed(x: float, y: float, z: float, origin: Origin, inverse: float) -> tuple[Any, Any, Any]:
+    """Return where a rest position lies in texture space; ``inverse`` is 1 / the root cell's edge.
+
+    All that places points does it so, and `Placement.to_texture_space` too: dividing by the edge, some points
+    between two steps of fixed point would be rounded to the other.
+    """
+    return (x - origin[0]) * inverse, (y - origin[1]) * inverse, (z - origin[2]) * inverse
 
 
 @inlined
@@ -246,9 +256,8 @@ def nearest_cells(
         x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             return n
-        cells[n], held[n] = nearest_cell(
-            arrays, (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size, scratch
-        )
+        x, y, z = placed(x, y, z, origin, 1.0 / size)
+        cells[n], held[n] = nearest_cell(arrays, x, y, z, scratch)
     return -1
 
 
@@ -269,7 +278,7 @@ def in_leaves(
         x, y, z = position(points, n)
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             return n
-        x, y, z = (x - origin[0]) / size, (y - origin[1]) / size, (z - origin[2]) / size
+        x, y, z = placed(x, y, z, origin, 1.0 / size)
         inside[n] = False
         if 0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0:
             inside[n] = find_leaf(arrays, fixed(x), fixed(y), fixed(z), scratch) >= 0

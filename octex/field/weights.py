@@ -1,7 +1,9 @@
-"""What faces a normal: which cells, and which rows of split cells, and how much these weigh.
+"""What weighs a tap beside the spline: the area of its cell, and which way the surface in it faces.
 
-A *split* cell has a row of values for each way that the surface in it faces (paper 3.5.2). A lookup that
-knows its normal takes the rows that face it, and cells that face away weigh next to nothing.
+Averages weigh by the roots of their areas. A *split* cell has a row of values for each way that the surface
+in it faces (paper 3.5.2): a lookup that knows its normal takes the rows that face it, and cells that face
+away weigh next to nothing; one that does not leaves split cells with opposite facings, a front and a back, to
+the next finer level.
 """
 
 from __future__ import annotations
@@ -10,22 +12,20 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Float32s, Int32s, Uint8s, Uint32s
-from octex.field.sinks import NO_FIVE, Codes, Five, Flat, Sums, add_to, flat_of, with_row
-from octex.field.taps import AT_ONCE, Taps, end_of
-from octex.jit import (
-    bytes_of,
-    fused_part,
-    inlined,
-    kernel,
-    part,
-    popcount,
-    prefetch,
-    trailing_zeros,
-)
+from octex.arrays import ChannelValues, Float32s, Floats, Uint8s, Uint32s
+from octex.field.taps import AT_ONCE, Taps, end_of, let_sum_to_off
+from octex.field.values import NO_FIVE, Codes, Five, Flat, flat_of, with_row
+from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 
+#: What averages weigh by the codes of their cells' areas: the root of the area, in cell faces; 1 if that is
+#: not known. By the area itself, cells that the surface hardly touches count for as little as they hold, but
+#: what is then looked at is more ragged: half way from equal weights, painted content was nearest to the
+#: truth.
+AREA_WEIGHTS = np.sqrt(AREAS).astype(np.float32)
+AREA_WEIGHTS[0] = 1.0
 #: Cosine between the normal and one of a cell's facings from which on the cell counts in full. A surface is
 #: flagged with the axis nearest to its normal, so that they are never more than 54.7° apart (cosine 0.577):
 #: what belongs to the surface looked at is never weakened.
@@ -95,6 +95,9 @@ def ramp(cosine: np.float32) -> np.float32:
 
 #: The sizes of a normal's cosines with the axes, and their signs as bits.
 View: TypeAlias = tuple[np.float32, np.float32, np.float32, int]
+
+
+NO_VIEW: View = np.float32(0.0), np.float32(0.0), np.float32(0.0), 0
 
 
 @inlined
@@ -181,13 +184,26 @@ def face_cell(flags: np.uint8, view: View) -> tuple[np.float32, np.float32, np.f
     return part + AWAY, a, b, c
 
 
+class Weighing(NamedTuple):
+    """What weighs taps beside the spline; what does not is empty."""
+
+    areas: Uint8s  # (cells,) or (0,)
+    mixed: Uint8s  # (cells,) or (0,)   which cells mix facings, see `mark_mixed`: they weigh nothing
+    first_mixed: int  # the first of these cells
+    facings: Facings
+    faces: bool  # there are normals
+    first_kept: int  # what the first kept coefficient is counted as
+    first_row: int  # and the first row of the split table
+
+
 class Sight(NamedTuple):
-    """What a normal sees of cells, by the bits of `DIRECTIONS`."""
+    """What a normal sees of cells, by the bits of `DIRECTIONS`; and what is left to the next finer level."""
 
     parts: Float32s  # (9,)   what cells weigh
     shares: Float32s  # (9, 3)   how a split cell is shared out among its rows of x, y and z
     rows: Uint8s  # (9,)   which of these there are, a bit for each; _UNKNOWN until it is asked for
     is_split: Uint8s  # (AT_ONCE,)   which points of a group see split cells
+    slopes: Float32s  # (2, 3)   of the weights of all cells, and of those that mix facings
 
 
 _UNKNOWN = np.uint8(8)
@@ -201,6 +217,7 @@ def new_sight() -> Sight:
         np.empty((9, 3), np.float32),
         np.empty(9, np.uint8),
         np.zeros(AT_ONCE, np.uint8),
+        np.empty((2, 3), np.float32),
     )
 
 
@@ -225,14 +242,15 @@ def row_of(first: int, flags: np.uint8, axis: int, signs: int) -> int:
 
 
 @inlined
-def _find_split(
-    taps: Taps, begin: int, end: int, facings: Facings, first_kept: int, split: Uint8s, sight: Sight
-) -> None:
+def find_split(taps: Taps, begin: int, end: int, by: Weighing, split: ChannelValues, sight: Sight) -> None:
     """Note which points of a group see split cells, and ask for the rows of these."""
+    facings = by.facings
+    if not by.faces or facings.rows.size == 0:
+        return
     for n in range(begin, end):
         seen = np.uint8(0)
         for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-            seen |= _flags_of(facings, first_kept, taps.rows[np.uint64(tap)])
+            seen |= _flags_of(facings, by.first_kept, taps.rows[np.uint64(tap)])
         sight.is_split[np.uint64(n - begin)] = seen & np.uint8(SPLIT)
     for n in range(begin, end if facings.rows.size > NEAR_ROWS else begin):
         if sight.is_split[np.uint64(n - begin)] != 0:
@@ -247,46 +265,70 @@ def _find_split(
 
 
 @inlined
-def see(
+def weigh(
     taps: Taps,
     n: int,
     end: int,
-    facings: Facings,
-    first_kept: int,
-    first_row: int,
+    by: Weighing,
     view: View,
     sight: Sight,
+    faces: bool,
     is_split: bool,
     flat: Flat,
     components: int,
-) -> tuple[int, Five]:
-    """Let the cells of a point weigh as they face a normal, split cells as their rows that do.
+) -> tuple[int, Five, float, float]:
+    """Weigh the cells of a point; those that mix facings weigh nothing, split ones as the rows that are seen.
 
     Returns the sum of the values; or, without ``components``, writes the taps anew from ``end`` on, and
-    returns their end.
+    returns their end. The last two are the weights by areas, of all cells and of those that mix facings.
     """
-    five = NO_FIVE
-    parts_of(sight.parts, view)
+    five, total, gone = NO_FIVE, 0.0, 0.0
+    gradient = components == 0 and taps.slopes.shape[0] > 0
+    x = y = z = np.float32(0.0)  # of all slopes
+    if gradient:
+        sight.slopes[:] = np.float32(0.0)
+    if faces:
+        parts_of(sight.parts, view)
     for known in range(9 if is_split else 0):
         sight.rows[np.uint64(known)] = np.uint8(0) if known & 7 == 0 else _UNKNOWN
     for tap in range(taps.starts[n], taps.ends[n]):
         row = taps.rows[np.uint64(tap)]
-        flags = _flags_of(facings, first_kept, row)
-        bits = direction_of(view[3], flags)
-        weight = taps.weights[np.uint64(tap)] * sight.parts[np.uint64(bits)]
-        left = np.uint8(0)
-        if is_split and flags >= np.uint8(SPLIT):
-            left = _rows_seen(sight, view, bits)
+        weight, factor = taps.weights[np.uint64(tap)], np.float32(1.0)
+        if by.areas.size > 0 and row < by.areas.size:
+            factor = AREA_WEIGHTS[np.uint64(by.areas[np.uint64(row)])]
+            weight *= factor
+        total += np.float64(weight)
+        cell = np.int64(row) - by.first_mixed
+        is_mixed = bool(0 <= cell < by.mixed.size and by.mixed[np.uint64(cell)] != 0)
+        if gradient:
+            at = np.uint64(tap)
+            p, q, r = taps.slopes[at, 0], taps.slopes[at, 1], taps.slopes[at, 2]
+            x, y, z = x + factor * p, y + factor * q, z + factor * r
+            if is_mixed:
+                sight.slopes[1, 0] += factor * p
+                sight.slopes[1, 1] += factor * q
+                sight.slopes[1, 2] += factor * r
+        if is_mixed:
+            gone += np.float64(weight)
+            weight = factor = np.float32(0.0)
+        flags, bits, left = np.uint8(0), np.uint8(0), np.uint8(0)
+        if faces:
+            flags = _flags_of(by.facings, by.first_kept, row)
+            bits = direction_of(view[3], flags)
+            weight *= sight.parts[np.uint64(bits)]
+            factor *= sight.parts[np.uint64(bits)]
+            if is_split and flags >= np.uint8(SPLIT):
+                left = _rows_seen(sight, view, bits)
         if left == 0:
             if components > 0:
                 five = with_row(five, flat, int(row), weight, components)
             else:
-                end = _write(taps, end, tap, row, weight, sight.parts[np.uint64(bits)])
+                end = _write(taps, end, tap, row, weight, factor, gradient)
             continue
         cell = np.int64(row)
-        if cell >= facings.rows.size:
-            cell = np.int64(facings.kept[min(int(cell) - first_kept, facings.kept.size - 1)])
-        first = first_row + int(np.int64(facings.rows[np.uint64(cell)]))
+        if cell >= by.facings.rows.size:
+            cell = np.int64(by.facings.kept[min(int(cell) - by.first_kept, by.facings.kept.size - 1)])
+        first = by.first_row + int(np.int64(by.facings.rows[np.uint64(cell)]))
         while left != 0:
             axis = trailing_zeros(np.uint64(left))
             left &= left - np.uint8(1)
@@ -295,73 +337,84 @@ def see(
             if components > 0:
                 five = with_row(five, flat, own, share * weight, components)
             else:
-                factor = share * sight.parts[np.uint64(bits)]
-                end = _write(taps, end, tap, np.uint32(own), share * weight, factor)
-    return end, five
+                end = _write(taps, end, tap, np.uint32(own), share * weight, share * factor, gradient)
+    if gradient:
+        sight.slopes[0, 0], sight.slopes[0, 1], sight.slopes[0, 2] = x, y, z
+    return end, five, total, gone
 
 
 @inlined
-def _write(taps: Taps, end: int, tap: int, row: np.uint32, weight: np.float32, factor: np.float32) -> int:
+def _write(
+    taps: Taps, end: int, tap: int, row: np.uint32, weight: np.float32, factor: np.float32, gradient: bool
+) -> int:
     """Write a tap in place of another, whose slopes are multiplied by a factor; return the end then."""
     taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = row, weight
-    if taps.slopes.shape[0] > 0:
-        for axis in range(3):
-            taps.slopes[end, axis] = factor * taps.slopes[tap, axis]
+    for axis in range(3 if gradient else 0):
+        taps.slopes[end, axis] = factor * taps.slopes[tap, axis]
     return end + 1
 
 
 @kernel
-def face(
-    taps: Taps, facings: Facings, first_kept: int, first_row: int, normals: Float32s, split: Uint8s
+def weigh_taps(
+    taps: Taps, by: Weighing, normals: Float32s, split: Uint8s, left: Float32s, left_slopes: Float32s
 ) -> None:
-    """Let what faces away from the normals (points, 3) weigh next to nothing.
+    """Weigh the taps of points in place; normals (points, 3), or none.
 
     Points with split cells get their taps anew, after all others, where there must be room for MOST_ROWS
-    times those that there are. ``first_kept`` and ``first_row`` are what the first kept
-    coefficient and the first row of the split table are counted as; rows of that, as bytes, are asked for.
+    times those that there are. Rows of the split table, as bytes, are asked for. Off the surface weights by
+    areas still sum to OFF. Where cells mix facings, the part of the weight that is taken away is written to
+    ``left`` (points,), and its derivatives to ``left_slopes`` (points, 3), or (0, 3) if they are not wanted.
     """
     end, sight = end_of(taps), new_sight()
-    flat = flat_of(Codes(split, split, split, sight.parts))  # of which nothing is read
+    slopes, flat = sight.slopes, flat_of(Codes(split, split, split, sight.parts))  # of which nothing is read
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
-        if facings.rows.size > 0:
-            _find_split(taps, begin, last, facings, first_kept, split, sight)
+        find_split(taps, begin, last, by, split, sight)
         for n in range(begin, last):
-            task = facings, first_kept, first_row, view_of(normals, n), sight
-            if sight.is_split[np.uint64(n - begin)] == 0:
-                see(taps, n, int(taps.starts[n]), *task, False, flat, 0)
-                continue
-            start = end
-            end, _ = see(taps, n, end, *task, True, flat, 0)
-            taps.starts[n], taps.ends[n] = start, end
-
-
-@fused_part
-def add_facing(
-    taps: Taps,
-    facings: Facings,
-    normals: Float32s,
-    codes: Codes,
-    owners: Int32s,
-    shares: Float32s,
-    sums: Sums,
-) -> None:
-    """Add what faces the normals (looks, 3), times the looks' shares, to the sums of who owns them.
-
-    The taps are cells. That takes three quarters of the time of `face` and `sinks.add_up`.
-    """
-    sight, flat, components = new_sight(), flat_of(codes), codes.values.shape[1]
-    for begin in range(0, taps.starts.size, AT_ONCE):
-        last = min(begin + AT_ONCE, taps.starts.size)
-        if facings.rows.size > 0:
-            _find_split(taps, begin, last, facings, flat.first_kept, bytes_of(codes.split_values), sight)
-        for n in range(begin, last):
-            task = 0, facings, flat.first_kept, flat.first_row, view_of(normals, n), sight
             is_split = sight.is_split[np.uint64(n - begin)] != 0
-            if components != 3:
-                _, five = see(taps, n, *task, is_split, flat, components)
-            elif is_split:
-                _, five = see(taps, n, *task, True, flat, 3)
-            else:
-                _, five = see(taps, n, *task, False, flat, 3)
-            add_to(sums, np.uint64(owners[np.uint64(n)]), np.float64(shares[np.uint64(n)]), five, components)
+            view = view_of(normals, n) if by.faces else NO_VIEW
+            start = end if is_split else int(taps.starts[n])
+            stop, _, total, gone = weigh(taps, n, start, by, view, sight, by.faces, is_split, flat, 0)
+            if is_split:
+                taps.starts[n], taps.ends[n], end = start, stop, stop
+            inverse = np.float32(1.0 / total) if total > 0.0 else np.float32(0.0)
+            if by.mixed.size > 0:
+                share = left[n] = np.float32(gone * inverse)
+                for axis in range(3 if left_slopes.shape[0] > 0 else 0):
+                    left_slopes[n, axis] = (slopes[1, axis] - share * slopes[0, axis]) * inverse
+            if by.areas.size > 0 and taps.covers[n] == np.float32(0.0) and total > 0.0:
+                drift = slopes[0, 0], slopes[0, 1], slopes[0, 2]
+                let_sum_to_off(taps, start, stop, np.float32(total), *drift)
+
+
+@kernel
+def mark_mixed(
+    cells: Uint32s,
+    facings: Uint8s,
+    table: Floats,
+    values: ChannelValues,
+    first: int,
+    threshold: float,
+    mixed: Uint8s,
+) -> None:
+    """Mark the split cells whose opposite facings differ by ``threshold`` or more in ``mixed`` (cells,).
+
+    The decoded ``values`` (rows, components) of the split table are compared in each component, of cells from
+    number ``first`` on; others do not differ.
+    """
+    row = 0
+    for n in range(cells.size):
+        flags = np.uint64(facings[n] & np.uint8(FACING_FLAGS))
+        largest, is_double = np.float32(0.0), False
+        for axis in range(3):
+            if flags >> np.uint64(2 * axis) & np.uint64(3) != np.uint64(3):
+                continue
+            is_double = True
+            at = row + popcount(flags & (np.uint64(1) << np.uint64(2 * axis)) - np.uint64(1))
+            at = max(min(at, values.shape[0] - 2), 0)
+            for component in range(values.shape[1] if cells[n] >= first and values.shape[0] > 1 else 0):
+                apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
+                largest = max(largest, np.float32(abs(apart)))
+        if is_double and np.int64(cells[n]) < mixed.size:
+            mixed[cells[n]] = largest >= threshold
+        row += popcount(flags)
