@@ -31,6 +31,11 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return cpu_count() if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest: at the end, one process would run them alone."""
+    items.sort(key=lambda item: item.path.stem not in ("test_bench", "test_samples", "test_viewer"))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_helpers() -> Iterator[None]:
     """Let no command start helpers that compile ahead: the other processors have tests to run."""

@@ -221,8 +221,7 @@ def warmed() -> tuple[str, set[Any]]:
 
     with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
         changed.setattr(Kernel, "__call__", recorded)
-        for name in ("look_up_tiled", "add_tiled"):  # which lookups call without that
-            changed.setattr(lookups, f"_{name}", getattr(lookups, name))
+        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without that
         assert main(["--warm-up"]) == ExitCode.DONE
     return said.getvalue(), called
 
