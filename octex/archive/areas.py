@@ -11,22 +11,27 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN, ones
-from octex.archive.entropy import DECODES, PASS, Coder, Pool, code_symbol, wide
-from octex.arrays import Int64s, Uint8s, Uint32s
+from octex.archive.entropy import DECODES, PASS, Coder, Model, code_plain, code_symbol, new_model, wide
+from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
 
 _PARTS = 6
 #: Contexts: 21 of which cells are around, 3 of how many children are left, 4 each of the largest area beside
 #: and of that along the axis, parts of the area that is left; then those of split rows.
-_OF_ROWS = 21 * 3 * 4 * 4 * _PARTS
-CONTEXTS = _OF_ROWS + 3 * _PARTS
+_SHAPES = 21 * 3 * 4 * 4 + 3
+_CONTEXTS = _SHAPES * _PARTS
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
 _STEPS = np.array([4, 9, 17, 25, 36])
 _NO_AXIS = 20
 
 Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s]
+
+
+def model() -> Model:
+    """Return what a stream of areas begins with."""
+    return new_model(_CONTEXTS)
 
 
 def area_tables() -> Tables:
@@ -51,16 +56,23 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
 
 
 @inlined
-def _code_area(
-    area: int, guess: int, whole: int, rest: int, context: int, tables: Tables, pool: Pool, coder: Coder
-) -> int:
-    """Code an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
+def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, tables: Tables, coder: Coder) -> int:
+    """Note or decode an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
     areas, steps, parts, _ = tables
     code = _code(max(rest, areas[np.uint64(whole)] >> 8), areas, steps)
     part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
     guess = code if guess < 0 else guess
-    context = context * _PARTS + part
-    return (guess + code_symbol(coder.state[PASS], (area - guess) & 255, context, pool, coder)) & 255
+    far = (area - guess + 128 & 255) - 128
+    size = abs(far)
+    token = wide(coder.lengths[np.uint64(size)])
+    token = 8 - token if far < 0 else min(8 + token, 15)
+    token = code_symbol(token, shape * _PARTS + part, coder)
+    far = abs(token - 8)
+    if far > 2:
+        bits = far - 2
+        begin = (wide(1) << bits) + 1
+        far = begin + code_plain(size - begin, bits + 2 * wide(token == 15), coder)
+    return guess + (-far if token < 8 else far) & 255
 
 
 @inlined
@@ -71,13 +83,12 @@ def _size(area: int, whole: int) -> int:
 
 @kernel
 def code_areas(
-    rows: Uint32s,
+    rows: Int32s,
     cells: Int64s,
     flags: Uint8s,
     areas: Uint8s,
     begin: int,
     tables: Tables,
-    pool: Pool,
     coder: Coder,
 ) -> None:
     """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
@@ -95,7 +106,8 @@ def code_areas(
         for k in range(3):
             other = wide(rows[np.uint64(t), k])
             # Whether one lies there is as good as random: no branch.
-            beside[k] = wide(areas[np.uint64(other)]) & -wide(other >= begin)
+            is_there = -wide(other >= 0)
+            beside[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
         axis = wide(tables[3][flags[begin + t] & FACING_FLAGS])
         own = np.uint64(axis & -wide(axis < 3))
         along, beside[own] = beside[own], 0
@@ -115,7 +127,7 @@ def code_areas(
                 guess = _code(max(column - tables[0][along], column >> 6), tables[0], tables[1])
         context = ((shape * 3 + min(left, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
         guess = -1 if left == 1 else guess
-        area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, pool, coder)
+        area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
         if coder.state[PASS] == DECODES:
             areas[begin + t] = area
@@ -128,7 +140,6 @@ def code_row_areas(
     begin: int,
     cell_areas: Uint8s,
     tables: Tables,
-    pool: Pool,
     coder: Coder,
 ) -> None:
     """Likewise the areas of rows from ``begin`` on, a row of each cell of ``owners``."""
@@ -139,8 +150,8 @@ def code_row_areas(
                 left += 1
             whole = wide(cell_areas[owners[n]])
             rest = tables[0][whole]
-        context, guess = _OF_ROWS // _PARTS + min(left, 3) - 1, -1 if left == 1 else whole
-        area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, pool, coder)
+        context, guess = _SHAPES - 4 + min(left, 3), -1 if left == 1 else whole
+        area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
         if coder.state[PASS] == DECODES:
             areas[begin + n] = area
