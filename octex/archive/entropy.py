@@ -151,33 +151,24 @@ def code_symbol(symbol: int, context: int, coder: Coder) -> int:
         symbol = wide(-1)
         for i in range(np.uint64(4)):
             symbol += popcount(low - starts[at, i] - coder.numbers[i] & _HIGH)
-    own = np.uint64(symbol)
-    start, end = wide(_lane(starts[at, own >> np.uint64(2)], own)), wide(_MOST)
+    start, end = _number(starts, context, symbol), wide(_MOST)
     if symbol < SYMBOLS - 1:
-        own += np.uint64(1)
-        end = wide(_lane(starts[at, own >> np.uint64(2)], own))
+        end = _number(starts, context, symbol + 1)
     _code(start + symbol, end - start + 1, coder)
-    _move(symbol, at, coder)
+    seen, own = np.uint64(coder.model.seen[at]), np.uint64(symbol)
+    coder.model.seen[at] = min(seen + np.uint64(1), np.uint64(coder.rates.size - 1))
+    rate = coder.rates[seen]
+    part, most = (np.uint64(0xFFFF) >> rate) * _LANES, (np.uint64(_MOST) >> rate) * _LANES
+    for i in range(np.uint64(4)):
+        there = starts[at, i]
+        starts[at, i] = there - (there >> rate & part) + (coder.after[own, i] & most)
     return symbol
 
 
 @inlined
-def _lane(word: int, number: int) -> int:
-    """Return one of the four numbers of a word."""
-    return word >> (number << np.uint64(4) & np.uint64(63)) & np.uint64(0xFFFF)
-
-
-@inlined
-def _move(symbol: int, at: int, coder: Coder) -> None:
-    """Make a symbol likelier in a context."""
-    model, own = coder.model, np.uint64(symbol)
-    seen = np.uint64(model.seen[at])
-    model.seen[at] = min(seen + np.uint64(1), np.uint64(coder.rates.size - 1))
-    rate = coder.rates[seen]
-    part, most = (np.uint64(0xFFFF) >> rate) * _LANES, (np.uint64(_MOST) >> rate) * _LANES
-    for i in range(np.uint64(4)):
-        there = model.starts[at, i]
-        model.starts[at, i] = there - (there >> rate & part) + (coder.after[own, i] & most)
+def _number(starts: Uint64s, context: int, symbol: int) -> int:
+    """Return a context's number of a symbol."""
+    return wide(starts[np.uint64(context), np.uint64(symbol >> 2)] >> np.uint64(16 * (symbol & 3))) & 0xFFFF
 
 
 @inlined
@@ -214,7 +205,7 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
     if coder.state[PASS] != DECODES:
         token = wide(coder.tokens[np.uint64(min(high, 255))])
     found = np.uint64(code_symbol(token, context, coder))
-    least, bits = coder.least[found], coder.bits[found]
+    least, bits = wide(coder.least[found]), wide(coder.bits[found])
     if is_byte:
         return least + code_plain(high - least, bits, coder)
     if found == SYMBOLS - 1:

@@ -84,7 +84,7 @@ class Coding(NamedTuple):
     """How a channel's values are coded."""
 
     form: Form
-    weights: Int64s  # (groups, terms)   of guesses
+    weights: Int64s  # (groups · terms,)   of guesses
 
 
 class Content(NamedTuple):

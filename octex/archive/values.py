@@ -113,12 +113,9 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
     most, step = (1 << 8 * form.size) - 1, 2 * form.error + 1
     guess = min(max(guess, 0), most)
     steps = (most + 2 * form.error) // step + 1
-    off = wide(0)
+    off, half = wide(0), steps >> 1
     if coder.state[PASS] != DECODES:
-        half = steps >> 1
-        off = number - guess
-        if form.error:
-            off = (off + form.error) // step if off >= 0 else -((form.error - off) // step)
+        off = number - guess if form.error == 0 else (number - guess + form.error) // step
         off = off + steps if off < -half else off - steps if off >= steps - half else off
     off = unfolded(code_number(folded(off), form.unit + 4 * (form.size > 1), form.size == 1, context, coder))
     number = guess + off * step
@@ -139,6 +136,7 @@ class _Room(NamedTuple):
     most: Int64s  # how much the cells around vary
     off: Int64s  # by how much a child's guesses were off
     more: Int64s  # what it has more than the node's
+    terms: Int64s
     places: Int64s  # of a child's sides, and of the cells beside, by axis
     weights: Int64s
 
@@ -159,18 +157,9 @@ def code_values(
     ``raw`` are the bytes of the levels above; ``numbers`` (cells + 1, components) are noted, and written as
     they will be read; the last row is room.
     """
-    each = np.zeros((6, 4), np.int64)
-    room = _Room(
-        np.zeros(24, np.int64),
-        each[0],
-        each[1],
-        each[2],
-        each[3],
-        each[4],
-        each[5],
-        np.zeros(6, np.int64),
-        weights.copy().reshape(-1),
-    )
+    each, free = np.zeros((6, 4), np.int64), weights.copy()
+    places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
+    room = _Room(sides, each[0], each[1], each[2], each[3], each[4], each[5], terms, places, free)
     flat = numbers.reshape(-1)
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
@@ -251,9 +240,10 @@ def _begin_node(
     if differ != 0:
         return wide(-1)
     is_flat = wide(1)
-    for n in range(t * form.components, (t + (about & 15)) * form.components):
-        j = np.uint64((n - t * form.components) % form.components)
-        is_flat &= wide(abs(numbers[np.uint64(n)] - room.values[j]) <= form.error)
+    for n in range(t, t + (about & 15)):
+        for j in range(form.components):
+            number = numbers[np.uint64(n * form.components + j)]
+            is_flat &= wide(abs(number - room.values[np.uint64(j)]) <= form.error)
     return code_bit(is_flat, 2 * (about >> 4 & 1) + was_flat, coder)
 
 
@@ -280,25 +270,22 @@ def _code_component(
     """Note or decode component ``j`` of a child; return how much the components so far were off."""
     components, own = form.components, np.uint64(j)
     classes, contexts, parts, _ = tables
-    weights, value = room.weights, room.values[own]
+    terms, weights, value = room.terms, room.weights, room.values[own]
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
         beside += numbers[np.uint64(j) + np.uint64(room.places[3 + axis])]
-    beside = _term(beside, form)
     mean = _term(room.sums[own], form) * parts[np.uint64(about & 15)] >> 16
     most = room.most[own]
     kind = (about >> 4 & 1) * components + j
     class_ = np.uint64(classes[np.uint64(most)])
     place = np.uint64((kind * CLASSES + wide(class_)) * TERMS)
-    total = wide(1 << WEIGHT_BITS - 1)
-    total += weights[place] * near + weights[place + np.uint64(1)] * room.total[own]
-    total += weights[place + np.uint64(2)] * beside + weights[place + np.uint64(3)] * mean
+    terms[0], terms[1], terms[2], terms[3] = near, room.total[own], _term(beside, form), mean
     for k in range(min(j, 3)):
-        at = place + np.uint64(4 + 2 * k)
-        total += weights[at] * _term(room.off[k], form) + weights[at + np.uint64(1)] * _term(
-            room.more[k], form
-        )
+        terms[4 + 2 * k], terms[5 + 2 * k] = _term(room.off[k], form), _term(room.more[k], form)
+    count, total = np.uint64(4 + 2 * min(j, 3)), wide(1 << WEIGHT_BITS - 1)
+    for k in range(count):
+        total += weights[place + k] * terms[k]
     context = kind * CONTEXTS + wide(contexts[np.uint64(min(most + noise, 255))])
     at = np.uint64(t * components + j)
     number, off = _coded(numbers[at], value + (total >> WEIGHT_BITS << form.unit), context, form, coder)
@@ -306,14 +293,8 @@ def _code_component(
     room.sums[own] += number - value
     if t & 3 == 0:  # of a quarter of the cells: it takes time
         move = (wide(off > 0) - wide(off < 0)) << wide(tables[3][class_])
-        weights[place] += move * near
-        weights[place + np.uint64(1)] += move * room.total[own]
-        weights[place + np.uint64(2)] += move * beside
-        weights[place + np.uint64(3)] += move * mean
-        for k in range(min(j, 3)):
-            at = place + np.uint64(4 + 2 * k)
-            weights[at] += move * _term(room.off[k], form)
-            weights[at + np.uint64(1)] += move * _term(room.more[k], form)
+        for k in range(count):
+            weights[place + k] += move * terms[k]
     return noise + (2 * abs(off) >> form.unit)
 
 

@@ -37,13 +37,13 @@ def sampled(arrays: TreeArrays) -> Sampled:
 
 
 def fitted(raw: Uint8s, form: Form, sample: Sampled) -> Int64s:
-    """Return the weights (2 · components · classes, terms) of a channel's values (cells, components, size).
+    """Return the weights (2 · components · classes · terms,) of a channel's values (cells, components, size).
 
     Squares are weighted so that their sum is about that of what guesses are off by.
     """
     weights = np.zeros((2, form.components, CLASSES, TERMS), np.int64)
     if not sample:
-        return weights.reshape(-1, TERMS)
+        return weights.reshape(-1)
     parts = [
         np.concatenate(each, axis=-1)
         for each in zip(*(_terms(raw, form, *run) for run in sample), strict=True)
@@ -66,7 +66,7 @@ def fitted(raw: Uint8s, form: Form, sample: Sampled) -> Int64s:
             for later in terms[j + 1 :]:
                 if j < 3:
                     later[4 + 2 * j, own], later[5 + 2 * j, own] = np.rint(off), more[j, own]
-    return weights.reshape(-1, TERMS)
+    return weights.reshape(-1)
 
 
 def _terms(raw: Uint8s, form: Form, begin: int, rows: Int32s, cells: Int64s) -> tuple[Array, ...]:
