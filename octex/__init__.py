@@ -35,7 +35,8 @@ The rooms, each of which knows only those before it
     preview     model and texture side by side; pictures of differences
     formats     files that are not our own
     viewer      textures in a browser: a page, the walk as a shader, a server
-    cli         the commands, and the pages of octex help
+    cli         the commands
+    docs        the pages of octex help and of the documentation site
 
 Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit, npz,
 parallel, remote.

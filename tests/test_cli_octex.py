@@ -13,7 +13,7 @@ import pytest
 import octex
 from octex.cli.convert_options import COMMANDS
 from octex.cli.main import main
-from octex.cli.topics import TOPICS, topic
+from octex.docs import TOPICS, topic
 from octex.errors import ExitCode
 from tests.command import colored_box, python
 from tests.conftest import needs_jit
@@ -117,7 +117,7 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     assert refused(capsys, "a.glb") == f"octex: error: 'a.glb' is no command: {end}"
     assert refused(capsys, "--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
     assert refused(capsys, "help", "x").startswith(
-        "octex: error: there is no page on 'x'; there are models, "
+        "octex: error: there is no page on 'x'; there are tutorial, "
     )
     message = "octex edit: error: a.glb: is no .octex file; octex convert makes one of a model"
     assert refused(capsys, "edit", "a.glb", "b.octex") == message

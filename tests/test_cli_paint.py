@@ -1045,8 +1045,8 @@ def test_the_help_names_the_librarys_defaults() -> None:
     text = " ".join(Parser(COMMAND, PAINT).help_text().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
-    angles = f"{paint.TAKEN_ANGLE:g}; {paint.DRAWN_ANGLE:g} for what was drawn on a view"
-    assert f"nothing is painted (default {angles})" in text
+    angles = f"{paint.TAKEN_ANGLE:g}; {paint.DRAWN_ANGLE:g} for a view drawn by octex"
+    assert f"tilted more than DEGREES from the camera (default {angles})" in text
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert "at most level 14" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None

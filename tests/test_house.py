@@ -29,6 +29,7 @@ ROWS = [
         "checks",
         "functions",
         "ahead",
+        "docs",
         "jit",
         "parallel",
         "channels",

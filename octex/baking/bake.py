@@ -74,46 +74,36 @@ def bake(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Surface:
-    """Bake a texture to images; return the surface with them, for ``write_model`` or whatever reads surfaces.
+    """Bake a texture to images, and return the surface with them, for ``write_model``.
 
-    Each texel is one lookup of each channel, averaged over the texel as the surface shows it, on the side
-    that the surface faces, at the centroid of what its chart covers. Normals are in the tangent's frame, as
-    glTF has it. Around the charts the maps go on with what lies across their edges on the surface, for
-    ``padding`` texels and half as far again, and smoothly from there, so that no smaller level of the maps
-    shows a seam. Texels are fitted to bilinear reading.
+    source         the surface that the texture was made of, if ``surface`` is another mesh of the same
+                   object: each texel takes the nearest point of ``source``, at rest, that faces the same way
+    max_distance   how far away that point may be, in the model's units (None: any distance). Other texels are
+                   filled from their neighbours
+    uv             "keep": the surface's texture coordinates, with maps for each material; "atlas": new ones
+                   for the whole surface (by xatlas if it is installed); "auto": keep, unless in some material
+                   more than 1 % overlaps with different colours or is too small for its detail
+    texture_size   width of the square maps in texels, 64 to 16384. Default: the least power of two, up to
+                   8192, whose texels are no wider than the leaves
+    padding        texels around each chart of an atlas, 0 to 64 (default 8, fewer if there is little room)
+    channels       names of the channels to bake (default: all that materials have)
+    bits           of each number: 8; 16; or 32, floats in linear light, with directions as (x + 1) / 2
+    supersample    average this many lookups along each side of a texel, 1 to 8
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    progress       called with a stage's name, the units done and the units in all
 
-    source       the surface that the texture was made of, where ``surface`` is another one of the same
-                 object, like a simpler one: lookups are made at the nearest points of ``source``, at rest,
-                 that face the same way
-    max_distance  how far away these may be, in the model's units; None: as far as it takes. Texels without
-                 such a point are filled from those around
-    uv           "keep": the surface's own texture coordinates, with maps for each material (those that read
-                 one image share them; those without coordinates get an atlas; UDIM tiles become materials);
-                 "atlas": new ones for all (of the extra ``atlas``, xatlas, where it is installed); "auto":
-                 its own if of no material more than 1 % overlaps with what looks otherwise, or is squeezed
-                 into texels that would show what does, else new ones
-    texture_size  texels a side of the square maps, 64 to 16384; by default of each the least power of two,
-                 up to 8192, whose texels are about as wide as the leaves on its triangles, or narrower;
-                 leaves that are finer, on less than 1 % of these, do not count
-    padding      texels around each chart of an atlas, 0 to 64; charts are twice as far apart. By default 8,
-                 or fewer in an atlas whose charts would have too little room
-    channels     those that are baked, by name; by default all that materials have
-    bits         of a number of the maps: 8, or 16, sRGB where glTF has it; 32 are floats, linear light, which
-                 may be above 1, directions as (x + 1) / 2
-    supersample  each texel is the mean, in linear light, of so many lookups along each of its sides, 1 to 8
+    Each texel is one lookup of each channel, averaged over the texel's area on the surface, on the side that
+    the surface faces. Texels are fitted to bilinear filtering. Around charts the maps continue with the
+    colours across the chart's edge on the surface, so smaller mip levels show no seam. Normals are in tangent
+    space, as in glTF.
 
-    Materials keep their names, whether they show both sides, and their alpha modes; in an atlas those that
-    agree in the latter two become one. Where all are opaque and the texture has alpha below 1, they are masks
-    if hardly any is between 0 and 1, else they blend. Channels without variation become numbers.
+    Materials keep their names, sides and alpha modes; an atlas joins those that agree in the latter two. If
+    all are opaque and the texture has alpha below 1, they become masked, or blended if many texels are
+    between 0 and 1. Constant channels become factors.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for numbers out of range and channels that are not there or that no material has,
-    ModelError for coordinates that cannot be kept, for a map in which an atlas has no room, and where
-    ``source`` is nowhere near enough.
-    (Benson & Davis 2002, 6.3.)
+    Raises ArgumentError for numbers out of range and for channels that the texture or the materials lack,
+    ModelError for texture coordinates that cannot be kept, for an atlas without room, and if ``source`` is
+    nowhere near. (Benson & Davis 2002, 6.3.)
     """
     as_texture(texture)
     as_surface(surface)

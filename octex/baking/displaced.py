@@ -43,17 +43,20 @@ def displace(
     cell: float | None = None,
     most_triangles: int = 20_000_000,
 ) -> Surface:
-    """Return a surface moved along its normals by a channel of its texture, and divided to the cells.
+    """Move a surface along its normals by a channel of its texture, and divide it to the size of the cells.
 
-    p + scale · (h − middle) · n: h is what the channel holds, of colours their luminance, and n the surface's
-    own shading normal (``frames``), else the mean of the triangles around, in the pose. Edges are halved at
-    rest until none is longer than ``cell``, by default the texture's finest cell; neighbours divide a shared
-    edge alike. Rest positions stay those of the surface undisplaced, as do its texture coordinates and its
-    source. New normals, ``posed_frames()``, are those of the displaced surface, by the gradient of the field.
-    Both are evened out over about two cells: relief finer than 8 cells loses a tenth of its slope.
+    channel         its values h; of colours, their luminance
+    scale, middle   each point moves by scale · (h − middle) along its normal
+    cell            longest edge at rest (default: the texture's finest cell)
+    most_triangles  refuse to make more than this
 
-    Raises ArgumentError for a channel that is not there or is of directions, for numbers out of range, for
-    more than ``most_triangles``, and where the displacement is not finite.
+    Normals are the surface's shading normals (``frames``), or else means of the triangles around, in the
+    pose. Neighbours divide a shared edge alike. Rest positions, texture coordinates and the source do not
+    change. New normals, ``posed_frames()``, follow from the field's gradient. Heights are smoothed over about
+    two cells: relief finer than 8 cells loses a tenth of its slope.
+
+    Raises ArgumentError for a channel that is missing or holds directions, for numbers out of range, for more
+    than ``most_triangles``, and if the displacement is not finite.
     """
     as_surface(surface)
     as_texture(texture)

@@ -63,15 +63,16 @@ def bake_vertices(
     max_error: float = 8.0,
     most_triangles: int = 5_000_000,
 ) -> Surface:
-    """Return a surface with the base colour, and alpha, of a texture at its vertices.
+    """Return a surface with the base colour and alpha of a texture at its vertices.
 
-    subdivide    None: the triangles as they are. A length, in the units of rest positions: edges are halved
-                 until none is longer. "auto": edges are halved where colours between their ends are off by
-                 more than ``max_error`` codes of 255 in sRGB, down to half of the texture's finest cells
-    most_triangles  the halving ends before there would be more
+    subdivide       None: keep the triangles. A length in units of rest positions: halve edges until none is
+                    longer. "auto": halve edges where colours between their ends differ from the field by more
+                    than ``max_error``, at most to half of the finest cells
+    max_error       in 1/255 of sRGB
+    most_triangles  stop before there are more triangles than this
 
-    It has shading normals, ``frames``, if the surface has them: in between, what viewers shade by there.
-    Neighbours divide a shared edge alike, whatever else differs there: no cracks come in.
+    Neighbours divide a shared edge alike, so there are no cracks. Shading normals are kept if the surface has
+    them (``frames``).
 
     Raises ArgumentError for numbers out of range, and for a texture without base_color.
     """

@@ -42,91 +42,111 @@ _LARGE = 10_000_000
 _UNITS = ("meter", "centimeter", "millimeter", "inch", "foot")
 
 BAKE = Command(
-    "Bake a texture to images, or to vertex colours, for tools that show models.",
+    "Write a model with images, or vertex colours, of a texture, for other programs.",
     [
         option("TEXTURE", "an .octex file", type=texture_file),
         option(
-            "MODEL", "the model that it is a texture of, or with --source another one of it", type=file_here
+            "MODEL",
+            "the model of the texture; with --source, a simpler mesh of the same object",
+            type=file_here,
         ),
         option("OUTPUT", f"NAME{', NAME'.join(_ENDINGS)}", type=output_file),
     ],
     [
         option(
             "--uv",
-            "auto (default), keep or atlas: the model's own texture coordinates, with maps for each "
-            "material, or new ones for all; auto keeps them if they hardly overlap",
+            "texture coordinates: auto (default) keeps the model's unless they overlap; keep; or atlas, "
+            "new ones",
             choices=("auto", "keep", "atlas"),
         ),
         option(
             "--texture-size",
-            "texels a side of the maps (default: a power of two that keeps the leaves, up to 8192)",
+            "width and height of the images in texels (default: a power of two that keeps the leaves' "
+            "detail, up to 8192)",
             metavar="N",
             type=whole_number,
         ),
         option(
             "--source",
-            "the model that it is a texture of, where MODEL is simpler",
+            "the original model of the texture, where MODEL is simpler",
             metavar="MODEL",
             type=file_here,
         ),
         option(
             "--max-distance",
-            "how far away --source may be, in its units (default: as far as it takes)",
+            "how far the surface of --source may be, in its units (default: any distance)",
             metavar="DISTANCE",
             type=length,
         ),
         option(
             "--padding",
-            "texels around each chart (default 8, or fewer where an atlas has no room)",
+            "texels around each chart (default 8; fewer if an atlas has little room)",
             metavar="N",
             type=whole_number,
         ),
-        option("--channels", "those to bake, like base_color,normal", metavar="NAMES", type=channel_names),
+        option(
+            "--channels",
+            "names of the channels to bake, like base_color,normal",
+            metavar="NAMES",
+            type=channel_names,
+        ),
         option(
             "--image-format",
-            "png (default); webp, smaller (not in USD); jpeg, colours with loss; jpeg-all, normals and "
-            "numbers too; png16, of 16 bits; exr, floats (not in glTF)",
+            "png (default); webp, smaller, not in USD; jpeg, lossy for colours; jpeg-all, lossy for all; "
+            "png16, 16 bits; exr, floats, not in glTF",
             choices=tuple(_IMAGES),
         ),
         option(
             "--supersample",
-            "lookups along each side of a texel, averaged (default 1)",
+            "average this many lookups along each side of a texel (default 1)",
             metavar="N",
             type=whole_number,
         ),
         option(
             "--vertex-colors",
-            "colours at the vertices instead of images; always so in a .ply or .3mf",
+            "write colours at the vertices instead of images; always so in .ply and .3mf",
             action="store_true",
         ),
         option(
             "--subdivide",
-            "divide triangles until edges are no longer than SIZE, or with auto until vertex colours are "
-            "within --max-error (default: as they are; for a .3mf auto)",
+            "divide triangles until edges are no longer than SIZE; auto: until vertex colours are within "
+            "--max-error (default: no division; for .3mf auto)",
             metavar="SIZE",
             type=edge_length,
         ),
         option(
             "--max-error",
-            "what vertex colours may be off by, in codes of 255 (default 8)",
+            "largest error of vertex colours, in 1/255 (default 8)",
             metavar="CODES",
             type=error_codes,
         ),
         option(
             "--displace",
-            "divide the model to the texture's cells, and move it along its normals by what a channel holds; "
-            "of colours by their luminance",
+            "divide the model to the texture's cells and move it along its normals by this channel; for "
+            "colours by their luminance",
             metavar="CHANNEL",
         ),
-        option("--scale", "what 1 in that channel moves it by, in its units", metavar="S", type=real),
-        option("--middle", "what in that channel does not move it (default 0)", metavar="H", type=real),
+        option(
+            "--scale",
+            "distance that a channel value of 1 moves the surface, in its units",
+            metavar="S",
+            type=real,
+        ),
+        option(
+            "--middle", "channel value that does not move the surface (default 0)", metavar="H", type=real
+        ),
         option(
             "--unit",
-            f"what a length of 1 stands for in a .3mf or USD: {', '.join(_UNITS)} (default meter)",
+            f"what a length of 1 means in .3mf and USD: {', '.join(_UNITS)} (default meter)",
             metavar="UNIT",
             choices=_UNITS,
         ),
-        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=file_here),
+        option(
+            "--rest",
+            "the undeformed model, with the same vertices and triangles",
+            metavar="MODEL",
+            type=file_here,
+        ),
         *SHAPE_OPTIONS,
         *RUNNING,
     ],

@@ -40,136 +40,146 @@ from octex.errors import ArgumentError
 _OPTIONS = (
     option(
         "INPUT",
-        "the model, a cloud of points, voxels, an .octex file made before, or FILE.py:NAME, "
-        "a function of positions (n, 3), below 0 inside",
+        "a model, points, voxels, an .octex file, or FILE.py:NAME, a function of positions (n, 3) "
+        "that is negative inside",
         nargs="?",
         type=texture_file,
     ),
     option(
         "OUTPUT",
-        "NAME.octex; an archive of it, NAME.octz; a coloured point a leaf, with normal: NAME.ply, or "
-        "NAME.npz for numpy; NAME.html, a page that shows it in any browser; with --parts a folder",
+        "NAME.octex; compressed: NAME.octz; a point for each leaf: NAME.ply or NAME.npz; a page for "
+        "the browser: NAME.html; with --parts a folder",
         nargs="?",
         type=output_file,
     ),
     option(
         "--depth",
-        "levels below the root: cells of 1/2^N of its edge (default 10)",
+        "number of levels: the finest cells are 1/2^N of the model's size (default 10)",
         metavar="N",
         type=whole_number,
     ),
     option(
-        "--cell", "edge of the finest cells in the model's units, not --depth", metavar="SIZE", type=length
+        "--cell",
+        "width of the finest cells in the model's units, instead of --depth",
+        metavar="SIZE",
+        type=length,
     ),
     option(
         "--max-error",
-        "merge leaves where lookups then stay this near to what they were, in 8-bit codes, like 2; from a "
-        "texture to NAME.octz, by how many codes of their own its whole numbers may move",
+        "largest colour error allowed when merging cells, in 1/255 (try 2); for NAME.octz: by how "
+        "much stored integers may change",
         metavar="CODES",
         type=error_codes,
     ),
     option(
         "--detail",
-        "go less deep where the pose stretches less than elsewhere, or where a channel is below 1 (1/2: "
-        "a level less); --source detail=mask.png paints one",
+        "use coarser cells where the pose stretches the model less, or where a channel is below 1 "
+        "(1/2: one level coarser)",
         metavar="stretch|CHANNEL",
     ),
     option(
         "--memory",
-        "if the conversion would take more, keep what is large in a folder beside OUTPUT, NAME.octex, "
-        "meanwhile",
+        "limit of memory, like 2GB: work in files next to OUTPUT beyond it",
         metavar="SIZE",
         type=file_size,
     ),
-    option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
+    option("--no-fit", "store plain averages; lookups are less sharp", action="store_true"),
     option(
         "--mesh",
-        "the model that INPUT is a texture of: OUTPUT is it with images, .glb, .gltf, .obj or .usdz, "
-        "with vertex colours, .3mf (octex bake has more options), in a page, .html, or texels for its "
-        "polygons, .ptx; where INPUT is a .ptx, the mesh that it was painted on",
+        "the model that belongs to the texture INPUT: write it with images (.glb .gltf .obj .usdz), "
+        "with vertex colours (.3mf), as a page (.html) or as .ptx. With a .ptx as INPUT: its mesh",
         metavar="MODEL",
         type=file_here,
     ),
     option(
         "--max-size",
-        "of a page: leave the finest levels out until it is no larger, like 20MB",
+        "for a page: leave out the finest levels until the file is no larger, like 20MB",
         metavar="SIZE",
         type=file_size,
     ),
-    option("--rest", "the undeformed model, of the same topology as INPUT", metavar="MESH", type=file_here),
+    option(
+        "--rest",
+        "the undeformed model, with the same vertices and triangles as INPUT",
+        metavar="MESH",
+        type=file_here,
+    ),
     *SHAPE_OPTIONS,
     option(
         "--also",
-        "another model that shares the texture; any number of times",
+        "another model that shares the texture; may be repeated",
         metavar="MODEL",
         type=file_here,
         action="append",
     ),
-    option("--bounds", "where a surface that is a function lies: x0,y0,z0,x1,y1,z1", metavar="BOX", type=box),
-    option("--edge", "how long the triangles' edges are on such a surface", metavar="LENGTH", type=length),
+    option("--bounds", "for a function: the box that it fills, x0,y0,z0,x1,y1,z1", metavar="BOX", type=box),
+    option("--edge", "for a function: length of the triangles' edges", metavar="LENGTH", type=length),
     option(
         "--channels",
-        "what to convert or compare, like base_color,normal (default: all that there is)",
+        "names of the channels to convert or compare, like base_color,normal (default: all)",
         metavar="NAMES",
         type=channel_names,
     ),
     option(
         "--source",
-        "take a channel from an image, read at the model's texture coordinates, from a .ptx file, from a "
-        "function of positions (n, 3), base_color=wood.py:rings, or make it constant: roughness=0.5, "
-        "base_color=0.2,0.4,0.6 (linear light); any number of times",
+        "replace a channel by an image at the model's UVs, a .ptx file, a function of positions "
+        "(base_color=wood.py:rings) or a constant (roughness=0.5; base_color=0.2,0.4,0.6 in linear "
+        "light); may be repeated",
         metavar="CHANNEL=FILE",
         type=source,
         action="append",
     ),
     option(
         "--project",
-        "read the images that --source gives by position, not at texture coordinates: "
-        f"{', '.join(PROJECTIONS)}",
+        f"place the images of --source by position instead of UVs: {', '.join(PROJECTIONS)}",
         metavar="KIND",
         type=one_of(PROJECTIONS),
     ),
     option(
         "--project-axis",
-        f"where a plane is seen from, or the other kinds' up: {', '.join(AXES)} (default z)",
+        f"direction from which a plane is seen, or up for the other kinds: {', '.join(AXES)} (default z)",
         metavar="AXIS",
         type=one_of(AXES),
     ),
     option(
         "--project-center",
-        "where the picture's middle is, or what it goes around (default: the middle of the bounds)",
+        "centre of the image or of the box, cylinder or sphere (default: centre of the model)",
         metavar="X,Y,Z",
         type=position,
     ),
     option(
         "--project-size",
-        "what one copy of the picture spans, in the model's units, or along x, y and z: 1,1,0.5 "
-        "(default: the bounds; for a box their largest extent)",
+        "width of one copy of the image in the model's units, or along x, y and z: 1,1,0.5 (default: "
+        "the model's size)",
         metavar="SIZE",
         type=sizes,
     ),
     option(
         "--transfer",
-        "take all channels that another model has where its surface is nearest",
+        "take all channels from the nearest surface of another model",
         metavar="MODEL",
         type=file_here,
     ),
     option(
         "--cloud",
-        "take colours from points (.ply, .xyz, .npz): the nearest, or the mean of those in --radius",
+        "take colours from points (.ply, .xyz, .npz): the nearest, or the mean within --radius",
         metavar="POINTS",
         type=file_here,
     ),
-    option("--radius", "how far points of --cloud count, in the model's units", metavar="R", type=length),
+    option(
+        "--radius",
+        "for --cloud: average points within this distance, in the model's units",
+        metavar="R",
+        type=length,
+    ),
     option(
         "--max-distance",
-        "leave cells empty that are farther than this from what they would take values from",
+        "leave cells empty whose --transfer or --cloud colours are farther away than this",
         metavar="D",
         type=length,
     ),
     option(
         "--max-angle",
-        "by how much normals may differ from where values are taken (default 180, 90 for points)",
+        "largest angle between the normals of both surfaces (default 180; 90 for points)",
         metavar="DEGREES",
         type=angle,
     ),
@@ -181,15 +191,15 @@ _OPTIONS = (
     ),
     option(
         "--dtype",
-        f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16,emissive=float16 "
-        "(default uint8, float16 for light above 1)",
+        f"stored type: {', '.join(DTYPES)}; for some channels: normal=uint16,emissive=float16 (default "
+        "uint8; float16 for light above 1)",
         metavar="TYPE",
         type=dtypes,
     ),
     option(
         "--separate",
-        "move parts apart at rest that intersect or come nearer than so many of the finest cells "
-        f"(default {SEPARATE_CELLS:g}), so that their colours do not run together",
+        "move parts apart that intersect or come nearer than this many cells (default "
+        f"{SEPARATE_CELLS:g}), so that their colours do not mix",
         metavar="CELLS",
         nargs="?",
         const=SEPARATE_CELLS,
@@ -197,77 +207,88 @@ _OPTIONS = (
     ),
     option(
         "--parts",
-        "give each part a texture of its own, so that nothing bleeds: OUTPUT is a folder then",
+        "write a folder with a texture for each part, so that nothing bleeds between parts",
         action="store_true",
     ),
     option(
         "--crop",
-        "of a texture: only the cells that meet a box, x0,y0,z0,x1,y1,z1 in rest positions",
+        "for a texture: keep only cells that meet the box x0,y0,z0,x1,y1,z1, in rest positions",
         metavar="BOX",
         type=box,
     ),
     option(
         "--combine",
-        "of a texture: lay another .octex file of the same root cell over it",
+        "for a texture: lay another .octex file with the same root cell over it",
         metavar="FILE",
         type=texture_file,
     ),
     option(
         "--mix",
-        "of a texture: mix it with another .octex file, of which there is AMOUNT, 0 to 1",
+        "for a texture: mix in AMOUNT (0 to 1) of another .octex file",
         metavar="FILE=AMOUNT",
         type=file_and_amount,
     ),
-    option("--blur", "of a texture: blur it, in the model's units", metavar="WIDTH", type=length),
+    option(
+        "--blur",
+        "for a texture: blur over the surface by this width, in the model's units",
+        metavar="WIDTH",
+        type=length,
+    ),
     option(
         "--levels",
-        "of a texture: base colour from BLACK to WHITE, encoded 0 to 1, becomes 0 to 1",
+        "for a texture: stretch encoded base colours from BLACK to WHITE to the range 0 to 1",
         metavar="BLACK,WHITE[,GAMMA]",
         type=levels,
     ),
-    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=output_file),
+    option(
+        "--preview",
+        "write a PNG: the original on the left, the octree texture on the right",
+        metavar="PNG",
+        type=output_file,
+    ),
     *VIEW_OPTIONS,
     *RUNNING,
     option(
         "--diff",
-        "say how two textures, or a texture and a model, differ over the surface; --preview draws it. "
-        "The exit code is 0 whether they differ or not",
+        "print how two textures, or a texture and a model, differ; --preview draws the difference. "
+        "The exit code is 0 in either case",
         metavar=("A", "B"),
         nargs=2,
         type=texture_file,
     ),
     option(
         "--points",
-        "points on the model to compare at (default 1,000,000); two textures are compared at all leaves",
+        "number of points at which a model is compared (default 1,000,000); two textures are compared "
+        "at all leaves",
         metavar="N",
         type=count,
     ),
     option(
         "--overlaps",
-        "say which parts of a model intersect, or come nearer to each other than --margin. The exit "
-        "code is 0 whether some do or not",
+        "list parts of a model that intersect or come nearer than --margin. The exit code is 0 in "
+        "either case",
         metavar="MODEL",
         type=file_here,
     ),
     option(
         "--margin",
-        "how near parts may come to each other, in the model's units (default: not at all)",
+        "smallest allowed distance between parts, in the model's units (default 0)",
         metavar="SIZE",
         type=length,
     ),
     option(
         "--info",
-        "say what an .octex or .octz file or a folder of --parts holds",
+        "print the contents of an .octex or .octz file, or of a folder of parts",
         metavar="FILE",
         type=texture_file,
     ),
     option(
         "--validate",
-        "check that an .octex or .octz file, or each in a folder of --parts, is sound, or say what is broken",
+        "check an .octex or .octz file, or each in a folder of parts, and print what is broken",
         metavar="FILE",
         type=texture_file,
     ),
-    option("--warm-up", "compile everything now; later runs start at once", action="store_true"),
+    option("--warm-up", "compile everything now; later commands start at once", action="store_true"),
 )
 
 #: What a conversion writes, each in one file.
@@ -326,7 +347,7 @@ def _alone(word: str, summary: str, file: str, *examples: str, usual: Collection
         [option(word.lstrip("-"), **settings)],
         _those(
             [each for each in _BY_WORD if each in _WORDS[word]],
-            rest="the undeformed model, of the same topology",
+            rest="the undeformed model, with the same vertices and triangles",
             preview="draw the difference",
         ),
         examples,
@@ -356,55 +377,55 @@ CONVERT = Command(
 COMMANDS = {
     "convert": CONVERT,
     "edit": Command(
-        "Make a texture from a texture; what is asked for is done in the order listed here.",
+        "Make a texture from a texture. Options are applied in the order listed here.",
         [
             option("INPUT", "an .octex file", metavar="TEXTURE", type=texture_file),
             option(
                 "OUTPUT",
-                "NAME.octex, NAME.octz, a coloured point a leaf: NAME.ply, or NAME.npz; NAME.html",
+                "NAME.octex; compressed: NAME.octz; a point for each leaf: NAME.ply or NAME.npz; NAME.html",
                 type=output_file,
             ),
         ],
         _those(
             [*_EDITS, *(word for word in _BY_WORD if word in _OF_ANYTHING.difference(_EDITS))],
-            depth="the averages of a coarser level",
-            channels="those to keep, like base_color,normal",
-            dtype=f"what is stored: {', '.join(DTYPES)}; for some channels normal=uint16",
+            depth="number of levels to keep",
+            channels="names of the channels to keep, like base_color,normal",
+            dtype=f"stored type: {', '.join(DTYPES)}; for some channels: normal=uint16",
             preview="draw the texture",
         ),
         ["droid.octex coarse.octex --depth 7", "droid.octex worn.octex --levels 0.1,0.75,1.3 --blur 0.02"],
     ),
     "info": _alone(
         "--info",
-        "Say what a texture holds, and where its bytes go.",
-        "an .octex file, or a folder of them as --parts makes it",
+        "Print what a texture holds and where its bytes go.",
+        "an .octex or .octz file, or a folder of parts",
         "droid.octex",
         "droid.octex --json",
     ),
     "diff": _alone(
         "--diff",
-        "Say how two textures, or a texture and a model, differ over the surface.",
-        "two .octex files, or one and a model; the exit code is 0 whether they differ or not",
+        "Print how two textures, or a texture and a model, differ over the surface.",
+        "two .octex files, or one and a model; the exit code is 0 in either case",
         "droid.octex droid.glb --preview difference.png",
         "before.octex after.octex --channels base_color --json",
         usual=("--channels", "--points", "--rest", "--preview", "--force", "--quiet", "--json"),
     ),
     "validate": _alone(
         "--validate",
-        "Check that a texture is sound, or say what is broken.",
-        "an .octex file, or a folder of them as --parts makes it",
+        "Check a texture, and print what is broken.",
+        "an .octex or .octz file, or a folder of parts",
         "droid.octex",
         "robot/ --quiet",
     ),
     "overlaps": _alone(
         "--overlaps",
-        "Say which parts of a model intersect or nearly touch: their colours would run together.",
-        "the model; the exit code is 0 whether some do or not",
+        "List parts of a model that intersect or nearly touch: their colours would mix.",
+        "the model; the exit code is 0 in either case",
         "robot.glb",
         "robot.glb --margin 0.01",
     ),
     "warm-up": Command(
-        "Compile all that octex compiles; later runs start at once.", [], _those(_WORDS["--warm-up"]), [""]
+        "Compile everything now, so that later commands start at once.", [], _those(_WORDS["--warm-up"]), [""]
     ),
 }
 

@@ -14,8 +14,8 @@ from octex.cli.common import run, say
 from octex.cli.convert_options import COMMANDS
 from octex.cli.paint_options import PAINT
 from octex.cli.parser import Command
-from octex.cli.topics import TOPICS, topic
 from octex.cli.viewer import VIEW
+from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"
@@ -86,8 +86,8 @@ def _overview() -> str:
         "",
         *(f"  {name:9} {summaries[name]}" for name in _ORDER),
         "",
-        f"{PROGRAM} COMMAND --help shows a command's usual options and examples, --help-all every option;",
-        f"{PROGRAM} help TOPIC prints a page on one of these:",
+        f"{PROGRAM} COMMAND --help shows common options and examples, --help-all every option;",
+        f"{PROGRAM} help TOPIC prints one of these pages:",
         *textwrap.wrap(f"{', '.join(TOPICS)}.", 100, initial_indent="  ", subsequent_indent="  "),
     ]
     return "\n".join(lines)

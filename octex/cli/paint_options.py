@@ -30,190 +30,206 @@ from octex.cli.view_options import VIEW_OPTIONS, VIEW_WORDS, check_view_options
 from octex.errors import ArgumentError
 
 _OPTIONS = (
-    option("MODEL", "the model, posed as the cameras see it", nargs="?", type=file_here),
+    option("MODEL", "the model, in the pose that the cameras see", nargs="?", type=file_here),
     option(
         "TEXTURE",
-        "its texture, .octex or .octz; if it is left out, or not there, a new one is begun",
+        "its texture, .octex or .octz; if missing, a new one is made",
         nargs="?",
         type=texture_file,
     ),
     option(
         "IMAGE",
-        "pictures, whose frames are found by their file names, or IMAGE=FRAME (default: those that FILE "
-        "names)",
+        "pictures; each takes the camera with its file name, or IMAGE=FRAME names one (default: the "
+        "pictures that FILE names)",
         nargs="*",
         type=file_here,
     ),
     option(
         "--camera",
-        "where the cameras are: transforms.json, a COLMAP folder, Metashape's .xml, OpenMVS's .mvs, "
-        "Meshroom's .sfm, OpenSfM's or OpenMVG's .json, Bundler's .out, .npz, glTF, or what --camera-out "
-        "wrote",
+        "file with the cameras: octex's camera.json, transforms.json, a COLMAP folder, Metashape "
+        ".xml, OpenMVS .mvs, Meshroom .sfm, OpenSfM or OpenMVG .json, Bundler .out, .npz, glTF",
         metavar="FILE[#NAME]",
         type=camera,
     ),
     option(
         "--unwrap",
-        "a disc of the surface laid flat, not a camera: its centre, and its radius along the surface; the "
-        "same for --view and for painting what it drew",
+        "paint on a disc of the surface laid flat instead of a camera's view: centre and radius along "
+        "the surface",
         metavar="X,Y,Z,R",
         type=disc,
     ),
     option(
         "--conformal",
-        "with --unwrap: lay it out so that angles change least; opens ears and limbs, which fold otherwise",
+        "with --unwrap: preserve angles, so that ears and limbs lie open instead of folding",
         action="store_true",
     ),
-    option("--out", "the painted texture; with --force also TEXTURE", metavar="NEW", type=output_file),
+    option(
+        "--out",
+        "write the painted texture here; with --force it may be TEXTURE",
+        metavar="NEW",
+        type=output_file,
+    ),
     option(
         "--mask",
-        "white where paint goes: one for all, or one for each IMAGE in order; any number of times",
+        "mask image, white = paint; give one, or one per IMAGE",
         metavar="PNG",
         action="append",
         type=file_here,
     ),
     option(
         "--masks",
-        "the mask of each picture: a path with {stem}, its name without the ending, or {name}",
+        "path of each picture's mask, with {stem} for the picture's name without ending, or {name}",
         metavar="PATTERN",
         type=mask_pattern,
     ),
     option(
         "--key",
-        "a colour that is not painted, of a backdrop: R,G,B from 0 to 255, or '#rrggbb'",
+        "do not paint this backdrop colour: R,G,B from 0 to 255, or '#rrggbb'",
         metavar="COLOUR",
         type=color,
     ),
     option(
         "--since",
-        "the picture before it was drawn on: only pixels that differ are painted (default: the view that "
-        "--camera-out keeps)",
+        "the unedited view: only pixels that you changed are painted (default: the view in the camera file)",
         metavar="PNG",
         type=file_here,
     ),
-    option("--whole", "paint all of a view, not only what was drawn on it", action="store_true"),
+    option("--whole", "paint all pixels of a view, not only those that you changed", action="store_true"),
     option(
         "--blend",
-        f"how paint is put: {', '.join(BLENDS)} (default over)",
+        f"how paint combines with the texture: {', '.join(BLENDS)} (default over)",
         metavar="MODE",
         type=one_of(BLENDS),
     ),
-    option("--opacity", "0 to 1: multiplies the pictures' alpha (default 1)", metavar="X", type=opacity),
-    option("--channel", f"what is painted (default {DEFAULT_CHANNEL})", metavar="NAME"),
+    option("--opacity", "opacity of the paint, 0 to 1 (default 1)", metavar="X", type=opacity),
+    option("--channel", f"channel to paint (default {DEFAULT_CHANNEL})", metavar="NAME"),
     option(
         "--max-depth",
-        "the deepest level that paint goes to (default: cells of half a pixel to one, at most level 14)",
+        "deepest level of the paint (default: cells of half a pixel to one, at most level 14)",
         metavar="N",
         type=whole_number,
     ),
     option(
         "--max-angle",
-        "between the surface's normal and the way to the camera, from which on nothing is painted "
-        "(default 75; 85 for what was drawn on a view)",
+        "do not paint surfaces tilted more than DEGREES from the camera (default 75; 85 for a view "
+        "drawn by octex)",
         metavar="DEGREES",
         type=angle,
     ),
     option(
         "--edge-feather",
-        "fade paint towards the picture's rim and edges in depth (default 0)",
+        "fade paint toward the picture's border and toward edges in depth (default 0)",
         metavar="PIXELS",
         type=pixels,
     ),
     option(
         "--pictures",
-        "of several that see a place: average; robust, which leaves out what does not agree with most; or "
-        "best, one for each patch, with levelled borders (default: robust for three or more)",
+        "how overlapping pictures combine: average; robust leaves out what only one shows; best takes "
+        "one per patch and levels the borders (default robust for three or more)",
         metavar="MODE",
         type=one_of(PICTURES),
     ),
     option(
         "--balance",
-        "make overlapping pictures agree: gain multiplies each; full multiplies each component, and undoes "
-        "vignetting",
+        "match the exposures of overlapping pictures: gain scales each; full scales each colour "
+        "component and removes vignetting",
         metavar="MODE",
         type=one_of(BALANCES),
     ),
     option(
         "--reference",
-        "the picture that --balance leaves as light as it is, and --refine-cameras where it is (default: the "
-        "median gain is 1, and the camera that shares most stays)",
+        "the picture that --balance and --refine-cameras do not change (default: median gain 1, and "
+        "the camera that overlaps most)",
         metavar="IMAGE",
         type=file_here,
     ),
     option(
         "--refine-cameras",
-        "turn, move and zoom the cameras a little, by which overlapping pictures agree best",
+        "turn, move and zoom cameras by a few pixels until the pictures agree",
         action="store_true",
     ),
-    option("--save-cameras", "keep the refined cameras, for --camera", metavar="JSON", type=output_file),
-    option("--back-faces", "paint also what faces away", action="store_true"),
+    option("--save-cameras", "write the refined cameras, for --camera", metavar="JSON", type=output_file),
+    option("--back-faces", "also paint surface that faces away from the camera", action="store_true"),
     option(
         "--holes",
-        "what a new texture has where no picture saw the model: smooth fills it from around, over the "
-        "surface; leave leaves it without cells (default smooth)",
+        "how to fill unseen areas of a new texture: smooth (continue the colours) or leave (no cells) "
+        "(default smooth)",
         metavar="MODE",
         type=one_of(HOLES),
     ),
     option(
         "--coverage",
-        "keep how much of each cell pictures cover, in the channel coverage",
+        "also store how much of each cell the pictures cover, as channel coverage",
         action="store_true",
     ),
     option(
         "--memory",
-        "if the pictures would take more, keep them decoded in a folder beside --out meanwhile",
+        "limit of memory, like 4GB: keep decoded pictures in files next to --out beyond it",
         metavar="SIZE",
         type=file_size,
     ),
     option(
         "--resume",
-        "keep what is done in FOLDER, and go on from what is there: after a stop, or with other options; "
-        "yours to delete",
+        "store finished stages in FOLDER and reuse them, after a stop or with other options; you may "
+        "delete it",
         metavar="FOLDER",
         type=output_file,
     ),
-    option("--no-fit", "store plain averages; lookups are then softer", action="store_true"),
+    option("--no-fit", "store plain averages; lookups are less sharp", action="store_true"),
     option(
         "--background",
-        "begin a new texture in this colour all over: R,G,B from 0 to 255, or '#rrggbb'",
+        "colour of a new texture: R,G,B from 0 to 255, or '#rrggbb'",
         metavar="COLOUR",
         type=color,
     ),
-    option("--rest", "the undeformed model, of the same topology as MODEL", metavar="MESH", type=file_here),
+    option(
+        "--rest",
+        "the undeformed model, with the same vertices and triangles as MODEL",
+        metavar="MESH",
+        type=file_here,
+    ),
     *SHAPE_OPTIONS,
-    option("--preview", "draw the model beside the model from its octree", metavar="PNG", type=output_file),
-    option("--layer-out", "keep the paint itself, .octex, for --layer", metavar="LAYER", type=output_file),
+    option(
+        "--preview",
+        "write a PNG: the original on the left, the octree texture on the right",
+        metavar="PNG",
+        type=output_file,
+    ),
+    option(
+        "--layer-out", "write the paint as a layer, .octex, for --layer", metavar="LAYER", type=output_file
+    ),
     option(
         "--layer",
-        "merge paint kept before; any number of times, in this order",
+        "merge a layer that --layer-out wrote; may be repeated, in this order",
         metavar="LAYER",
         action="append",
         type=file_here,
     ),
     option(
         "--view",
-        "draw what the camera sees, unlit and as transparent as the texture, to be painted on and sent "
-        "back; --blend replace then leaves transparency as it is, over adds to what is translucent",
+        "write what the camera sees, unlit, to paint on it. When painted back, --blend replace keeps "
+        "its transparency",
         metavar="PNG",
         type=output_file,
     ),
     option(
         "--empty-layer",
-        "beside that picture, a transparent one of its size: what is painted on it is all that is painted",
+        "with --view: also write a transparent picture of the same size; only what you draw on it is painted",
         metavar="PNG",
         type=output_file,
     ),
     option(
-        "--camera-out", "the camera of that picture, .json, for --camera", metavar="CAMERA", type=output_file
+        "--camera-out", "write the camera of --view, .json, for --camera", metavar="CAMERA", type=output_file
     ),
     option(
         "--size",
-        f"pixels of that picture (default: the camera's, or {DEFAULT_SIZE[0]},{DEFAULT_SIZE[1]})",
+        "width and height of --view in pixels (default: the camera's, or "
+        f"{DEFAULT_SIZE[0]},{DEFAULT_SIZE[1]})",
         metavar="W,H",
         type=picture_size,
     ),
     *VIEW_OPTIONS,
-    option("--shaded", "draw that picture in studio light, to be looked at", action="store_true"),
+    option("--shaded", "draw --view in studio light, to look at", action="store_true"),
     *RUNNING,
 )
 
@@ -239,7 +255,7 @@ _NEEDED = {
 }
 
 PAINT = Command(
-    "Paint pictures through their cameras onto a model's octree texture.",
+    "Project pictures through their cameras onto a model's octree texture.",
     [each for each in _OPTIONS if not each.word.startswith("-")],
     [each for each in _OPTIONS if each.word.startswith("-")],
     [

@@ -44,9 +44,9 @@ def option(word: str, help: str, **settings: Any) -> Option:
 
 #: How any command works, and what it prints.
 RUNNING = (
-    option("--force", "overwrite what exists", action="store_true"),
-    option("--threads", "threads to work on (default: all processors)", metavar="N", type=count),
-    option("--quiet", "print nothing but errors (and what --json asks for)", action="store_true"),
+    option("--force", "overwrite existing files", action="store_true"),
+    option("--threads", "number of threads (default: all processors)", metavar="N", type=count),
+    option("--quiet", "print only errors (and the result of --json)", action="store_true"),
     option("--json", "print the result as one JSON object", action="store_true"),
 )
 

@@ -17,19 +17,18 @@ if TYPE_CHECKING:
 SHAPE_OPTIONS = (
     option(
         "--pose",
-        "how an animation of a glTF model moves it, by its skins, morph targets and nodes, like Run@0.5; "
-        "rest positions stay (octex help surfaces)",
+        "pose of an animated glTF model, like Run@0.5; rest positions do not change (octex help surfaces)",
         metavar="NAME@SECONDS",
     ),
     option(
         "--subdiv-levels",
-        "take the model for the cage of a subdivision surface, Catmull–Clark or Loop, and divide it so often",
+        "treat the model as a control cage and subdivide it N times, by Catmull–Clark or Loop",
         metavar="N",
         type=whole_number,
     ),
     option(
         "--subdiv-rest",
-        "rest positions of such a surface: hull, the cage's own (default), or limit, the surface's",
+        "rest positions of a subdivided model: hull, the cage's (default), or limit, the limit surface's",
         metavar="KIND",
         choices=("hull", "limit"),
     ),

@@ -21,35 +21,34 @@ if TYPE_CHECKING:
 VIEW_OPTIONS = (
     option(
         "--direction",
-        "from the model toward the camera that draws it (default: from where pictures that are painted were "
-        "taken; else the side that shows most)",
+        "direction from the model to the camera (default: where painted pictures were taken, "
+        "otherwise the side that shows most)",
         metavar="X,Y,Z",
         type=position,
     ),
-    option("--up", "what points up in the picture (default 0,1,0)", metavar="X,Y,Z", type=position),
+    option("--up", "direction that points up in the picture (default 0,1,0)", metavar="X,Y,Z", type=position),
     option(
         "--zoom",
-        "draw so many times as large (default 1: the whole model)",
+        "enlarge by this factor (default 1: the whole model)",
         metavar="TIMES",
         type=length,
     ),
     option(
         "--light",
-        "draw in light from all around, reflected by metal, roughness and normal maps: a picture by latitude "
-        "and longitude, .hdr or .exr, or 'studio' (default: soft light on the colours alone)",
+        "light the materials by a panorama, .hdr or .exr, or by 'studio' (default: soft light on base "
+        "colours only)",
         metavar="FILE",
         type=light,
     ),
-    option(
-        "--exposure", "make --light so many times twice as bright (default 0)", metavar="STOPS", type=real
-    ),
+    option("--exposure", "double the --light this many times (default 0)", metavar="STOPS", type=real),
     option(
         "--bump",
-        "bend the normals as if a channel's 1 lay so much higher, in the model's units",
+        "bend the normals as if the surface were displaced by HEIGHT where the channel is 1, in the "
+        "model's units",
         metavar="CHANNEL=HEIGHT",
         type=bump,
     ),
-    option("--frame", "draw through a camera of a glTF model, by its name", metavar="NAME"),
+    option("--frame", "draw through a camera of the glTF model, by its name", metavar="NAME"),
 )
 VIEW_WORDS = {each.word for each in VIEW_OPTIONS}
 

@@ -28,32 +28,39 @@ PAGE_ENDING = ".html"
 _DEFAULT_DEPTH = 9
 
 VIEW = Command(
-    "Show a texture on its model in the browser, until the page is closed or Ctrl-C.",
+    "Show a texture in the browser, until you close the page or press Ctrl-C.",
     [
         option(
             "TEXTURE",
-            "an .octex file, a folder of --parts, or a model, which is converted first",
+            "an .octex file, a folder of parts, or a model, which is converted first",
             type=texture_file,
         )
     ],
     [
         option(
             "--mesh",
-            "the model that it is a texture of; without it, the cells are shown",
+            "the model of the texture; without it, the page shows the cells",
             metavar="MODEL",
             type=file_here,
         ),
-        option("--part", "the part of a folder that is shown (default: all of them)", metavar="NAME"),
-        option("--rest", "the undeformed model, of the same topology", metavar="MODEL", type=file_here),
+        option("--part", "show only this part of a folder (default: all)", metavar="NAME"),
+        option(
+            "--rest",
+            "the undeformed model, with the same vertices and triangles",
+            metavar="MODEL",
+            type=file_here,
+        ),
         *SHAPE_OPTIONS,
         option(
             "--depth",
-            f"levels below the root, if a model is converted (default {_DEFAULT_DEPTH})",
+            f"number of levels, if a model is converted (default {_DEFAULT_DEPTH})",
             metavar="N",
             type=whole_number,
         ),
-        option("--port", "the server's port on 127.0.0.1 (default: any)", metavar="N", type=port_number),
-        option("--no-browser", "print where the page is, and open nothing", action="store_true"),
+        option(
+            "--port", "the server's port on 127.0.0.1 (default: any free one)", metavar="N", type=port_number
+        ),
+        option("--no-browser", "print the page's address, and do not open a browser", action="store_true"),
         *(each for each in RUNNING if each.word in ("--threads", "--quiet")),
     ],
     ["droid.octex --mesh droid.glb", "droid.glb --depth 10"],

@@ -33,11 +33,11 @@ class Separated(NamedTuple):
 def separate(
     surface: Surface, cells: float = CELLS, *, depth: int | None = None, cell: float | None = None
 ) -> Separated:
-    """Move parts of a surface apart that come nearer than ``cells`` finest cells to each other.
+    """Move parts of a surface apart that come nearer to each other than ``cells`` finest cells.
 
-    ``depth`` and ``cell`` say how fine the texture will be, as for ``convert``. Afterwards no cell holds two
-    parts that were too near, nor do cells with fewer than ``cells`` between them along every axis. Coarse
-    averages still mix parts, over twice the distance with every level. See ``Surface.separated``.
+    ``depth`` or ``cell`` is the texture's resolution, as for ``convert``. Afterwards at least ``cells`` empty
+    cells lie between such parts along some axis. Coarse levels still mix parts, over twice the distance with
+    every level. See ``Surface.separated``.
 
     Raises ArgumentError for numbers out of range, and for a depth with too few cells for all parts.
     """

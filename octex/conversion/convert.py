@@ -80,59 +80,40 @@ def convert(
 ) -> OctreeTexture:
     """Convert a model into an octree texture.
 
-    ``model`` is a file or a Surface; or several, which share the texture (Benson & Davis 2002, 5; see
-    ``Surface.joined``); or a PointCloud or Voxels, or a file of these: see ``convert_points`` and
-    ``convert_voxels``. The finest cells are 2⁻ᵈᵉᵖᵗʰ of the root cell (10 by default), or have the edge
-    ``cell`` in model units. ``rest`` gives rest positions, as for ``load_surface``. ``progress`` is called
-    with the stage's name, the units done and the units in all.
+    model      a model file or a Surface; several of them, which share the texture; or a PointCloud, Voxels,
+               or a file of these
+    depth      levels below the root, 0 to 21: the finest cells are 2⁻ᵈᵉᵖᵗʰ as wide as the root cell (default
+               10)
+    cell       width of the finest cells in the model's units, instead of ``depth``
+    rest       rest positions, as for ``load_surface``
+    channels   names of the channels to convert (default: all that the model has)
+    sources    replacements for channels, as for ``Surface.with_sources``
+    dtype      stored type: "uint8", "uint16", "float16" or "float32", one for all or a dict by channel.
+               Default: uint8, and float16 for light above 1. Floats store linear light
+    filter     how images are averaged over cells: one of ``filters.FILTERS`` (default "ewa")
+    fit        choose leaf values so that "quadratic" lookups match the source; False stores plain averages
+    max_error  merge leaves while no lookup changes by more than this many 1/255 of the encoded range
+    detail     the depth in places: a function of rest positions (n, 3) that returns levels (n,); the name of
+               a one-component channel, where 1 means full depth and 1/2 a level less; or "stretch", which
+               evens out the resolution of the posed surface
+    separate   move parts apart at rest that come nearer than this many finest cells (True: 3). Lookups then
+               take ``Surface.rest_positions``
+    path       save the texture here as NAME.octex, and return it memory-mapped
+    memory     bytes, or a text like "2GB": keep what exceeds it in files next to ``path``
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor. With
+               ``path``, an executor's workers exchange files in that folder. The result is always the same
+    progress   called with a stage's name, the units done and the units in all
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
+    A leaf is stored for exactly the cells that the surface meets at rest. A node stores the average of the
+    source over the surface inside it, weighted by area and alpha, in linear light (Benson & Davis 2002, 3.1,
+    3.5 and 5). Directions average as vectors. A cell in which front and back differ by more than 1/255 of the
+    encoded range stores a value for each facing.
 
-    ``channels`` names those to convert, by default all that the model has; ``sources`` gives some from
-    elsewhere, as for ``Surface.with_sources``; ``filter`` is how images are averaged over cells, as for
-    ``load_surface``. ``dtype``, "uint8", "uint16", "float16" or "float32", is the stored type of all channels
-    or of each by its name; the default is the source's: uint8, or float16 for light above 1. Floats store
-    linear light.
+    PointCloud accepts only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; Voxels neither
+    ``depth`` nor ``cell``. ``path`` excludes sources with gaps.
 
-    A leaf is stored for exactly the cells that the surface meets at rest. The value of every node is the
-    area-weighted mean of the source over the surface inside it, taken in linear light, all channels weighted
-    by alpha too if it is among them (Benson & Davis 2002, 3.1, 3.5 and 5). Directions are averaged as
-    vectors: the less they agree, the shorter is the mean. A cell in which the surface shows both ways along
-    an axis keeps a mean for each facing too, if one differs from the whole by more than 1/255 of the encoded
-    range; light stored as floats is compared on sRGB's curve, and above 1 by ratio (0.9 %). Leaves
-    hold the values with which the field, read with the filter "quadratic", comes nearest to the source;
-    without ``fit`` their means, as nodes do. Beside others that face the other way, fitted leaves keep a
-    value for each facing, too, if the one with which lookups with normals come nearest differs as much.
-
-    Leaves are as deep as the finest cells unless ``max_error`` or ``detail`` say otherwise. ``max_error``, in
-    8-bit codes of what is encoded, merges leaves wherever the field, looked up with normals or without, then
-    stays that near to the one without it: see ``adapt.adapted``. ``detail`` says how deep to go where: a
-    function of rest positions (n, 3) that returns levels (n,), the name of a channel of one component that
-    holds the resolution relative to the finest, or "stretch", which evens out the resolution of the posed
-    surface: see ``detail.wanted_levels``. A channel that only steers is not stored if ``channels`` do not
-    name it.
-
-    With ``path`` the texture is saved there, NAME.octex, and returned as opened from there. If the conversion
-    would take more than ``memory``, bytes or a text like "2GB", what is large lies in a folder beside that
-    file meanwhile, of whose pages the system keeps what memory has room for; the surface, its images and some
-    bytes a cell stay in memory: see `octex help files`. With an ``executor`` it lies there always, and is
-    passed to workers and back as names of files: they must see the folder under the same name, and a worker
-    that is lost is done without. The texture is the same, bit for bit. Neither goes with sources with gaps;
-    ``max_error`` and ``detail`` go with ``memory`` alone, and some 90 bytes a finest cell then stay there.
-
-    Points know only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; voxels of these neither
-    ``depth`` nor ``cell``.
-
-    ``separate`` moves parts apart at rest that come nearer to each other than so many finest cells (True: 3),
-    so that they share none: see ``apart.separate``. Lookups then take ``Surface.rest_positions``.
-
-    Raises OutputError if ``path`` cannot be written, ModelError and ImageError for a model that cannot be
-    used, ArgumentError for what is no model, a depth out of range, a cell too small, more cells than can be
-    numbered, unknown names, and an integer type for a channel that goes above 1, for a ``max_error`` that is
-    no number or negative, a ``detail`` that cannot be used, a ``memory`` without a ``path``, and a ``path``
-    that does not end in .octex.
+    Raises ModelError and ImageError for a model that cannot be used, OutputError if ``path`` cannot be
+    written, and ArgumentError for any other argument out of range.
     """
     report = as_progress(progress)
     target = None if path is None else _as_target(path)

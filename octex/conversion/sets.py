@@ -44,20 +44,17 @@ def convert_set(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TextureSet:
-    """Convert the parts of a model into textures of their own, so that nothing bleeds between them.
+    """Convert each part of a model into a texture of its own, so that nothing bleeds between parts.
 
-    ``parts`` are models by name; or one model, a file or a Surface, whose parts are then those of
-    ``Surface.parts``, named part-0, part-1 …: the texture of triangle t is number ``surface.parts[t]``.
+    parts   models by name; or one model file or Surface. Its parts are those of ``Surface.parts``, named
+            part-0, part-1 …; triangle t belongs to texture ``surface.parts[t]``
+    depth   levels of each part (default 10): small parts get small cells
+    cell    width of the finest cells of all parts, instead of ``depth``
+    rest    rest positions, for a single model only
 
-    Each part has a root cell of its own, of ``depth`` levels (10 by default): small parts get small cells.
-    ``cell`` instead is the edge of the finest cells of all parts. All else is as for ``convert``; ``rest``
-    is for one model alone, and ``sources`` are laid on that before it is taken apart. A part of one model
-    that has no area gets a single cell with the mean of its source at the middles of its triangles.
-    ``progress`` counts the parts.
-
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
+    All other arguments are those of ``convert``. ``sources`` are applied before the model is divided. A part
+    without area gets one cell with the average of its source at its triangles' centres. ``progress`` counts
+    parts.
 
     Raises ArgumentError, ModelError and ImageError as ``convert`` does.
     """

@@ -50,20 +50,21 @@ def check_extra(path: Path) -> None:
 def write_model(
     surface: Surface, path: str | os.PathLike[str], *, images: ImageFormat = "png", unit: Unit = "meter"
 ) -> Written:
-    """Write a surface with images, as ``bake`` makes it, or vertex colours, as ``bake_vertices`` does.
+    """Write a surface with images from ``bake``, or with vertex colours from ``bake_vertices``.
 
-    ``path`` ends in .glb (one file), .gltf (a .bin and images are written beside it), .obj (a .mtl and
-    images), .usdz (one file; of the extra ``usd``) or .usd, .usda, .usdc (images beside them); with vertex
-    colours also in .ply, or .3mf for printing (of the extra ``3mf``). ``images`` is how maps are stored:
-    "png", of 16 bits where maps have that; "webp", smaller, which fewer tools read, and none of USD; with
-    loss "jpeg" (colours without alpha; other maps are png) or "jpeg-all" (all maps without alpha); or "exr"
-    (OpenEXR) for maps of floats, which glTF has none of. Images of UDIM tiles are named by channel and tile:
-    NAME-base_color.1001.png. ``unit`` is what a length of 1 stands for, where a file states it: .3mf and USD.
-    Positions are the posed ones; normals are the surface's ``frames``, without which viewers shade it flat.
+    path    ends in .glb (one file), .gltf (with a .bin and images), .obj (with .mtl and images), .usdz (one
+            file) or .usd, .usda, .usdc (with images); with vertex colours also .ply or .3mf. USD needs the
+            extra ``usd``, 3MF the extra ``3mf``
+    images  format of the images: "png"; "webp", smaller, not in USD; "jpeg", lossy for colours without alpha;
+            "jpeg-all", lossy for all maps without alpha; "exr" for maps of floats, not in glTF
+    unit    what a length of 1 means in .3mf and USD
 
-    Returns ``files``, the paths of what is written, and ``image_bytes``, what the images take. Each file is
-    replaced whole or not at all. Raises ArgumentError for another ending, ModelError for values that the
-    format cannot say, MissingExtraError, and OutputError if a file cannot be written.
+    Positions are the posed ones, normals the surface's ``frames``. Images of UDIM tiles are named
+    NAME-base_color.1001.png.
+
+    Returns ``files``, the written paths, and ``image_bytes``, the size of the images. Each file is replaced
+    completely or not at all. Raises ArgumentError for another ending, ModelError for values that the format
+    cannot hold, MissingExtraError, and OutputError if a file cannot be written.
     """
     as_surface(surface)
     path = as_path(path, "path")

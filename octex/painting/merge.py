@@ -35,30 +35,27 @@ def merge(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
-    """Merge a layer of paint, as ``rasterize_paint`` makes it, into a texture; both stay as they are.
+    """Merge a layer of paint, made by ``octex.project``, into a texture; both stay as they are.
 
-    Each cell is blended once, in linear light, with the layer's coverage times ``opacity``; see BLENDS.
-    Where the layer is finer the texture is raised to it, and keeps the coefficients that it had, so that the
-    field beside the paint does not move; those that only painted surface depends on are blended too. Less
-    than three of the coarser cells from unpainted surface some of what was there is seen through finer paint:
-    of white below black, where cells are halved, up to 0.18 in the second fine cell from the rim, 0.02 in the
-    fourth, 0.001 from the fifth on; where they are quartered, up to 0.4, 0.2 and 0.005. So near the rim what
-    is seen through half opaque paint is up to 0.04 off its half, from the fifth fine cell on. Near
-    the rim, beside empty cells, other channels move too, by up to 0.024 of the range.
+    texture   the texture to paint on
+    layer     the paint: one channel and ``alpha``
+    surface   the surface that both were made on
+    opacity   0 … 1, multiplies the layer's coverage
+    blend     how the layer combines with the texture, in linear light: one of BLENDS
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
-    Looked up with normals, the field beside finer paint does move where facings are told apart: nodes show
-    them the means of what is below, paint too, and what is raised has rows for six facings, not for every
-    normal. Measured on thin sheets and creases: by up to 0.13 of the range in the first of the coarser cells
-    from the paint, 0.07 to the middle of the second, 0.006 in the rest of it, nothing beyond.
+    Where the layer is finer, leaves of the texture become nodes that keep their values, so the field next to
+    the paint does not move. Near its border finer paint lets some of the old colour through. Of white under
+    black it is up to 0.18 in the second fine cell from the border, 0.02 in the fourth and 0.001 from the
+    fifth on; 0.4, 0.2 and 0.005 for paint two levels finer. There, other channels move by up to 0.024 of
+    their range.
 
-    ``surface`` is the one that both were made on.
+    Lookups with normals change next to finer paint where a cell has several facings: by up to 0.13 of the
+    range in the first coarser cell, 0.07 to the middle of the second, 0.006 in the rest of it, and not
+    beyond.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for a layer of another root cell, of several channels, or of one that the texture
-    does not have.
+    Raises ArgumentError for a layer of another root cell, of several channels, or of a channel that the
+    texture does not have.
     """
     as_surface(surface)
     as_texture(texture)

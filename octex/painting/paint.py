@@ -70,68 +70,43 @@ def paint(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
-    """Paint pictures through their cameras onto a surface; return the texture with the paint.
+    """Paint pictures through their cameras onto a surface, and return the painted texture.
 
-    The cameras see the surface's posed positions, and paint lands at its rest positions. Only what a camera
-    sees is painted: not what something hides, and not what faces away. The texture that is given stays as it
-    is, which is the undo; None stands for one without any cell.
+    texture       the texture to paint on; it does not change. None begins a new one
+    surface       the model: cameras see its posed positions, paint lands at its rest positions
+    projections   pictures with cameras. Consecutive ones with the same blend mode form one layer: each cell
+                  averages them, weighted by the fourth power of their resolution, and is blended once
+    channel       the channel to paint
+    max_depth     the deepest level of paint. Default: cells half as wide to as wide as a pixel, at most level
+                  14
+    max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
+                  painted; paint fades over the last 10. Default: 75; 85 if every picture was drawn on a view
+    edge_feather  pixels over which paint fades toward the picture's border and toward edges in depth
+    pictures      how pictures combine: "average"; "robust" leaves out what only one of at least three shows;
+                  "best" takes one picture per patch (Lempitsky & Ivanov 2007). Default: "robust" for three or
+                  more
+    balance       "gain" multiplies pictures so that they agree; "full" does so for each component, and
+                  removes vignetting. Overexposed pixels are ignored where another picture is darker
+    reference     number of the picture that ``balance`` does not change. Default: the median gain is 1
+    back_faces    also paint surface that faces away
+    holes         what a new texture has where no picture sees: "smooth" (default) continues the colours
+                  harmonically over the surface; "leave" stores no cells
+    coverage      also store how much of each cell the pictures cover, 0 … 1, as channel "coverage"
+    fit           choose leaf values so that lookups match the pictures; False stores plain averages
+    memory        bytes, or a text like "4GB": keep what exceeds it in files of ``folder``. Pictures take 64
+                  bytes a pixel, merging some 700 MB
+    folder        for these files (default: the folder of temporary files)
+    resume        a folder that stores finished stages. A later call with the same folder reuses what has not
+                  changed. It holds 41 bytes a pixel; you may delete it
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    progress      called with a stage's name, the units done and the units in all
 
-    projections  pictures whose pixels are means of what they cover. Those that follow each other with one
-                 blend mode are one layer: in each cell they are averaged, the finer one outweighing the
-                 coarser by the fourth power of their pixels on the surface, and then merged once; their order
-                 does not matter. Of three or more, one that is blurred counts as coarse as it is blurred
-    channel      what is painted, of any type; colours are blended in linear light
-    max_depth    the deepest level that paint goes to, at most that of cells a quarter to half as wide as the
-                 pixels; by default that at which they are half as wide to as wide as the pixels, or 14. One
-                 level serves where cells are then a quarter as wide, too: lookups and the fit are faster in
-                 trees of even depth. Of a picture alone it is what its finest pixels want, but for a
-                 hundredth of the surface; of several it is what suits most of the surface, also where cells
-                 are then up to 1.5 times as wide. Pixels are as wide as the root of the area that the finest
-                 one covers of the surface
-    max_angle    degrees between the surface's normal and the way to the camera from which on no paint is
-                 put; over the last 10 it fades. From 90 on all that faces the camera is painted in full.
-                 Default: 75, or 85 if all pictures were drawn on a view (``since``).
-                 The normal is the surface's own where it has ``frames``, else the mean of the triangles
-                 around that are within 40 degrees of each other, so that round things fade evenly
-    edge_feather  pixels over which paint fades towards the picture's rim and towards edges in depth
-    pictures     what becomes of several that see a place: ``average``, of all; ``robust``, which leaves out
-                 what does not agree with most of three or more, such as passers-by, by patches of 4 pixels;
-                 what is left out of all is not painted; or ``best``, of what robust leaves one picture for
-                 each patch of the surface, with short borders where pictures agree, across which exposures
-                 are levelled: a labelling of the cells two wide (Lempitsky & Ivanov 2007). Default:
-                 ``robust`` for three or more
-    balance      make overlapping pictures agree: ``gain`` multiplies each; ``full`` multiplies each component
-                 of it, and undoes what is lost towards the corners. What one has cut off counts for nothing
-                 where others are lighter
-    reference    the picture, by its number, that ``balance`` leaves as light as it is; by default the median
-                 of the gains is 1
-    back_faces   paint also what faces away
-    holes        what a new texture has where no picture saw the surface: ``smooth`` fills that in from its
-                 surroundings over the surface, harmonically, in cells as large as most of the paint's; a part
-                 that no picture saw at all gets the mean of all paint. ``leave`` leaves it without cells:
-                 lookups there give averages of what is around. Default: ``smooth``. A texture that is given
-                 keeps what it has
-    coverage     also keep how much of each cell pictures have covered, 0 … 1, in the channel ``coverage``
-    fit          store what makes the field meet the pictures, as ``convert`` does, instead of plain means
-    memory       bytes, or a text like "4GB": if pictures would take more, what is decoded of them and what
-                 their cameras see, 64 bytes a pixel, lies in files of ``folder`` meanwhile, whose pages the
-                 system writes out when memory is scarce; by default in that of temporary files. The texture
-                 is the same, bit for bit. Paint is merged by pieces of a million cells, two of which, some
-                 700 MB, are in memory then, and what the texture itself takes
-    resume       a folder, made if it is not there, that keeps what is done: pictures as they are read, what
-                 their cameras see, where pictures agree, the paint before it is merged; 41 bytes a pixel and
-                 the paint. A call that was stopped goes on from it, one with other options from what these
-                 do not change; it is yours to delete. The texture is the same, bit for bit
-    progress     is called with a stage's name, the units done and the units in all
+    Only surface that the camera sees is painted: not hidden, and not facing away. Neither ``memory``,
+    ``resume`` nor the workers change the result. Where nothing is painted the texture itself is returned.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Where nothing is painted the texture itself is returned. Raises ArgumentError for a channel that the
-    texture does not have, for a surface that reaches out of its root cell, for numbers out of range and
-    pictures of another size than their cameras', ImageError for files that are no pictures. (Benson & Davis
-    2002, 4.1 and 4.2.)
+    Raises ArgumentError for a channel that the texture does not have, a surface outside of its root cell,
+    numbers out of range and pictures that do not fit their cameras; ImageError for files that are no
+    pictures. (Benson & Davis 2002, 4.1 and 4.2.)
     """
     as_surface(surface)
     ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
@@ -221,15 +196,12 @@ def project(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
-    """Project pictures onto a surface; return a layer, to be merged as often and as opaque as wanted.
+    """Project pictures onto a surface, and return the paint as a layer for ``octex.merge``.
 
-    A layer is a texture of the painted channel and of ``alpha``, what of each cell paint covers. Opacities
-    count relative to the largest of them; that itself, and blend modes, are the merge's. ``like`` is the
-    texture that it will be merged into, or None for a new one. All else as for ``paint``.
-
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
+    A layer is a texture with the painted channel and ``alpha``, how much of each cell the paint covers. It
+    stores opacities relative to the largest one; ``merge`` applies opacity and blend mode. ``like`` is the
+    texture that the layer will be merged into, or None for a new one. All other arguments are those of
+    ``paint``.
     """
     as_surface(surface)
     given = check_projections(projections)

@@ -24,16 +24,15 @@ Stroke = tuple[Change, ...]
 
 
 class Painter:
-    """A session of painting: strokes on a texture of a surface, undone and redone.
+    """A painting session: strokes on a texture of a surface, with undo and redo.
 
-    It keeps what does not change from stroke to stroke: where the surface's triangles lie, its normals, and
-    what the cameras of the last call see. ``texture()`` is bit for bit what the same calls of ``octex.paint``
-    and ``octex.fill`` return.
+    It keeps what does not change between strokes, so a stroke is fast. ``texture()`` is bit for bit what the
+    same calls of ``octex.paint`` and ``octex.fill`` return.
 
-    A stroke is kept as its changes, each the tiles that it touched as they were and as they became: two small
-    textures. They can be kept elsewhere, pickled, applied to an equal texture and inverted.
+    Each stroke returns its changes: the tiles that it touched, before and after, as two small textures. A
+    change can be pickled, applied to an equal texture and inverted.
 
-    Raises ArgumentError for another texture or surface than ``paint`` takes.
+    Raises ArgumentError for a texture or surface that ``paint`` does not accept.
     """
 
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
@@ -62,9 +61,9 @@ class Painter:
         progress: Progress | None = None,
         **options: Unpack[Options],
     ) -> Stroke:
-        """Paint pictures as ``octex.paint`` does, with its options; return what has changed.
+        """Paint pictures as ``octex.paint`` does, with its options; return the changes.
 
-        That is empty where nothing is painted. What was undone before can no longer be redone. Raises what
+        They are empty where nothing is painted. Undone strokes can then no longer be redone. Raises what
         ``octex.paint`` raises; the texture then stays as it was.
         """
         changes = []
@@ -90,7 +89,7 @@ class Painter:
         executor: Executor | None = None,
         progress: Progress | None = None,
     ) -> Stroke:
-        """Fill a region as ``octex.fill`` does; return what has changed, as for ``paint``."""
+        """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
         report = as_progress(progress)
         with workers(threads, executor) as pool:
             _, layer = region_layer(
@@ -103,7 +102,7 @@ class Painter:
         return self._did(self._texture if change is None else change.put_into(self._texture), [change])
 
     def undo(self) -> bool:
-        """Take back the last stroke that is not undone; return whether there was one."""
+        """Undo the last stroke; return whether there was one."""
         if not self._done:
             return False
         stroke = self._done.pop()
@@ -113,7 +112,7 @@ class Painter:
         return True
 
     def redo(self) -> bool:
-        """Do the last stroke that was undone again; return whether there was one."""
+        """Redo the last undone stroke; return whether there was one."""
         if not self._undone:
             return False
         stroke = self._undone.pop()

@@ -53,21 +53,18 @@ _MOST_CODE = 65535.0
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A picture to be painted through a camera.
+    """A picture and the camera through which it is projected onto a surface.
 
-    image      a file, a Pillow image, or an array as for ``Surface.from_arrays``: codes, or linear floats.
-               Its size is the camera's; its alpha, if it has one, is how opaque the paint is
-               Files are turned upright as their EXIF orientation says, unless only as they are stored have
-               they the camera's size
-    camera     where it was taken, or what it was painted over; or a Patch, whose picture it is
-    mask       another image of that size, white where paint goes, black where none does; grey is in between.
-               Of one with transparency (a cut-out) that is the mask, whatever its colours
-    opacity    0 … 1, multiplies the alpha
-    blend      how paint meets what is there: one of BLENDS
-    since      the picture as it was before it was drawn on, of the same size: only pixels that differ from it
-               are painted
-    key        a colour of 8-bit codes, (red, green, blue): pixels within 24 codes of it, which compression
-               leaves of a backdrop, are not painted
+    image     a file, a Pillow image, or an array as for ``Surface.from_arrays``: sRGB integers or linear
+              floats. Its alpha is the opacity of the paint. Files follow their EXIF orientation, unless only
+              the unrotated picture fits the camera
+    camera    the camera that took the picture or drew the view; or a Patch. It has the picture's size
+    mask      an image of the same size: white where paint goes, black where not. If it has transparency, its
+              alpha is used
+    opacity   0 … 1, multiplies the alpha
+    blend     how paint combines with the texture: one of BLENDS
+    since     the unedited picture, of the same size: only pixels that differ from it are painted
+    key       the colour of a backdrop, 8-bit (red, green, blue): pixels within 24/255 of it are not painted
     """
 
     image: Image

@@ -74,21 +74,16 @@ def refine_cameras(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[Camera]:
-    """Return the cameras of pictures, turned, moved and zoomed a little so that the pictures agree best.
+    """Turn, move and zoom cameras by a few pixels until their pictures agree, and return the new cameras.
 
-    For cameras that are a few pixels off, not for such that look elsewhere. A camera stays as it is where its
-    picture would not agree clearly better with the others. The pictures' light and order do not matter.
+    surface      the model; cameras see its posed positions
+    projections  pictures with cameras, in any order and exposure
+    balance      how exposures are matched before pictures are compared, as for ``paint``
+    reference    number of the picture whose camera does not change. Default: the one that overlaps most with
+                 others
+    memory, folder, resume, threads, executor, progress   as for ``paint``
 
-    surface      what the cameras see, at its posed positions
-    balance      how pictures are made to agree in light before they are compared, as for ``paint``
-    reference    the picture, by its number, whose camera stays as it is; default: the one that shares most of
-                 what it sees with others
-    memory       as for ``paint``, and ``folder``
-    resume       as for ``paint``: a folder that keeps the pictures as they are read, and the cameras
-
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
+    A camera stays unchanged unless its picture then agrees clearly better with the others.
 
     Raises ArgumentError and ImageError as ``paint`` does.
     """

@@ -34,7 +34,7 @@ _FARTHEST = 1e100
 
 
 class Sphere(NamedTuple):
-    """What is within ``radius`` of ``center``; over the last ``soft`` of it coverage falls off."""
+    """The ball of ``radius`` around ``center``; over the last ``soft`` of it coverage fades out."""
 
     center: tuple[float, float, float]
     radius: float
@@ -59,7 +59,7 @@ class Sphere(NamedTuple):
 
 
 class Box(NamedTuple):
-    """What is between two corners; over the last ``soft`` inside its faces coverage falls off."""
+    """The box between two corners; over the last ``soft`` inside its faces coverage fades out."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -111,22 +111,20 @@ def fill(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> OctreeTexture:
-    """Fill a region of the surface with one value; return the texture with it.
+    """Fill a region of the surface with one value, and return the texture with it.
 
-    texture    None stands for one without any cell
-    region     at rest: a Sphere, a Box, a part of the surface as triangles (numbers, or one bool for each),
-               or a function of rest positions (n, 3) that returns how much it covers (n,), 0 … 1; it is
-               called with many at a time, from several threads
+    texture    the texture to paint on; it does not change. None begins a new one
+    region     at rest: a Sphere; a Box; triangles, as numbers or one bool each; or a function that takes rest
+               positions (n, 3) and returns coverage (n,), 0 … 1, called in batches from several threads
     color      a number for each component of the channel; linear light for colours
-    max_depth  how fine the region's border becomes: by default as fine as the texture, 10 for a new one
+    channel    the channel to fill
+    opacity    0 … 1
+    blend      how the value combines with the texture: one of BLENDS
+    max_depth  the resolution of the region's border. Default: the texture's; 10 for a new one
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    All else, and what is returned, as for ``paint``: averages, facings and finer detail are kept likewise.
-    Raises ArgumentError for another kind of region, for a function that returns another shape, values that
-    are not in 0 … 1, or NaN, and as ``paint`` does.
+    Raises ArgumentError for another kind of region, for a function whose result has another shape, is NaN or
+    lies outside of 0 … 1, and as ``paint`` does.
     """
     as_surface(surface)
     report = as_progress(progress)

@@ -34,15 +34,15 @@ _BEHIND = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A disc of a surface, laid flat; used where a camera is, and made by ``octex.unwrap``.
+    """A disc of a surface, laid flat by ``octex.unwrap``; a Projection accepts it as its camera.
 
     camera        sees the flat disc from the front, within the picture
-    surface       the surface, posed flat where the disc is and shrunk to nothing elsewhere; at rest as it was
-    center        (3,) where its middle is on the posed surface
+    surface       the surface with the disc laid flat and everything else shrunk to nothing; at rest as it was
+    center        (3,) the disc's centre on the posed surface
     radius        of the disc, along the surface, in the model's units
-    coordinates   (n, 2) where vertices of ``surface`` lie; NaN outside of the disc
-    triangles     (k,) those that the disc meets
-    folded        (j,) those of them that lie upside down, where paint does not reach
+    coordinates   (n, 2) the flat positions of ``surface``'s vertices; NaN outside of the disc
+    triangles     (k,) the triangles that the disc meets
+    folded        (j,) those of them that lie upside down and are not painted
     meets_border  whether the surface ends within the disc
     """
 
@@ -89,28 +89,23 @@ def unwrap(
     size: int = 1024,
     method: str = "exponential",
 ) -> Patch:
-    """Lay a disc of a posed surface flat, to be painted on in a picture (Benson & Davis 2002, 6.1).
+    """Lay a disc of a posed surface flat, to paint on it in a picture (Benson & Davis 2002, 6.1).
 
-    A point at a distance along the surface, in a direction from the centre, lies there at that distance in
-    that direction. Along a ray from the centre nothing is stretched; across it what is curved is.
+    center   (3,) the disc's centre: the nearest point of the surface
+    radius   of the disc, along the surface, in the model's units
+    up       what points up in the picture; default: y, or z where the surface faces y
+    size     width and height of the picture in pixels
+    method   "exponential": each point lies at its distance from the centre, in its direction (the exponential
+             map). "conformal": angles change least (Lévy et al. 2002); ears, horns and limbs, which otherwise
+             fold, lie open, and their tips shrink
 
-    center   (3,) the middle: the point of the surface that is nearest to it
-    radius   of the disc, along the surface
-    up       what points up in the picture; by default y, or z where the surface looks along y
-    size     pixels of its picture along each side, which the disc fills
-    method   "exponential", as said; or "conformal": the same triangles laid out anew so that angles change
-             least (Lévy et al. 2002), turned as around the centre and of the surface's area in all, in a
-             picture as wide as they are. Ears, horns and limbs, which fold otherwise, then lie open; sizes
-             differ, more the more they stick out.
+    Vertices at one position are merged. Where the disc folds over or the surface ends, the patch goes as far
+    as it can, and ``Patch.faults`` says so. Around a limb or a handle the disc meets itself; folded triangles
+    lie behind the others and are not painted. Distances follow the mesh: on a sphere with 96 sides they are
+    within radius/100 of the sphere's own.
 
-    Vertices at one place are one. A disc that folds, or that the surface ends in, is made as far as it goes,
-    and says so: ``Patch.faults``. Around a handle or a limb, what lies behind it comes from both sides and
-    meets where both are as far: triangles across that line fold, lie behind the others and are not painted.
-    The distances are those on the mesh: of a sphere of 96 sides they are within a hundredth of the radius of
-    the sphere's own, of one of 48 within 2.3, where straight lines on its triangles miss by 3.4.
-
-    Raises ModelError for a centre that is farther than the radius from the surface, ArgumentError for numbers
-    out of range.
+    Raises ModelError for a centre farther than the radius from the surface, ArgumentError for numbers out of
+    range.
     """
     surface = as_surface(surface)
     middle = as_reals(center, "center", (3,), most=1e30)

@@ -29,24 +29,18 @@ def blur(
     threads: int | None = None,
     executor: Executor | None = None,
 ) -> OctreeTexture:
-    """Return a texture that is blurred over its surface; ``width`` is in the model's units.
+    """Return a texture that is blurred over its surface.
 
-    A leaf's value becomes what ``texture.sample(centre, width=width, normals=facing)`` says: the mean over a
-    square of that width around the leaf's centre, of what faces as the leaf does. So nothing bleeds through
-    a sheet: in split leaves each facing is blurred for itself, and the leaf is the mean of its facings; in
-    others that face both ways along an axis there is no one normal, and the lookup has none. A leaf wider
-    than ``width`` keeps of what its coefficient is above its field the part 1 − width / edge: blur of
-    nothing changes nothing. Kept coefficients are treated alike. Averages become the means of what is below
-    them, and keep of their residuals the part that the leaves do.
+    width     of the blur, in the model's units
+    channel   one name, several, or None for all. Unless alpha is blurred too, it stays and weighs the others
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
-    ``channel`` names one channel or several, None all; alpha, if it is not blurred too, stays as it is, and
-    the others weigh by it.
+    Each leaf becomes ``texture.sample(centre, width=width, normals=facing)``: the average over a square
+    around its centre, of surface that faces the same way. So nothing bleeds through a thin sheet. Split
+    leaves are blurred for each facing. Leaves wider than ``width`` are blurred in part, so that a width of 0
+    changes nothing. Averages are recomputed.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for unknown channels, and a width that is negative or not finite.
+    Raises ArgumentError for unknown channels, and for a width that is negative or not finite.
     """
     names = names_of(texture, channel)
     width = as_number(width, "width", 0.0, np.finfo(np.float64).max)

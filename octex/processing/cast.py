@@ -22,14 +22,14 @@ def cast(
     dtype: str | Mapping[str, str] | None = None,
     channels: Sequence[str] | None = None,
 ) -> OctreeTexture:
-    """Return a texture with other stored types, and with some of the channels in the order they are named.
+    """Return a texture with other stored types, and optionally only some channels.
 
-    ``dtype``, "uint8", "uint16", "float16" or "float32", is the stored type of all channels or of some by
-    name. As in a conversion floats store linear light, and integers light on sRGB's curve. Channels whose
-    type stays are not copied. The order of channels is kept without ``channels``.
+    dtype      "uint8", "uint16", "float16" or "float32", for all channels or a dict by name. Floats store
+               linear light, integers sRGB
+    channels   names of the channels to keep, in this order (default: all)
 
-    Raises ArgumentError for unknown channels and types, and for an integer type where values that are light
-    or data go above 1 or below 0.
+    Raises ArgumentError for unknown channels and types, and for an integer type if light or data exceed 0 …
+    1.
     """
     as_texture(texture)
     names = list(texture.channels) if channels is None else as_names(channels, "channels")

@@ -27,19 +27,13 @@ def combine(
     threads: int | None = None,
     executor: Executor | None = None,
 ) -> OctreeTexture:
-    """Return two textures of the same root cell in one: ``second`` on ``first``.
+    """Return two textures of the same root cell in one: ``second`` on top of ``first``.
 
-    Where only one has cells, its own stand, with all that they have. Where both have them, those of
-    ``second`` do, as in ``mix`` with an amount of 1; with ``over`` they are laid over those of ``first`` by
-    their alpha, in linear light (Porter & Duff 1984). See ``mix`` for cells of different depth, and for what
-    becomes of averages, facings and channels.
+    Where only one has cells, they stay. Where both have cells, those of ``second`` replace the others, as
+    ``mix`` does with an amount of 1. With ``over`` they are composited by their alpha, in linear light
+    (Porter & Duff 1984). ``mix`` describes cells of different depth, averages, facings and channels.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
-    common.
+    Raises ArgumentError for textures of different root cells or separations, or without a common channel.
     """
     as_texture(first, "first")
     as_texture(second, "second")
@@ -59,31 +53,22 @@ def mix(
 ) -> OctreeTexture:
     """Return first · (1 − amount) + second · amount for two textures of the same root cell.
 
-    ``amount`` is a number, 0 … 1, or differs from place to place: a texture of one channel of one component,
-    read at the centres of cells, or a function of their positions (n, 3), in rest space, that returns (n,).
-    It is clamped to 0 … 1. Values are mixed in linear light, weighed by alpha.
+    amount   0 … 1: a number; a texture of one one-component channel, read at the cells' centres; or a
+             function of rest positions (n, 3) that returns (n,). It is clamped
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
 
-    The tree is that of all cells of both; where only one has a cell, its own values stand. Where one has a
-    leaf and the other divides the cell, its values below are what its field refines to (paper 4.2), and the
-    node keeps the leaf's coefficient if that texture prevails, with an amount of a half or more: then a
-    field that is not mixed stays as it was. A leaf of the other texture lends its values to the cells that
-    are there below it, and nothing where there are none.
+    Values mix in linear light, weighted by alpha. The tree has all cells of both textures; a cell that only
+    one has keeps its values. Where one has a leaf that the other divides, the leaf's field gives the values
+    below it (paper 4.2). The node keeps the leaf's value if its texture prevails, with an amount of a half or
+    more; so a field that is not mixed does not move. Amounts of exactly 0 and 1 return one texture's field
+    everywhere.
 
-    With the number 0 or 1 a texture prevails everywhere: what both have is as it is there, and finer cells of
-    the other below its leaves are left out. So are the other's cells off the surface beside nothing but
-    what both have.
+    Averages are recomputed. A cell has the facings of both; values per facing mix facing by facing. Areas are
+    those of the texture that prevails. The result has the channels that both have, stored as in ``first``; a
+    texture without alpha is opaque.
 
-    Averages are the means of what is below them, and the residuals of both by their parts. Cells face as
-    those of both do; rows are mixed facing by facing. Areas are those of the texture that prevails; of nodes
-    to which both add cells, and of their rows, the sums of what is below. The channels are those that both
-    have, as ``first`` stores them; a texture without alpha is opaque.
-
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for textures of different root cells or separated otherwise, or without a channel in
-    common, for channels that differ in their components or meaning, and for an amount that cannot be used.
+    Raises ArgumentError for textures of different root cells or separations, or without a common channel, for
+    channels that differ in components or meaning, and for an amount that cannot be used.
     """
     as_texture(first, "first")
     as_texture(second, "second")

@@ -38,20 +38,20 @@ def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> lis
 def map_values(
     texture: OctreeTexture, f: ValueFunction, channel: str | Sequence[str] = "base_color"
 ) -> OctreeTexture:
-    """Return a texture whose values are f of those of another; also known as ``octex.map``.
+    """Return a texture whose values are f of another's; exported as ``octex.map``.
 
-    ``f`` gets batches of values (n, components), float32: linear light for colours, −1 … 1 for directions,
-    else as stored, 0 … 1 for integers. If it has a second parameter without a default, that gets the
-    positions (n, 3), at rest, of the centres of their cells. It returns values of the same shape, which are
-    rounded and clamped as the channel is stored, alpha to 0 … 1 in any type. Values of leaves, of their
-    facings and kept coefficients are mapped; ``channel`` names one or several, each mapped for itself.
+    f         takes values (n, components), float32, and returns the same shape. Values are linear light for
+              colours, −1 … 1 for directions, otherwise as stored, 0 … 1 for integers. If f has a second
+              parameter without a default, it gets the rest positions (n, 3) of the cells' centres
+    channel   one name or several; each channel is mapped separately
 
-    An average becomes the mean of what the values below it became. What it differed by from their mean
-    before, since leaves are fitted, f takes along: f(average) − f(mean) is added. So an affine f gives
-    f(average), and a texture that is not fitted the means of its children.
+    Results are rounded and clamped as the channel is stored; alpha is clamped to 0 … 1. f is applied to
+    leaves, their values per facing and kept values. An average becomes the mean of the new values below it.
+    Fitted leaves differ from their average by a residual; it changes by f(average) − f(mean), so an affine f
+    maps averages exactly.
 
-    Raises ArgumentError for unknown channels, and for an f that raises or returns another shape, what is
-    not finite, or no numbers; it names the position of the first cell where it does.
+    Raises ArgumentError for unknown channels, and if f raises, returns another shape, no numbers or values
+    that are not finite; the error names the first position.
     """
     if not callable(f):
         raise ArgumentError(f"f must be a function of values, not {f!r}")

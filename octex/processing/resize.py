@@ -32,21 +32,16 @@ def resize(
 ) -> OctreeTexture:
     """Return a texture of another depth.
 
-    Below ``depth`` it is ``texture.level(depth)``: leaves there become the averages stored above them. Every
-    leaf above ``depth``, of an adaptive texture too, is divided into the 8^k cells of
-    ``depth`` that fill it, wherever the surface is in it, for nothing says where; their values are what the
-    field refines to, and their nodes keep the leaves' coefficients, so that the field stays as it was but for
-    rounding (paper 4.2). So does the field looked up with normals where all of the surface faces about one
-    way. Rows for the six facings cannot hold what it is for every normal: on either side of a thin sheet it
-    moves by up to 0.03 of the range, within a leaf of creases by up to 0.25. Levels down to the old leaves
-    stay as they were; areas of leaves are shared out evenly. To be painted on, a texture needs no larger
-    depth ahead: ``octex.paint`` raises it where paint is finer.
+    Coarser: ``texture.level(depth)``; leaves become the averages of what was below them. Deeper: every leaf
+    above ``depth`` is divided into all its cells of that depth, with values from the field, and its node
+    keeps the leaf's value (paper 4.2). So the field does not move, except for rounding. Areas are divided
+    evenly. Painting needs no deeper texture: ``octex.paint`` divides cells where paint is finer.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
+    With normals the field does not move where the surface in a cell faces one way. Otherwise it moves by up
+    to 0.03 of the range on a thin sheet, and by up to 0.25 inside a leaf at a crease.
 
-    Raises ArgumentError for a depth that is not 0 … 21, and for one with more cells than can be numbered.
+    ``threads`` and ``executor`` choose who works in parallel. Raises ArgumentError for a depth outside of 0 …
+    21, and for one with more cells than can be numbered.
     """
     as_texture(texture)
     depth = as_depth(depth)
@@ -99,9 +94,8 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
 def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> OctreeTexture:
     """Return the part of a texture whose leaves meet the box from ``low`` to ``high``, in rest positions.
 
-    The root cell stays where it is, so that rest positions stay valid; bounds become those of the part.
-    Leaves and coefficients are as they were. Nodes that have lost cells are averaged, and their areas summed,
-    over those that are left; they keep their residuals.
+    The root cell does not change, so rest positions stay valid; the bounds shrink. Leaves keep their values.
+    Nodes that lose cells are averaged anew over those that remain.
 
     Raises ArgumentError for corners that are not finite or out of order, and for a box that no leaf meets.
     """

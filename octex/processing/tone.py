@@ -48,11 +48,10 @@ def levels(
 ) -> OctreeTexture:
     """Return a texture with other levels: ``black`` … ``white`` become ``out_black`` … ``out_white``.
 
-    All five are encoded values, 0 … 1, as image editors show them (of 255): for light those of sRGB, also
-    where linear light is stored. In between they follow x^(1/gamma): above 1 the middle gets lighter. What
-    is darker than black or lighter than white is clamped; but floats, which may be above 1, go on above
-    white, unless they are alpha. Each is a number for all components, or one for each. Averages follow as in
-    ``octex.map``.
+    All are encoded values, 0 … 1, as image editors show them (times 255): sRGB for light, in any stored type.
+    Each is one number, or one for each component. In between, values follow x^(1/gamma): a gamma above 1
+    makes the middle lighter. Values outside of black … white are clamped, except that floats may go on above
+    white. Averages follow as in ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
@@ -88,14 +87,13 @@ def levels(
 def curves(
     texture: OctreeTexture, channel: str | Sequence[str], points: npt.ArrayLike | Sequence[npt.ArrayLike]
 ) -> OctreeTexture:
-    """Return a texture whose encoded values follow a curve through ``points``, as image editors have it.
+    """Return a texture whose encoded values follow a curve through ``points``, as in image editors.
 
-    points    (k, 2) pairs of an encoded value, 0 … 1, and what it becomes, in ascending order of the first;
-              one curve for all components, or a list of one for each component
+    points    (k, 2): an encoded value, 0 … 1, and its result, ascending in the first column; one curve for
+              all components, or a list with one for each
 
-    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980): it passes no point's
-    height. Before the first and after the last it stays where they are. Encoded values are those of sRGB for
-    light, also where linear light is stored. Averages follow as in ``octex.map``.
+    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980); outside of them it is
+    constant. Encoded values are sRGB for light, in any stored type. Averages follow as in ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for points that are no such pairs.
     """

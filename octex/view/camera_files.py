@@ -85,8 +85,8 @@ _MODELS: dict[str, DistortionModel] = {
 def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
     """Read the cameras of a file, or of a folder with a COLMAP model, in the file's order.
 
-    Raises CameraError if there is no such file, if it is of no known kind, damaged or without cameras, and
-    for cameras that octex does not know (equirectangular and such).
+    Raises CameraError for a missing, unknown or damaged file, for one without cameras, and for camera models
+    that octex does not support (equirectangular and others).
     """
     path = as_path(path, refusal=CameraError)
     with reading(path):
@@ -120,11 +120,11 @@ def find_frame(frames: Sequence[Frame], name: str) -> Frame:
 def write_cameras(
     path: str | os.PathLike[str], cameras: Mapping[str, Camera], views: Mapping[str, bytes] | None = None
 ) -> None:
-    """Write cameras, by name, to a JSON file that ``read_cameras`` reads back to the same bits.
+    """Write cameras, by name, to a JSON file from which ``read_cameras`` reads the same bits.
 
-    ``views`` are PNG files of what they saw, by the same names: ``Frame.view``.
+    ``views`` are PNG files of the views that the cameras drew, by the same names: ``Frame.view``.
 
-    What stood at ``path`` is replaced when all is written, or not at all: raises OutputError if it cannot be.
+    The file is replaced completely or not at all. Raises OutputError if it cannot be written.
     """
     path = as_path(path, refusal=OutputError)
     for name, camera in as_entries(cameras, "cameras").items():

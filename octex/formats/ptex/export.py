@@ -57,25 +57,22 @@ def write_ptex(
 ) -> None:
     """Write a texture as a .ptx file for the polygons of its surface.
 
-    A mesh of triangles becomes triangular faces. Any other becomes quads: a polygon that is none is a face
-    for each of its corners, as Ptex has it. Along u and along v a face has that power of two of texels which
-    is next to the octree's finest cells on it, where the face is stretched most; ``texels`` is how many there
-    may be in all, for which every face gets coarser or finer alike. With ``limit`` stretch is measured on the
-    surface that the polygons are a cage of, Catmull and Clark's, as posed: faces that spread out on it get
-    more. Neighbours are those that share an edge
-    at rest, and go along it in opposite directions; other edges are borders.
+    channels  names of the channels to write (default: ``base_color`` and ``alpha``, if present); the file
+              stores the names
+    dtype     uint8, uint16, float16 or float32 (default: as stored). Integers are sRGB for colours, floats
+              linear light
+    texels    the most texels in all; every face gets coarser or finer alike
+    limit     measure stretch on the Catmull–Clark limit surface of the polygons
+    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    progress  called with a stage's name, the units done and the units in all
 
-    ``channels`` are by default ``base_color`` and ``alpha``, as far as there are any; the file notes which
-    numbers are which. ``dtype`` is uint8, uint16, float16 or float32, by default what the channels are stored
-    as: whole numbers are sRGB codes for colours, floats are linear light.
+    A mesh of triangles becomes triangular faces. In others quads stay quads, and other polygons become a face
+    for each corner, as Ptex requires. A face gets the power of two of texels along u and v that fits the
+    octree's finest cells on it, where it is stretched most. Neighbours share an edge at rest, in opposite
+    directions; other edges are borders.
 
-    Who works in parallel: ``threads``, so many, by default all processors for large batches and the calling
-    thread alone for small ones; or the workers of ``executor``, any concurrent.futures.Executor. The result
-    is the same.
-
-    Raises ArgumentError for channels that are not there, another type or ending, too few texels; ModelError
-    for a surface without polygons' area; OutputError if the file cannot be written. (Burley and Lacewell,
-    EGSR 2008: sizes by the greatest derivative.)
+    Raises ArgumentError for missing channels, another type or ending, and too few texels; ModelError for a
+    surface without area; OutputError if the file cannot be written. (Burley & Lacewell, EGSR 2008.)
     """
     as_texture(texture)
     surface = as_surface(surface).placed_in(texture)

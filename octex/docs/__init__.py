@@ -1,0 +1,32 @@
+"""The pages of ``octex help`` and of the documentation site: NAME.md, which begins with its title."""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+
+from octex.errors import ArgumentError
+
+#: The names of all pages by group, in the order in which a reader may want them.
+GROUPS = {
+    "start": "tutorial concepts",
+    "tasks": "convert page render no-uvs paint-view paint-python photographs bake print arrays",
+    "reference": (
+        "models surfaces channels lookups filters adaptive parts previews viewer painting cameras processing "
+        "baking ptex files large remote"
+    ),
+    "about": "figures limits contributing",
+}
+TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
+
+
+def topic(name: str) -> str:
+    """Return a page as text for a terminal, with indented code; raises ArgumentError for an unknown name."""
+    if name not in TOPICS:
+        raise ArgumentError(f"there is no page on {name!r}; there are {', '.join(TOPICS)}")
+    text = (files(__name__) / f"{name}.md").read_text("utf-8").rstrip()
+    return re.sub(r"```\w+\n(.*?)```\n?", _indented, text, flags=re.DOTALL)
+
+
+def _indented(block: re.Match[str]) -> str:
+    return re.sub(r"^(?=.)", "    ", block[1], flags=re.MULTILINE)
