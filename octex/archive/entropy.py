@@ -248,8 +248,6 @@ def _write_words(notes: Uint32s, words: Uint16s) -> int:
     at = words.size
     for i in range(notes.size - 1, -1, -1):
         start, size = wide(notes[i]) >> 16, wide(notes[i]) & 0xFFFF
-        if size == ONE:  # no plain bits
-            continue
         turn = np.uint64(i & (STATES - 1))
         state = states[turn]
         if state >= size << 32 - PRECISION:

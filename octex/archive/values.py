@@ -3,9 +3,9 @@
 A cell's value is guessed from its parent's: to that is added a weighted sum of how the cells across the
 parent's faces on its own side, those on the other side, three cells beside the cell, and its siblings so far
 differ from it, and of how far the components before it differ from their parents', and from their guesses.
-The weights follow the sign of what guesses are off by, for parents of leaves alone and for others, by how
-much the cells around the parent vary. Where these are all as it is, a bit says first whether its children
-are, too.
+The weights are fitted to the texture, for parents of leaves alone and for others, by how much the cells
+around the parent vary; in each block they then follow the sign of what guesses are off by. Where the cells
+around are all as the parent is, a bit says first whether its children are, too.
 
 Rows of split cells and kept nodes are guessed from their cells' own values.
 """
@@ -35,7 +35,7 @@ from octex.jit import inlined, kernel
 
 #: Types of values.
 DTYPES = "uint8", "uint16", "float16", "float32"
-#: What a guess weighs: sums of differences on the cell's side, on the other, beside; the mean of the
+#: What a guess weighs: sums of differences on the cell's side, on all, beside; the mean of the
 #: siblings' so far; how 3 components were off, and differ.
 TERMS = 10
 #: How much the cells around vary, in steps of the channel's unit: classes have weights, contexts frequencies.
@@ -55,7 +55,8 @@ def _steps(ends: list[int]) -> Uint8s:
     return np.searchsorted(ends, np.arange(1 << 8), side="right").astype(np.uint8)
 
 
-#: What kernels take: the class, and the context, of how much differences vary, 0 … 255; and 2¹⁶ / n.
+#: What kernels take: the class, and the context, of how much differences vary, 0 … 255; 2¹⁶ / n; and by how
+#: many bits terms are shifted before they are added to the weights of a class.
 STEPS: Steps = (
     _steps([1, 4, 16, 48]),
     _steps([1, 2, 3, 6, 10, 16, 24, 36, 52, 80]),

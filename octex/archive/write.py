@@ -77,7 +77,7 @@ def write(
     with replacing(path) as file, workers() as executor:
         file.write(bytes(START))
         records: list[int] = []
-        levels = (ordered_map(executor, encode, list(level)) for level in _planned(content))
+        levels = (ordered_map(executor, encode, level) for level in _planned(content))
         for counts, streams in chain(chain.from_iterable(levels), _pieces(tensors, channels)):
             records += counts
             for stream in streams:
