@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN, ones
-from octex.archive.entropy import DECODES, PASS, Coder, Model, code_plain, code_symbol, new_model, wide
+from octex.archive.entropy import DECODES, PASS, Coder, Model, code_token, new_model, wide
 from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
@@ -25,8 +25,13 @@ _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
 _STEPS = np.array([4, 9, 17, 25, 36])
 _NO_AXIS = 20
+#: Tokens of differences: 8 less or more, 0, 1, 2, then how many bits they have less one, and 2; the last has
+#: 7. Of each the bits, and the least that they are.
+_LENGTHS = np.searchsorted([1, 2, 3, 5, 9, 17, 33, 65], np.arange(256), side="right").astype(np.uint8)
+_BITS_OF = np.array([6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
+_LEAST_OF = np.array([65, 33, 17, 9, 5, 3, 2, 1, 0, 1, 2, 3, 5, 9, 17, 33])
 
-Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s]
+Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s, Uint8s, Int64s, Int64s]
 
 
 def model() -> Model:
@@ -35,14 +40,14 @@ def model() -> Model:
 
 
 def area_tables() -> Tables:
-    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes."""
+    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes; tokens."""
     areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
     steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
     parts = _PARTS - 1 - np.searchsorted(_STEPS, np.arange(256), side="right")
     axes = np.full(FACING_FLAGS + 1, 3, np.uint8)
     axes[1 << np.arange(6)] = np.arange(6) >> 1
-    return areas, steps, parts.astype(np.uint8), axes
+    return areas, steps, parts.astype(np.uint8), axes, _LENGTHS, _BITS_OF, _LEAST_OF
 
 
 @inlined
@@ -58,20 +63,17 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
 @inlined
 def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, tables: Tables, coder: Coder) -> int:
     """Note or decode an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
-    areas, steps, parts, _ = tables
+    areas, steps, parts, _, lengths, bits, least = tables
     code = _code(max(rest, areas[np.uint64(whole)] >> 8), areas, steps)
     part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
     guess = code if guess < 0 else guess
     far = (area - guess + 128 & 255) - 128
     size = abs(far)
-    token = wide(coder.lengths[np.uint64(size)])
+    token = wide(lengths[np.uint64(size)])
     token = 8 - token if far < 0 else min(8 + token, 15)
-    token = code_symbol(token, shape * _PARTS + part, coder)
-    far = abs(token - 8)
-    if far > 2:
-        bits = far - 2
-        begin = (wide(1) << bits) + 1
-        far = begin + code_plain(size - begin, bits + 2 * wide(token == 15), coder)
+    plain = size - least[np.uint64(token)]
+    token, plain = code_token(token, plain, bits, shape * _PARTS + part, coder)
+    far = least[np.uint64(token)] + plain
     return guess + (-far if token < 8 else far) & 255
 
 

@@ -60,7 +60,7 @@ def code_block(
         if is_only:
             models[kind] = model
         else:
-            model = Model(model.starts.copy(), model.seen.copy(), model.odds.copy())
+            model = Model(*(each.copy() for each in model))
         if kind == STRUCTURE:
             coder = streams.begin(model, structure.MOST * (block.last - block.first))
             places = block.first, block.last, begin.node, begin.cell, end.node, end.cell

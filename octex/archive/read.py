@@ -79,7 +79,7 @@ class _Streams:
 
     def end(self) -> None:
         """Raise for a stream that was not read to its end."""
-        if self._stream.length % 2 or not is_whole(self._coder):
+        if self._stream.length % 4 or not is_whole(self._coder):
             begin = self._stream.begin
             raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
 
