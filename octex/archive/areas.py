@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN, ones
-from octex.archive.entropy import DECODES, PASS, Coder, Model, code_token, new_model, wide
+from octex.archive.entropy import DECODES, Coder, Model, code_token, new_model, wide
 from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
@@ -131,7 +131,7 @@ def code_areas(
         guess = -1 if left == 1 else guess
         area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
-        if coder.state[PASS] == DECODES:
+        if coder.work == DECODES:
             areas[begin + t] = area
 
 
@@ -155,6 +155,6 @@ def code_row_areas(
         context, guess = _SHAPES - 4 + min(left, 3), -1 if left == 1 else whole
         area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
-        if coder.state[PASS] == DECODES:
+        if coder.work == DECODES:
             areas[begin + n] = area
         left -= 1

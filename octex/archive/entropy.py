@@ -21,9 +21,9 @@ ONE = 1 << PRECISION
 STATES = 2
 _LEAST = 1 << 31  # a state is this or more between two symbols
 
-NOTES, DECODES = 0, 1
+NOTES, DECODES = 0, 1  # what a coder does
 # What a coder's state holds, after the states of rANS.
-PLACE, FAULT, PASS, TURN = 2, 3, 4, 5
+PLACE, FAULT, TURN = 2, 3, 4
 
 #: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
 #: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
@@ -57,6 +57,7 @@ def new_model(symbols: int, bits: int = 0) -> Model:
 class Coder(NamedTuple):
     """A stream that is noted or decoded: what kernels take."""
 
+    work: int  # NOTES or DECODES
     state: Int64s  # the states, then PLACE … TURN
     stream: Int64s  # the words that are decoded, or notes: size | start << 16 | plain << 32 | count << 48
     model: Model
@@ -69,7 +70,7 @@ class Coder(NamedTuple):
 
 
 def _coder(work: int, stream: Int64s, model: Model) -> Coder:
-    return Coder(np.array([_LEAST] * STATES + [0, 0, work, 0], np.int64), stream, model, *_STEPS)
+    return Coder(work, np.array([_LEAST] * STATES + [0, 0, 0], np.int64), stream, model, *_STEPS)
 
 
 def noter(model: Model, most: int) -> Coder:
@@ -109,7 +110,7 @@ def _low(coder: Coder) -> int:
 def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
     """Note a symbol's interval and ``count`` bits, 0 to 15, or take them off a state; return the bits."""
     place = coder.state[PLACE]
-    if coder.state[PASS] != DECODES:
+    if coder.work != DECODES:
         coder.stream[np.uint64(place)] = count << 48 | plain << 32 | start << 16 | size
         coder.state[PLACE] = place + 1
         return plain
@@ -131,7 +132,7 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
 def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder) -> tuple[int, int]:
     """Note or decode a symbol of 16 in a context and its plain bits, ``bits`` of each symbol; return both."""
     numbers, at = coder.model.numbers, context * _ROW
-    if coder.state[PASS] == DECODES:
+    if coder.work == DECODES:
         symbol = count_begun(numbers, at, _low(coder)) - 1
     own = np.uint64(at + symbol)
     start = wide(numbers[own])
@@ -155,7 +156,7 @@ def code_bit(bit: int, context: int, coder: Coder) -> int:
     at = np.uint64(context)
     odds = wide(coder.model.odds[at])
     size = min(max(odds >> 1, 16), ONE - 16)
-    if coder.state[PASS] == DECODES:
+    if coder.work == DECODES:
         bit = wide(_low(coder) >= size)
     _code(size & -bit, ONE - size if bit else size, 0, 0, coder)
     coder.model.odds[at] = odds - (odds >> 5) if bit else odds + (65536 - odds >> 5)
@@ -169,9 +170,10 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
     A token says where it lies in units of 2ᵘⁿⁱᵗ, and plain bits where from there. The last token is followed
     by the number of bits.
     """
-    high = number >> unit
-    token = wide(coder.tokens[np.uint64(min(high, 255))])
-    plain = high - coder.least[np.uint64(token)]
+    high, token, plain = number >> unit, wide(0), wide(0)
+    if coder.work != DECODES:
+        token = wide(coder.tokens[np.uint64(min(high, 255))])
+        plain = high - coder.least[np.uint64(token)]
     if is_byte:
         token, plain = code_token(token, plain, coder.bits, context, coder)
         return coder.least[np.uint64(token)] + plain

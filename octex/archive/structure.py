@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import OWN, children_of, lowest, ones
-from octex.archive.entropy import DECODES, FAULT, PASS, Coder, Model, code_bit, code_symbol, new_model, wide
+from octex.archive.entropy import DECODES, FAULT, Coder, Model, code_bit, code_symbol, new_model, wide
 from octex.arrays import Int64s, Uint8s, Uint64s
 from octex.jit import inlined, kernel
 from octex.tree.layout import FACING_FLAGS
@@ -50,7 +50,7 @@ def code_structure(
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
     ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
     """
-    decodes = coder.state[PASS] == DECODES
+    decodes = coder.work == DECODES
     # Of the block's nodes: which children they have, and which is the first.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
     was_leaf = 0

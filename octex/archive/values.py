@@ -19,7 +19,7 @@ import numpy as np
 from octex.archive.around import ABOUT, OWN
 from octex.archive.entropy import (
     DECODES,
-    PASS,
+   
     Coder,
     Model,
     code_bit,
@@ -115,11 +115,16 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
     guess = min(max(guess, 0), most)
     steps = (most + 2 * form.error) // step + 1
     off, half = wide(0), steps >> 1
-    if coder.state[PASS] != DECODES:
-        off = number - guess if form.error == 0 else (number - guess + form.error) // step
-        off = off + steps if off < -half else off - steps if off >= steps - half else off
+    if coder.work != DECODES:
+        if form.error == 0:
+            off = (number - guess + half & most) - half
+        else:
+            off = (number - guess + form.error) // step
+            off = off + steps if off < -half else off - steps if off >= steps - half else off
     off = unfolded(code_number(folded(off), form.unit + 4 * (form.size > 1), form.size == 1, context, coder))
     number = guess + off * step
+    if form.error == 0:
+        return number & most, off
     if number < -form.error:
         number += steps * step
     elif number > most + form.error:
@@ -137,6 +142,9 @@ class _Room(NamedTuple):
     most: Int64s  # how much the cells around vary
     off: Int64s  # by how much a child's guesses were off
     more: Int64s  # what it has more than the node's
+    at: Int64s  # where the node's weights stand
+    shifts: Int64s  # by how many bits terms are shifted before they are added to these
+    contexts: Int64s  # where its contexts begin
     terms: Int64s
     places: Int64s  # of a child's sides, and of the cells beside, by axis
     weights: Int64s
@@ -158,9 +166,10 @@ def code_values(
     ``raw`` are the bytes of the levels above; ``numbers`` (cells + 1, components) are noted, and written as
     they will be read; the last row is room.
     """
-    each, free = np.zeros((6, 4), np.int64), weights.copy()
+    each, free = np.zeros((9, 4), np.int64), weights.copy()
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
-    room = _Room(sides, each[0], each[1], each[2], each[3], each[4], each[5], terms, places, free)
+    known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
+    room = _Room(sides, *known, terms, places, free)
     flat = numbers.reshape(-1)
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
@@ -188,26 +197,27 @@ def _code_values(
         about = wide(rows[t, ABOUT])
         if left == 1:
             node += 1
-            flat = _begin_node(wide(t), about, node, was_flat, cells, raw, numbers, form, room, coder)
+            flat = _begin_node(wide(t), about, node, was_flat, cells, raw, numbers, form, tables, room, coder)
             was_flat = was_flat if flat < 0 else flat
         left = about & 15
         if flat > 0:
             for j in range(form.components):
                 numbers[np.uint64(wide(t) * form.components + j)] = room.values[j]
             continue
+        part = tables[2][np.uint64(left)]
         spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
         for axis in range(3):
             other = wide(rows[t, np.uint64(axis)])
             room.places[axis] = 2 * axis + (about >> 5 + axis & 1)
             room.places[3 + axis] = (other if other >= 0 else spare) * form.components
         # Each component has code of its own, in which its number is known.
-        noise = _code_component(wide(t), 0, about, 0, numbers, form, tables, room, coder)
+        noise = _code_component(wide(t), 0, part, 0, numbers, form, tables, room, coder)
         if form.components > 1:
-            noise = _code_component(wide(t), 1, about, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 1, part, noise, numbers, form, tables, room, coder)
         if form.components > 2:
-            noise = _code_component(wide(t), 2, about, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 2, part, noise, numbers, form, tables, room, coder)
         if form.components > 3:
-            noise = _code_component(wide(t), 3, about, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 3, part, noise, numbers, form, tables, room, coder)
 
 
 @inlined
@@ -220,6 +230,7 @@ def _begin_node(
     raw: Uint8s,
     numbers: Int64s,
     form: Form,
+    tables: Steps,
     room: _Room,
     coder: Coder,
 ) -> int:
@@ -237,7 +248,11 @@ def _begin_node(
         own = np.uint64(j)
         room.values[own], room.sums[own], room.total[own] = value, 0, sum_
         numbers[np.uint64(numbers.size - form.components + j)] = value
-        room.most[own] = min(total >> form.unit + 1, 255)
+        most = min(total >> form.unit + 1, 255)
+        class_ = np.uint64(tables[0][np.uint64(most)])
+        kind = (about >> 4 & 1) * form.components + j
+        room.most[own], room.contexts[own] = most, kind * CONTEXTS
+        room.at[own], room.shifts[own] = (kind * CLASSES + wide(class_)) * TERMS, tables[3][class_]
     if differ != 0:
         return wide(-1)
     is_flat = wide(1)
@@ -260,7 +275,7 @@ def _term(difference: int, form: Form) -> int:
 def _code_component(
     t: int,
     j: int,
-    about: int,
+    part: int,
     noise: int,
     numbers: Int64s,
     form: Form,
@@ -270,30 +285,28 @@ def _code_component(
 ) -> int:
     """Note or decode component ``j`` of a child; return how much the components so far were off."""
     components, own = form.components, np.uint64(j)
-    classes, contexts, parts, _ = tables
     terms, weights, value = room.terms, room.weights, room.values[own]
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
         beside += numbers[np.uint64(j) + np.uint64(room.places[3 + axis])]
-    mean = _term(room.sums[own], form) * parts[np.uint64(about & 15)] >> 16
-    most = room.most[own]
-    kind = (about >> 4 & 1) * components + j
-    class_ = np.uint64(classes[np.uint64(most)])
-    place = np.uint64((kind * CLASSES + wide(class_)) * TERMS)
+    mean = _term(room.sums[own], form) * part >> 16
+    place = np.uint64(room.at[own])
     terms[0], terms[1], terms[2], terms[3] = near, room.total[own], _term(beside, form), mean
     for k in range(min(j, 3)):
         terms[4 + 2 * k], terms[5 + 2 * k] = _term(room.off[k], form), _term(room.more[k], form)
     count, total = np.uint64(4 + 2 * min(j, 3)), wide(1 << WEIGHT_BITS - 1)
     for k in range(count):
         total += weights[place + k] * terms[k]
-    context = kind * CONTEXTS + wide(contexts[np.uint64(min(most + noise, 255))])
+    context = room.contexts[own] + wide(tables[1][np.uint64(min(room.most[own] + noise, 255))])
     at = np.uint64(t * components + j)
     number, off = _coded(numbers[at], value + (total >> WEIGHT_BITS << form.unit), context, form, coder)
-    numbers[at], room.off[own], room.more[own] = number, off, number - value
+    numbers[at] = number
+    if j + 1 < components:
+        room.off[own], room.more[own] = off, number - value
     room.sums[own] += number - value
     if t & 3 == 0:  # of a quarter of the cells: it takes time
-        move = (wide(off > 0) - wide(off < 0)) << wide(tables[3][class_])
+        move = (wide(off > 0) - wide(off < 0)) << room.shifts[own]
         for k in range(count):
             weights[place + k] += move * terms[k]
     return noise + (2 * abs(off) >> form.unit)
