@@ -25,10 +25,10 @@ class Streams(Protocol):
     def end(self) -> None:
         """Take a stream that is done; raises for one that makes no sense."""
 
-    def numbers(self, raw: Uint8s, form: Form) -> Int64s:
-        """Return values (n, components, size) as whole numbers, or room for them."""
+    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Write values (n, components, size) as whole ``numbers``, unless these are decoded."""
 
-    def write(self, numbers: Int64s, raw: Uint8s, form: Form) -> None:
+    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
         """Write values as they are decoded."""
 
     def list_flagged(self, content: Content, block: Block) -> None:
@@ -98,9 +98,8 @@ def _code_channel(
     form, (owners, rows, cells), begin, end = coding.form, around, block.begin, block.end
     given, decoded = content.given[name], content.decoded[name]
     own = slice(begin.cell, end.cell)
-    numbers = np.append(
-        streams.numbers(given.values[own], form), np.zeros((1, form.components), np.int64), axis=0
-    )
+    numbers = np.zeros((len(rows) + 1, form.components), np.uint32)
+    streams.read(numbers[:-1], given.values[own], form)
     raw = decoded.values.reshape(-1)
     values.code_values(rows, cells, raw, numbers, form, coding.weights, values.STEPS, coder)
     streams.write(numbers[:-1], decoded.values[own], form)
@@ -110,9 +109,8 @@ def _code_channel(
         (content.kept.cells[kept], kept, given.kept_values, decoded.kept_values, values.KEPT_NODES),
     ):
         if owned.size:
-            numbers, of_cells = (
-                streams.numbers(theirs[own], form),
-                values.numbers_of(decoded.values[owned], form),
-            )
+            numbers = np.zeros((owned.size, form.components), np.uint32)
+            streams.read(numbers, theirs[own], form)
+            of_cells = values.numbers_of(decoded.values[owned], form)
             values.code_rows(owned, of_cells, numbers, kind, form, values.STEPS, coder)
             streams.write(numbers, ours[own], form)

@@ -164,8 +164,8 @@ def code_bit(bit: int, context: int, coder: Coder) -> int:
 
 
 @inlined
-def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Coder) -> int:
-    """Note or decode a number; return it. It has 8 bits at most if it is a byte's, else 39.
+def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Coder) -> tuple[int, int]:
+    """Note or decode a number; return it, and about what it is. It has 8 bits at most if it is a byte's, else 39.
 
     A token says where it lies in units of 2ᵘⁿⁱᵗ, and plain bits where from there. The last token is followed
     by the number of bits.
@@ -176,7 +176,8 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
         plain = high - coder.least[np.uint64(token)]
     if is_byte:
         token, plain = code_token(token, plain, coder.bits, context, coder)
-        return coder.least[np.uint64(token)] + plain
+        about = coder.least[np.uint64(token)]  # known before its bits are
+        return about + plain, about
     if token == SYMBOLS - 1:
         plain = wide(0)
         while high >> 8 + plain:
@@ -187,7 +188,8 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
         bits = 7 + plain
         least = wide(1) << bits
     high = least + _code_long(high - least, bits, coder)
-    return high << unit | _code_long(number & (1 << unit) - 1, unit, coder)
+    number = high << unit | _code_long(number & (1 << unit) - 1, unit, coder)
+    return number, number
 
 
 @inlined

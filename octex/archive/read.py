@@ -28,7 +28,7 @@ from octex.archive.layout import (
     runs,
 )
 from octex.archive.values import write_numbers
-from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
 from octex.parallel import ordered_map, workers
@@ -83,11 +83,10 @@ class _Streams:
             begin = self._stream.begin
             raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
 
-    def numbers(self, raw: Uint8s, form: Form) -> Int64s:  # noqa: ARG002
-        """Return room for values that are read."""
-        return np.zeros(raw.shape[:2], np.int64)
+    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Do nothing: they are decoded."""
 
-    def write(self, numbers: Int64s, raw: Uint8s, form: Form) -> None:
+    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
         """Write values that were read."""
         write_numbers(numbers, raw, form)
 

@@ -72,14 +72,21 @@ def model_of(form: Form) -> Model:
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
     """Return values (n, components, size) as whole numbers (n, components), green first."""
-    sign = 1 << (8 * form.size - 1)
     numbers = np.empty(raw.shape[:2], np.int64)
+    read_numbers(numbers, raw, form)
+    return numbers
+
+
+def read_numbers(numbers: Int64s | Uint32s, raw: Uint8s, form: Form) -> None:
+    """Write into ``numbers`` what `numbers_of` returns."""
+    sign = 1 << (8 * form.size - 1)
     for place, j in enumerate(_order(form)):
         numbers[:, place] = raw.view(f"<u{form.size}")[:, j, 0]
-    return np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign) if form.is_float else numbers
+    if form.is_float:
+        numbers[:] = np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign)
 
 
-def write_numbers(numbers: Int64s, raw: Uint8s, form: Form) -> None:
+def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
     """Write values (n, components, size), given as whole numbers."""
     sign = 1 << (8 * form.size - 1)
     if form.is_float:
@@ -109,8 +116,8 @@ def _number_at(raw: Uint8s, cell: int, j: int, form: Form) -> int:
 
 
 @inlined
-def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> tuple[int, int]:
-    """Note or decode a number that was guessed; return it, and what the guess was off by."""
+def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> tuple[int, int, int]:
+    """Note or decode a number that was guessed; return it, what the guess was off by, and about twice that."""
     most, step = (1 << 8 * form.size) - 1, 2 * form.error + 1
     guess = min(max(guess, 0), most)
     steps = (most + 2 * form.error) // step + 1
@@ -121,15 +128,17 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
         else:
             off = (number - guess + form.error) // step
             off = off + steps if off < -half else off - steps if off >= steps - half else off
-    off = unfolded(code_number(folded(off), form.unit + 4 * (form.size > 1), form.size == 1, context, coder))
+    unit, is_byte = form.unit + 4 * (form.size > 1), form.size == 1
+    sign, about = code_number(folded(off), unit, is_byte, context, coder)
+    off, noise = unfolded(sign), (about + 1 & -2) * step >> form.unit
     number = guess + off * step
     if form.error == 0:
-        return number & most, off
+        return number & most, off, noise
     if number < -form.error:
         number += steps * step
     elif number > most + form.error:
         number -= steps * step
-    return min(max(number, 0), most), off * step
+    return min(max(number, 0), most), off * step, noise
 
 
 class _Room(NamedTuple):
@@ -155,7 +164,7 @@ def code_values(
     rows: Int32s,
     cells: Int64s,
     raw: Uint8s,
-    numbers: Int64s,
+    numbers: Uint32s,
     form: Form,
     weights: Int64s,
     tables: Steps,
@@ -186,7 +195,7 @@ def _code_values(
     rows: Int32s,
     cells: Int64s,
     raw: Uint8s,
-    numbers: Int64s,
+    numbers: Uint32s,
     form: Form,
     tables: Steps,
     room: _Room,
@@ -202,7 +211,7 @@ def _code_values(
         left = about & 15
         if flat > 0:
             for j in range(form.components):
-                numbers[np.uint64(wide(t) * form.components + j)] = room.values[j]
+                numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
         part = tables[2][np.uint64(left)]
         spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
@@ -228,7 +237,7 @@ def _begin_node(
     was_flat: int,
     cells: Int64s,
     raw: Uint8s,
-    numbers: Int64s,
+    numbers: Uint32s,
     form: Form,
     tables: Steps,
     room: _Room,
@@ -247,7 +256,7 @@ def _begin_node(
             room.sides[np.uint64(6 * j + k)] = side
         own = np.uint64(j)
         room.values[own], room.sums[own], room.total[own] = value, 0, sum_
-        numbers[np.uint64(numbers.size - form.components + j)] = value
+        numbers[np.uint64(numbers.size - form.components + j)] = np.uint32(value)
         most = min(total >> form.unit + 1, 255)
         class_ = np.uint64(tables[0][np.uint64(most)])
         kind = (about >> 4 & 1) * form.components + j
@@ -258,7 +267,7 @@ def _begin_node(
     is_flat = wide(1)
     for n in range(t, t + (about & 15)):
         for j in range(form.components):
-            number = numbers[np.uint64(n * form.components + j)]
+            number = wide(numbers[np.uint64(n * form.components + j)])
             is_flat &= wide(abs(number - room.values[np.uint64(j)]) <= form.error)
     return code_bit(is_flat, 2 * (about >> 4 & 1) + was_flat, coder)
 
@@ -277,7 +286,7 @@ def _code_component(
     j: int,
     part: int,
     noise: int,
-    numbers: Int64s,
+    numbers: Uint32s,
     form: Form,
     tables: Steps,
     room: _Room,
@@ -289,7 +298,7 @@ def _code_component(
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
-        beside += numbers[np.uint64(j) + np.uint64(room.places[3 + axis])]
+        beside += wide(numbers[np.uint64(j) + np.uint64(room.places[3 + axis])])
     mean = _term(room.sums[own], form) * part >> 16
     place = np.uint64(room.at[own])
     terms[0], terms[1], terms[2], terms[3] = near, room.total[own], _term(beside, form), mean
@@ -300,8 +309,8 @@ def _code_component(
         total += weights[place + k] * terms[k]
     context = room.contexts[own] + wide(tables[1][np.uint64(min(room.most[own] + noise, 255))])
     at = np.uint64(t * components + j)
-    number, off = _coded(numbers[at], value + (total >> WEIGHT_BITS << form.unit), context, form, coder)
-    numbers[at] = number
+    number, off, more = _coded(wide(numbers[at]), value + (total >> WEIGHT_BITS << form.unit), context, form, coder)
+    numbers[at] = np.uint32(number)
     if j + 1 < components:
         room.off[own], room.more[own] = off, number - value
     room.sums[own] += number - value
@@ -309,12 +318,12 @@ def _code_component(
         move = (wide(off > 0) - wide(off < 0)) << room.shifts[own]
         for k in range(count):
             weights[place + k] += move * terms[k]
-    return noise + (2 * abs(off) >> form.unit)
+    return noise + more
 
 
 @kernel
 def code_rows(
-    owners: Uint32s, own: Int64s, numbers: Int64s, kind: int, form: Form, tables: Steps, coder: Coder
+    owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: Form, tables: Steps, coder: Coder
 ) -> None:
     """Note or decode numbers of rows, a row of each cell of ``owners``, whose own numbers these are."""
     before = np.zeros(4, np.int64)
@@ -326,6 +335,7 @@ def code_rows(
             guess = own[n, j] + (shift if form.components >= 3 else 0)
             varies = min((abs(before[j]) >> form.unit) + noise, 255)
             context = (kind * form.components + j) * CONTEXTS + wide(tables[1][varies])
-            numbers[n, j], off = _coded(numbers[n, j], guess, context, form, coder)
-            before[j] = shift = numbers[n, j] - own[n, j]
-            noise += 2 * abs(off) >> form.unit
+            number, _, more = _coded(wide(numbers[n, j]), guess, context, form, coder)
+            numbers[n, j] = np.uint32(number)
+            before[j] = shift = number - own[n, j]
+            noise += more

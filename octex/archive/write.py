@@ -33,9 +33,9 @@ from octex.archive.layout import (
     of_root,
     runs,
 )
-from octex.archive.values import numbers_of, write_numbers
+from octex.archive.values import numbers_of, read_numbers, write_numbers
 from octex.archive.weights import fitted, sampled
-from octex.arrays import Array, Int64s, Uint8s, zeros
+from octex.arrays import Array, Uint8s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.octree import Octree
@@ -149,11 +149,11 @@ class _Streams:
         """Encode what was noted."""
         self.found.append(encoded(self._coder))
 
-    def numbers(self, raw: Uint8s, form: Form) -> Int64s:
-        """Return values as they will be noted."""
-        return numbers_of(raw, form)
+    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Write values as they will be noted."""
+        read_numbers(numbers, raw, form)
 
-    def write(self, numbers: Int64s, raw: Uint8s, form: Form) -> None:
+    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
         """Write values as they will be read, where these may move."""
         if form.error:
             write_numbers(numbers, raw, form)
