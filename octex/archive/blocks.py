@@ -67,13 +67,14 @@ def code_block(
             may_be_nodes = block.level + 3 < arrays.level_cells.size
             structure.code_structure(arrays.groups, arrays.flags, *places, may_be_nodes, cells, nodes, coder)
         elif kind == AREAS:
-            coder = streams.begin(model, 2 * (len(rows) + owners.size))
+            coder = streams.begin(model, len(rows) + owners.size)
             areas.code_areas(rows, cells, arrays.flags, arrays.areas, begin.cell, _AREA_TABLES, coder)
             row_areas = owners, content.split.areas, begin.row, arrays.areas
             areas.code_row_areas(*row_areas, _AREA_TABLES, coder)
         else:
             count = len(rows) + owners.size + end.kept - begin.kept
-            coder = streams.begin(model, count * (9 * codings[kind].form.components + 1))
+            form = codings[kind].form
+            coder = streams.begin(model, count * (form.components * (1 if form.size == 1 else 9) + 1))
             _code_channel(content, kind, codings[kind], block, (owners, rows, cells), streams, coder)
         streams.end()
         if kind == STRUCTURE:

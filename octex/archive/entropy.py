@@ -119,10 +119,11 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
     state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
     plain = state & (1 << count) - 1
     state >>= count
-    # Whether a word is wanted is as good as random: a branch would be missed. Beyond the end PLACE tells.
-    wants = wide(state < _LEAST)
-    word = coder.stream[np.uint64(min(place, coder.stream.size - 1))]
-    coder.state[np.uint64(turn)] = state << 32 * wants | word & -wants
+    # Whether a word is wanted is as good as random: a branch would be missed, so a zero at the end is read
+    # else. Beyond the end PLACE tells.
+    wants, last = wide(state < _LEAST), coder.stream.size - 1
+    word = coder.stream[np.uint64(last ^ (last ^ min(place, last)) & -wants)]
+    coder.state[np.uint64(turn)] = state << 32 * wants | word
     coder.state[PLACE] = place + wants
     coder.state[TURN] = turn ^ 1
     return plain

@@ -130,7 +130,9 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
             off = off + steps if off < -half else off - steps if off >= steps - half else off
     unit, is_byte = form.unit + 4 * (form.size > 1), form.size == 1
     sign, about = code_number(folded(off), unit, is_byte, context, coder)
-    off, noise = unfolded(sign), (about + 1 & -2) * step >> form.unit
+    if coder.work == DECODES:  # else what comes next need not wait
+        off = unfolded(sign)
+    noise = (about + 1 & -2) * step >> form.unit
     number = guess + off * step
     if form.error == 0:
         return number & most, off, noise
