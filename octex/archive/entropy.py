@@ -22,8 +22,8 @@ STATES = 2
 _LEAST = 1 << 31  # a state is this or more between two symbols
 
 NOTES, DECODES = 0, 1  # what a coder does
-# What a coder's state holds, after the states of rANS.
-PLACE, FAULT, TURN = 2, 3, 4
+# What a coder's state holds, after the states of rANS, that which is next first.
+PLACE, FAULT = 2, 3
 
 #: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
 #: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
@@ -58,7 +58,7 @@ class Coder(NamedTuple):
     """A stream that is noted or decoded: what kernels take."""
 
     work: int  # NOTES or DECODES
-    state: Int64s  # the states, then PLACE … TURN
+    state: Int64s  # the states, then PLACE and FAULT
     stream: Int64s  # the words that are decoded, or notes: size | start << 16 | plain << 32 | count << 48
     model: Model
     rates: Int64s
@@ -70,7 +70,7 @@ class Coder(NamedTuple):
 
 
 def _coder(work: int, stream: Int64s, model: Model) -> Coder:
-    return Coder(work, np.array([_LEAST] * STATES + [0, 0, 0], np.int64), stream, model, *_STEPS)
+    return Coder(work, np.array([_LEAST] * STATES + [0, 0], np.int64), stream, model, *_STEPS)
 
 
 def noter(model: Model, most: int) -> Coder:
@@ -90,8 +90,7 @@ def decoder(model: Model, content: bytes) -> Coder:
 
 def is_whole(coder: Coder) -> bool:
     """Say whether a stream was read to its end, where the encoder began."""
-    wanted = [_LEAST] * STATES + [coder.stream.size - 1, 0]
-    return bool(coder.state[: FAULT + 1].tolist() == wanted)
+    return bool(coder.state.tolist() == [_LEAST] * STATES + [coder.stream.size - 1, 0])
 
 
 @inlined
@@ -103,7 +102,7 @@ def wide(number: Any) -> int:
 @inlined
 def _low(coder: Coder) -> int:
     """Return what says which symbol is next."""
-    return coder.state[np.uint64(coder.state[TURN])] & (ONE - 1)
+    return coder.state[0] & (ONE - 1)
 
 
 @inlined
@@ -114,8 +113,7 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
         coder.stream[np.uint64(place)] = count << 48 | plain << 32 | start << 16 | size
         coder.state[PLACE] = place + 1
         return plain
-    turn = coder.state[TURN]
-    state = coder.state[np.uint64(turn)]
+    state = coder.state[0]
     state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
     plain = state & (1 << count) - 1
     state >>= count
@@ -123,9 +121,8 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
     # else. Beyond the end PLACE tells.
     wants, last = wide(state < _LEAST), coder.stream.size - 1
     word = coder.stream[np.uint64(last ^ (last ^ min(place, last)) & -wants)]
-    coder.state[np.uint64(turn)] = state << 32 * wants | word
+    coder.state[0], coder.state[1] = coder.state[1], state << 32 * wants | word
     coder.state[PLACE] = place + wants
-    coder.state[TURN] = turn ^ 1
     return plain
 
 
