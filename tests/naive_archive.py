@@ -37,32 +37,38 @@ class Stream:
     """Words, read as symbols."""
 
     def __init__(self, content: bytes, model: Model) -> None:
-        words = np.frombuffer(content, "<u2").tolist()
-        self.states = [words[2 * n] | words[2 * n + 1] << 16 for n in range(4)] if words else [1 << 16] * 4
-        self.words = iter(words[8:])
+        words = np.frombuffer(content, "<u4").tolist()
+        self.states = [words[0] | words[1] << 32, words[2] | words[3] << 32]
+        self.words = iter(words[4:])
         self.count = 0
         self.model = model
 
     def low(self) -> int:
-        return self.states[self.count % 4] & 32767
+        return self.states[self.count % 2] & 32767
 
-    def take(self, start: int, size: int) -> None:
-        x = self.states[self.count % 4]
+    def take(self, start: int, size: int, bits: int = 0) -> int:
+        x = self.states[self.count % 2]
         x = size * (x >> 15) + (x & 32767) - start
-        self.states[self.count % 4] = x << 16 | next(self.words) if x < 1 << 16 else x
+        plain, x = x & (1 << bits) - 1, x >> bits
+        self.states[self.count % 2] = x << 32 | next(self.words) if x < 1 << 31 else x
         self.count += 1
+        return plain
 
     def symbol(self, context: int) -> int:
+        return self.token(context, [0] * 16)[0]
+
+    def token(self, context: int, bits: list[int]) -> tuple[int, int]:
+        """Return a symbol, and the plain bits that follow it, so many of each symbol."""
         model = self.model
         numbers = model.numbers.setdefault(context, [2047 * i for i in range(16)])
         starts = [number + i for i, number in enumerate(numbers)] + [32768]
         symbol = sum(start <= self.low() for start in starts) - 1
-        self.take(starts[symbol], starts[symbol + 1] - starts[symbol])
+        plain = self.take(starts[symbol], starts[symbol + 1] - starts[symbol], bits[symbol])
         seen = model.seen.get(context, 0)
         rate, model.seen[context] = RATES[seen], min(seen + 1, len(RATES) - 1)
         for i in range(16):
             numbers[i] += (32752 >> rate if i > symbol else 0) - (numbers[i] >> rate)
-        return symbol
+        return symbol, plain
 
     def bit(self, context: int) -> int:
         odds = self.model.odds.get(context, 32768)
@@ -73,26 +79,28 @@ class Stream:
         return bit
 
     def plain(self, count: int) -> int:
-        found = self.low() >> 15 - count
-        self.take(found << 15 - count, 1 << 15 - count)
-        return found
+        return self.take(0, 1 << 15, count)
 
     def long(self, count: int) -> int:
         return sum(self.plain(min(count - done, 15)) << done for done in range(0, count, 15))
 
-    def number(self, context: int, unit: int, size: int) -> int:
-        token = self.symbol(context)
-        least, bits = TOKENS[token]
+    def number(self, context: int, unit: int, size: int) -> tuple[int, int]:
+        """Return a number, and what contexts take it for."""
+        bits = [bits for _, bits in TOKENS]
+        if size > 1:
+            bits[15] = 5
+        token, plain = self.token(context, bits)
+        least, _ = TOKENS[token]
         if size == 1:
-            return least + self.plain(bits)
+            return least + plain, least
+        high = least + plain
         if token == 15:
-            bits = 7 + self.plain(5)
-            least = 1 << bits
-        high = least + self.long(bits)
-        return high << unit | self.long(unit)
+            high = (1 << 7 + plain) + self.long(7 + plain)
+        number = high << unit | self.long(unit)
+        return number, number
 
     def end(self) -> None:
-        assert self.states == [1 << 16] * 4
+        assert self.states == [1 << 31] * 2
         assert next(self.words, None) is None
 
 
@@ -349,10 +357,11 @@ class Archive:
         d = max(whole - code, 0)
         p = 5 - sum(d >= step for step in (4, 9, 17, 25, 36))
         guess = code if left == 1 else guess
-        off = stream.symbol(context * 6 + p) - 8
+        off, plain = stream.token(context * 6 + p, [6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
+        off -= 8
         far = abs(off)
         if far > 2:
-            far = 2 ** (far - 2) + 1 + stream.plain(far - 2 + 2 * (off == 7))
+            far = 2 ** (far - 2) + 1 + plain
         area = guess + (far if off > 0 else -far) & 255
         return rest - AREAS[area], area
 
@@ -404,9 +413,9 @@ class Archive:
                     guess = value[j] + ((total + 2**19 >> 20) << unit)
                     varies = sum(step <= min(most[j] + noise, 255) for step in STEPS)
                     context = (kind * components + j) * 11 + varies
-                    found[c], off[j] = self.corrected(stream, channel, guess, context)
+                    found[c], off[j], about = self.corrected(stream, channel, guess, context)
                     sums[j] += found[c] - value[j]
-                    noise += 2 * abs(off[j]) >> unit
+                    noise += 2 * abs(about) >> unit
                     if t % 4 == 1:
                         sign = (off[j] > 0) - (off[j] < 0)
                         for k, each in enumerate(terms):
@@ -414,15 +423,15 @@ class Archive:
                 values.append(found)
         return stream
 
-    def corrected(self, stream: Stream, channel: Any, guess: int, context: int) -> tuple[int, int]:
-        """Return the number that was guessed, and what the guess is off by."""
+    def corrected(self, stream: Stream, channel: Any, guess: int, context: int) -> tuple[int, int, int]:
+        """Return the number that was guessed, what the guess is off by, and what contexts take that for."""
         size, step = np.dtype(channel["dtype"]).itemsize, 2 * channel["max_error"] + 1
         most, error = (1 << 8 * size) - 1, channel["max_error"]
-        off = near(stream.number(context, channel["unit"] + 4, size)) * step
+        off, about = (near(each) * step for each in stream.number(context, channel["unit"] + 4, size))
         number = min(max(guess, 0), most) + off
         steps = (most + 2 * error) // step + 1
         number += steps * step * ((number < -error) - (number > most + error))
-        return min(max(number, 0), most), off
+        return min(max(number, 0), most), off, about
 
     def rows(self, stream: Stream, number: int, owners: list[int], kind: int) -> list[list[int]]:
         channel, values = self.channels[number], self.values[number]
@@ -438,9 +447,9 @@ class Archive:
                 guess = own + (shift if components > 2 else 0)
                 varies = min((abs(before[j]) >> unit) + noise, 255)
                 context = (kind * components + j) * 11 + sum(step <= varies for step in STEPS)
-                row[c], off = self.corrected(stream, channel, guess, context)
+                row[c], _, about = self.corrected(stream, channel, guess, context)
                 before[j] = shift = row[c] - own
-                noise += 2 * abs(off) >> unit
+                noise += 2 * abs(about) >> unit
             found.append(row)
         return found
 
