@@ -40,7 +40,10 @@ def model() -> Model:
 
 
 def area_tables() -> Tables:
-    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes; tokens."""
+    """Return what kernels take.
+
+    These are 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes; tokens of differences.
+    """
     areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
     steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
@@ -73,7 +76,7 @@ def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, tables:
     token = 8 - token if far < 0 else min(8 + token, 15)
     plain = size - least[np.uint64(token)]
     token, plain = code_token(token, plain, bits, shape * _PARTS + part, coder)
-    far = least[np.uint64(token)] + plain
+    far = wide(least[np.uint64(token)] + plain)
     return guess + (-far if token < 8 else far) & 255
 
 

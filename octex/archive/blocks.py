@@ -60,7 +60,7 @@ def code_block(
         if is_only:
             models[kind] = model
         else:
-            model = Model(*(each.copy() for each in model))
+            model = Model(model.numbers.copy(), model.odds.copy())
         if kind == STRUCTURE:
             coder = streams.begin(model, structure.MOST * (block.last - block.first))
             places = block.first, block.last, begin.node, begin.cell, end.node, end.cell

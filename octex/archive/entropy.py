@@ -102,7 +102,7 @@ def wide(number: Any) -> int:
 @inlined
 def _low(coder: Coder) -> int:
     """Return what says which symbol is next."""
-    return coder.state[0] & (ONE - 1)
+    return wide(coder.state[0] & (ONE - 1))
 
 
 @inlined
@@ -163,7 +163,9 @@ def code_bit(bit: int, context: int, coder: Coder) -> int:
 
 @inlined
 def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Coder) -> tuple[int, int]:
-    """Note or decode a number; return it, and about what it is. It has 8 bits at most if it is a byte's, else 39.
+    """Note or decode a number; return it, and about what it is.
+
+    It has 8 bits at most if it is a byte's, else 39.
 
     A token says where it lies in units of 2ᵘⁿⁱᵗ, and plain bits where from there. The last token is followed
     by the number of bits.
@@ -228,7 +230,7 @@ def _write_words(notes: Int64s, words: Uint32s) -> int:
         at -= wants
         state = state >> 32 * wants << count | plain
         whole = wide(np.uint64(state) // np.uint64(size))
-        states[turn] = (whole << PRECISION) + state - whole * size + start
+        states[turn] = (whole << PRECISION) + (state - whole * size) + start
     for last in range(STATES - 1, -1, -1):
         at -= 2
         words[at] = states[last] & 0xFFFFFFFF

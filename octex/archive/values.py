@@ -19,7 +19,6 @@ import numpy as np
 from octex.archive.around import ABOUT, OWN
 from octex.archive.entropy import (
     DECODES,
-   
     Coder,
     Model,
     code_bit,
@@ -117,7 +116,7 @@ def _number_at(raw: Uint8s, cell: int, j: int, form: Form) -> int:
 
 @inlined
 def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> tuple[int, int, int]:
-    """Note or decode a number that was guessed; return it, what the guess was off by, and about twice that."""
+    """Note or decode a number that was guessed; return it, what its guess was off by, about twice that."""
     most, step = (1 << 8 * form.size) - 1, 2 * form.error + 1
     guess = min(max(guess, 0), most)
     steps = (most + 2 * form.error) // step + 1
@@ -311,7 +310,8 @@ def _code_component(
         total += weights[place + k] * terms[k]
     context = room.contexts[own] + wide(tables[1][np.uint64(min(room.most[own] + noise, 255))])
     at = np.uint64(t * components + j)
-    number, off, more = _coded(wide(numbers[at]), value + (total >> WEIGHT_BITS << form.unit), context, form, coder)
+    guess = value + (total >> WEIGHT_BITS << form.unit)
+    number, off, more = _coded(wide(numbers[at]), guess, context, form, coder)
     numbers[at] = np.uint32(number)
     if j + 1 < components:
         room.off[own], room.more[own] = off, number - value

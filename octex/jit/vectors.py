@@ -113,7 +113,7 @@ if DISABLED:
     def move_begins(numbers: Any, at: int, last: int, rate: int) -> None:
         """Move numbers[at + i] by 2^−``rate`` to 0 for i to ``last``, and to 2¹⁵ − 16 for others below 16."""
         row = numbers[at : at + 16]
-        row += np.where(np.arange(16) > last, np.uint16(2**15 - 16 >> rate), np.uint16(0)) - (row >> rate)
+        row[:] = row - (row >> rate) + np.where(np.arange(16) > last, 2**15 - 16 >> rate, 0)
 
 else:
     _FOUR = ir.VectorType(ir.FloatType(), 4)
