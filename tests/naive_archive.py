@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import lzma
 import zlib
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -15,47 +14,93 @@ STEPS = 1, 2, 3, 6, 10, 16, 24, 36, 52, 80
 AREAS = [0] + [round(2 ** ((c - 207) / 8 + 30)) for c in range(1, 256)]
 KNOWN = {f"tree/{name}" for name in ("groups", "level_cells", "level_nodes", "flags", "areas")}
 KNOWN |= {"split/cells", "split/facings", "split/areas", "kept/cells"}
-Pool = tuple[list[int], list[list[int]]]
+RATES = [rate for rate, count in enumerate([1, 2, 4, 12, 40, 100, 90], 1) for _ in range(count)]
+TOKENS = *((n, 0) for n in range(8)), (8, 2), (12, 2), (16, 3), (24, 3), (32, 4), (48, 4), (64, 6), (128, 7)
+
+
+class Model:
+    """What is known of contexts: what their symbols begin at less their number, and the odds of bits."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[int, list[int]] = {}
+        self.seen: dict[int, int] = {}
+        self.odds: dict[int, int] = {}
+
+    def copy(self) -> Model:
+        found = Model()
+        found.numbers = {context: list(numbers) for context, numbers in self.numbers.items()}
+        found.seen, found.odds = dict(self.seen), dict(self.odds)
+        return found
 
 
 class Stream:
     """Words, read as symbols."""
 
-    def __init__(self, content: bytes) -> None:
-        words = np.frombuffer(content, "<u2").tolist()
-        self.states = [words[2 * n] | words[2 * n + 1] << 16 for n in range(4)] if words else [1 << 16] * 4
-        self.words = iter(words[8:])
+    def __init__(self, content: bytes, model: Model) -> None:
+        words = np.frombuffer(content, "<u4").tolist()
+        self.states = [words[0] | words[1] << 32, words[2] | words[3] << 32]
+        self.words = iter(words[4:])
         self.count = 0
+        self.model = model
 
     def low(self) -> int:
-        return self.states[self.count % 4] & 4095
+        return self.states[self.count % 2] & 32767
 
-    def take(self, start: int, size: int) -> None:
-        x = self.states[self.count % 4]
-        x = size * (x >> 12) + (x & 4095) - start
-        self.states[self.count % 4] = x << 16 | next(self.words) if x < 1 << 16 else x
+    def take(self, start: int, size: int, bits: int = 0) -> int:
+        x = self.states[self.count % 2]
+        x = size * (x >> 15) + (x & 32767) - start
+        plain, x = x & (1 << bits) - 1, x >> bits
+        self.states[self.count % 2] = x << 32 | next(self.words) if x < 1 << 31 else x
         self.count += 1
+        return plain
 
-    def symbol(self, pool: Pool, context: int) -> int:
-        start = 0
-        for symbol, size in enumerate(pool[1][pool[0][context]]):
-            if self.low() < start + size:
-                self.take(start, size)
-                return symbol
-            start += size
-        raise AssertionError
+    def symbol(self, context: int) -> int:
+        return self.token(context, [0] * 16)[0]
+
+    def token(self, context: int, bits: list[int]) -> tuple[int, int]:
+        """Return a symbol, and the plain bits that follow it, so many of each symbol."""
+        model = self.model
+        numbers = model.numbers.setdefault(context, [2047 * i for i in range(16)])
+        starts = [number + i for i, number in enumerate(numbers)] + [32768]
+        symbol = sum(start <= self.low() for start in starts) - 1
+        plain = self.take(starts[symbol], starts[symbol + 1] - starts[symbol], bits[symbol])
+        seen = model.seen.get(context, 0)
+        rate, model.seen[context] = RATES[seen], min(seen + 1, len(RATES) - 1)
+        for i in range(16):
+            numbers[i] += (32752 >> rate if i > symbol else 0) - (numbers[i] >> rate)
+        return symbol, plain
+
+    def bit(self, context: int) -> int:
+        odds = self.model.odds.get(context, 32768)
+        zeros = min(max(odds >> 1, 16), 32752)
+        bit = int(self.low() >= zeros)
+        self.take(zeros if bit else 0, 32768 - zeros if bit else zeros)
+        self.model.odds[context] = odds - (odds >> 5) if bit else odds + (65536 - odds >> 5)
+        return bit
 
     def plain(self, count: int) -> int:
-        found = 0
-        for done in range(0, count, 12):
-            bits = min(count - done, 12)
-            part = self.low() >> 12 - bits
-            self.take(part << 12 - bits, 1 << 12 - bits)
-            found |= part << done
-        return found
+        return self.take(0, 1 << 15, count)
+
+    def long(self, count: int) -> int:
+        return sum(self.plain(min(count - done, 15)) << done for done in range(0, count, 15))
+
+    def number(self, context: int, unit: int, size: int) -> tuple[int, int]:
+        """Return a number, and what contexts take it for."""
+        bits = [bits for _, bits in TOKENS]
+        if size > 1:
+            bits[15] = 5
+        token, plain = self.token(context, bits)
+        least, _ = TOKENS[token]
+        if size == 1:
+            return least + plain, least
+        high = least + plain
+        if token == 15:
+            high = (1 << 7 + plain) + self.long(7 + plain)
+        number = high << unit | self.long(unit)
+        return number, number
 
     def end(self) -> None:
-        assert self.states == [1 << 16] * 4
+        assert self.states == [1 << 31] * 2
         assert next(self.words, None) is None
 
 
@@ -69,33 +114,17 @@ def highest(area: int) -> int:
     return max(c for c in range(256) if AREAS[c] <= area)
 
 
-def numbers_in(content: bytes) -> list[int]:
-    """Return the numbers of models."""
-    said, value, bits = [], 0, 0
-    for byte in content:
-        value |= (byte & 127) << bits
-        bits += 7
-        if byte < 128:
-            said.append(value)
-            value = bits = 0
-    written, more, found = said[1 : 1 + said[0]], said[1 + said[0] :], list[int]()
-    for number in written:
-        found += [number] if number else [0] * (1 + more.pop(0))
-    assert not more
-    return found
-
-
 class Archive:
     """What an archive holds: level by level its cells, each with its flags, area, values …."""
 
     def __init__(self, content: bytes) -> None:
         assert content[8:12] == bytes([1, 0, 0, 0])
         begin = int.from_bytes(content[16:24], "little")
-        lengths = np.frombuffer(content, "<u4", 4, begin).tolist()
-        parts = lzma.decompress(content[begin + 16 :])
-        ends = [sum(lengths[:n]) for n in range(5)]
-        assert len(parts) == ends[4]
-        header, root, models, records = (parts[a:b] for a, b in pairwise(ends))
+        lengths = np.frombuffer(content, "<u4", 3, begin).tolist()
+        parts = lzma.decompress(content[begin + 12 :])
+        ends = [sum(lengths[:n]) for n in range(4)]
+        assert len(parts) == ends[3]
+        header, root, records = (parts[a:b] for a, b in pairwise(ends))
         self.tensors = json.loads(header)
         self.metadata = self.tensors.pop("__metadata__")
         self.channels = []
@@ -103,13 +132,6 @@ class Archive:
             entry = self.tensors[f"channels/{name}"]
             dtype = {"U8": "u1", "U16": "u2", "F16": "f2", "F32": "f4"}[entry["dtype"]]
             self.channels.append({"dtype": dtype, "components": entry["shape"][1]})
-        numbers = iter(numbers_in(models))
-        contexts = [1 << 15, 13, 2160, 6066] + [44 * each["components"] + 2 for each in self.channels]
-        self.pools = [self.pool(numbers, each) for each in contexts]
-        self.weights = [
-            [near(next(numbers)) for _ in range(2 * 5 * 10 * each["components"])] for each in self.channels
-        ]
-        assert next(numbers, None) is None
         self.records = iter(np.frombuffer(records, "<u4").tolist())
         self.content, self.at = content, 32
         self.begin(root)
@@ -130,6 +152,7 @@ class Archive:
         self.level_cells, self.level_nodes = (np.frombuffer(take(8 * size), "<i8").tolist() for _ in range(2))
         for each in self.channels:
             each["max_error"], each["unit"] = np.frombuffer(take(8), "<u4").tolist()
+            each["weights"] = np.frombuffer(take(400 * each["components"]), "<i4").tolist()
         flags, area = take(2)
         rows = (flags & 63).bit_count() if flags & 128 else 0
         self.flags, self.areas, self.split_areas = [flags], [area], list(take(rows))
@@ -146,10 +169,11 @@ class Archive:
                 found.append([self.keys(each, take(size)) for _ in range(count)])
         assert at == len(root)
 
-    def pool(self, numbers: Iterator[int], contexts: int) -> Pool:
-        count = next(numbers)
-        chosen = [next(numbers) for _ in range(contexts)]
-        return chosen, [[next(numbers) for _ in range(256)] for _ in range(count)]
+    def stream(self, kind: object) -> Stream:
+        model = self.models.get(kind, Model())
+        if self.is_only:
+            self.models[kind] = model
+        return Stream(self.next_bytes(), model if self.is_only else model.copy())
 
     def next_bytes(self) -> bytes:
         length, checksum = next(self.records), next(self.records)
@@ -164,6 +188,7 @@ class Archive:
         nodes: dict[tuple[int, ...], tuple[int, int]] = {(0, 0, 0): (0, 0)} if self.level_nodes[1] else {}
         cells: dict[tuple[int, ...], int] = {(0, 0, 0): 0}
         self.firsts: list[int] = []
+        self.models: dict[object, Model] = {}
         for level in range(len(self.level_cells) - 2):
             below: dict[tuple[int, ...], int] = {}
             nodes_below: dict[tuple[int, ...], tuple[int, int]] = {}
@@ -171,6 +196,7 @@ class Archive:
             first = self.level_nodes[level]
             while order:
                 size = 16384 - first % 16384
+                self.is_only = len(order[:size]) == len(nodes)
                 self.block(level, order[:size], nodes, cells, below, nodes_below)
                 order, first = order[size:], first + size
             nodes, cells = nodes_below, below
@@ -207,21 +233,23 @@ class Archive:
         children: list[tuple[int, int]] = []  # node of the block, octant
         has_nodes: list[int] = []
         may_be_nodes = level + 3 < len(self.level_cells)
-        stream, kinds, number = Stream(self.next_bytes()), 0, len(nodes_below)
-        pools = self.pools
+        stream, was_leaf, number = self.stream("structure"), 0, len(nodes_below)
         for n, (place, (_, cell)) in enumerate(order):
             around = [moved(place, k) for k in range(6)]
             faces = sum((each in cells) << k for k, each in enumerate(around))
             x, y, z = (masks[own[around[k]]] if around[k] in own else 0 for k in (0, 2, 4))
-            low = ((faces * 4 + (x >> 1 & 1 | x >> 2 & 2)) * 4 + (y >> 2 & 3)) * 16 + (z >> 4)
-            there = stream.symbol(pools[0], low)
-            high = ((faces * 4 + (x >> 5 & 1 | x >> 6 & 2)) * 4 + (y >> 6 & 3)) * 16 + there
-            there |= stream.symbol(pools[0], 2**14 + high) << 4
-            leaves = there
+            low = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
+            there = stream.symbol(low + 256 * (faces >> 1 & 1 | faces >> 2 & 2))
+            high = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | there
+            high += 256 * (faces >> 1 & 1 | faces >> 2 & 2 | faces >> 3 & 4)
+            there |= stream.symbol(1024 + high) << 4
+            leaves = 0 if may_be_nodes else there
             if may_be_nodes:
-                count = sum(each in cells and each not in nodes for each in around)
-                leaves = stream.symbol(pools[1], 4 * kinds + min(count, 3)) & there
-                kinds = 0 if leaves == 0 else 2 if leaves == there else 1
+                count = min(sum(each in cells and each not in nodes for each in around), 3)
+                for octant in range(8):
+                    if there >> octant & 1:
+                        was_leaf = stream.bit(4 * was_leaf + count)
+                        leaves |= was_leaf << octant
             masks.append(there)
             firsts.append(len(self.flags))
             has_nodes.append(int(leaves != there))
@@ -229,23 +257,25 @@ class Archive:
             parent = self.flags[cell]
             shown = [k for k in range(6) if parent >> k & 1]
 
-            def packed(mask: int, shown: list[int] = shown) -> int:
-                return sum((mask >> k & 1) << i for i, k in enumerate(shown))
-
             union = t = 0
-            alike = len(shown) == 1 and stream.symbol(pools[1], 12)
+            alike = stream.bit(8 + 2 * min(len(shown), 3) + (parent >> 7))
             for octant in range(8):
                 if not there >> octant & 1:
                     continue
-                u = 1 + (packed(union) & 7) if len(self.flags) > firsts[n] else 0
                 some = 0
                 for axis in range(3):
                     beside = self.beside(n, octant, axis, around, own, masks, firsts)
                     some |= self.flags[beside] if beside is not None else 0
-                v = packed(some) & 7 if len(shown) > 1 else 0
-                context = ((min(len(shown), 4) * 9 + u) * 8 + v) * 6 + 2 * t + (parent >> 7)
-                symbol = 1 if alike else stream.symbol(pools[2], context)
-                flags = sum(1 << k for i, k in enumerate(shown) if symbol >> i & 1) | symbol & 192
+                flags = parent & 63 if alike else 0
+                for k in () if alike else shown:
+                    place_of = 0 if flags else 1 + (k == shown[-1])
+                    known = 2 * (some >> k & 1) + (union >> k & 1)
+                    flags |= stream.bit(16 + (known * 3 + place_of) * 4 + min(len(shown), 4) - 1) << k
+                if not alike:
+                    some = min(flags.bit_count(), 2) * 2 + (parent >> 7)
+                    flags |= stream.bit(64 + some * 3 + t) << 7
+                    if not leaves >> octant & 1:
+                        flags |= stream.bit(82 + (parent >> 6 & 1)) << 6
                 union |= flags & 63
                 t = 1 + (flags >> 7)
                 at = tuple(2 * i + (octant >> axis & 1) for axis, i in enumerate(place))
@@ -261,7 +291,7 @@ class Archive:
         rows = [cell for cell in split for _ in range((self.flags[cell] & 63).bit_count())]
         child_nodes = sum((there & ~leaves).bit_count() for there, leaves in self.masks[-len(order) :])
         assert counts == [child_nodes, len(children), len(split), len(rows), len(kept)]
-        stream = Stream(self.next_bytes())
+        stream = self.stream("areas")
         before = -1
         for cell, (n, octant) in enumerate(children, begin):
             place, (_, parent) = order[n]
@@ -327,90 +357,85 @@ class Archive:
         d = max(whole - code, 0)
         p = 5 - sum(d >= step for step in (4, 9, 17, 25, 36))
         guess = code if left == 1 else guess
-        area = guess + stream.symbol(self.pools[3], context * 6 + p) & 255
+        off, plain = stream.token(context * 6 + p, [6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
+        off -= 8
+        far = abs(off)
+        if far > 2:
+            far = 2 ** (far - 2) + 1 + plain
+        area = guess + (far if off > 0 else -far) & 255
         return rest - AREAS[area], area
 
     def channel(
         self, number: int, order: Any, children: Any, has_nodes: Any, cells: Any, own: Any, masks: Any,
         firsts: Any,
     ) -> Stream:  # fmt: skip
-        channel, pool, values = self.channels[number], self.pools[4 + number], self.values[number]
+        channel, values = self.channels[number], self.values[number]
         components, unit = channel["components"], channel["unit"]
-        order_of = [1, 0, 2, 3][:components] if components > 2 else range(components)
+        size = np.dtype(channel["dtype"]).itemsize
+        order_of = [1, 0, 2, 3][:components] if components > 2 else list(range(components))
+        weights, was_flat, t = list(channel["weights"]), 0, 0
+        stream = self.stream(number)
 
-        def context_of(kind: int, j: int, noise: int) -> int:
-            return (kind * components + j) * 11 + sum(step <= min(noise, 255) for step in STEPS)
+        def term(number: int) -> int:
+            return number if size == 1 else min(max(number >> unit, -4096), 4096)
 
-        stream = Stream(self.next_bytes())
-        for begin in range(0, len(order), 32):
-            nodes = []
-            for n, (place, (_, cell)) in enumerate(order[begin : begin + 32], begin):
-                around = [moved(place, k) for k in range(6)]
-                value = [values[cell][c] for c in order_of]
-                differ = [
-                    [values[cells[each]][c] - values[cell][c] if each in cells else 0 for each in around]
-                    for c in order_of
-                ]
-                octants = [octant for m, octant in children if m == n]
-                kind = has_nodes[n]
-                flat = not any(map(any, differ)) and stream.symbol(pool, 44 * components + kind)
-                most = [min(sum(map(abs, each)) >> unit + 1, 255) for each in differ]
-                nodes.append((n, around, cell, value, differ, octants, kind, flat, most))
-            errors: dict[tuple[int, int, int], int] = {}
-            listed = [
-                (n, octant, kind, most)
-                for n, *_, octants, kind, flat, most in nodes
-                if not flat
-                for octant in octants
+        for n, (place, (_, cell)) in enumerate(order):
+            around = [moved(place, k) for k in range(6)]
+            value = [values[cell][c] for c in order_of]
+            differ = [
+                [values[cells[each]][c] - values[cell][c] if each in cells else 0 for each in around]
+                for c in order_of
             ]
-            for j in range(components):
-                for n, octant, kind, most in listed:
-                    noise = most[j] + sum(2 * abs(errors[n, octant, i]) >> unit for i in range(j))
-                    errors[n, octant, j] = self.error(stream, channel, pool, context_of(kind, j, noise))
-            for n, around, cell, value, differ, octants, kind, flat, most in nodes:
-                sums = [0] * components
-                for i, octant in enumerate(octants):
-                    if flat:
-                        values.append(values[cell])
-                        continue
-                    found, off = [0] * components, [0] * components
-                    beside = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
-                    for j, c in enumerate(order_of):
-                        at = (kind * components + j) * 5 + sum(step <= most[j] for step in (1, 4, 16, 48))
-                        w = self.weights[number][10 * at : 10 * at + 10]
-                        on_side = sum(differ[j][2 * axis + (octant >> axis & 1)] for axis in range(3))
-                        total = w[0] * on_side + w[1] * (sum(differ[j]) - on_side)
-                        total += w[2] * sum(values[b][c] - value[j] for b in beside if b is not None)
-                        total += w[3] * (sums[j] * (65536 // (len(octants) - i)) >> 16)
-                        for k in range(min(j, 3)):
-                            total += w[4 + k] * off[k] + w[7 + k] * (found[order_of[k]] - value[k])
-                        guess = value[j] + (total + 2048 >> 12)
-                        off[j] = errors[n, octant, j]
-                        found[c] = self.corrected(channel, guess, off[j])
-                        sums[j] += found[c] - value[j]
-                    values.append(found)
+            octants = [octant for m, octant in children if m == n]
+            kind, flat = has_nodes[n], 0
+            if not any(map(any, differ)):
+                flat = was_flat = stream.bit(2 * kind + was_flat)
+            most = [min(sum(map(abs, each)) >> unit + 1, 255) for each in differ]
+            differ = [[term(each) for each in sides] for sides in differ]
+            sums = [0] * components
+            for i, octant in enumerate(octants):
+                t += 1
+                if flat:
+                    values.append(values[cell])
+                    continue
+                found, off, noise = [0] * components, [0] * components, 0
+                besides = [self.beside(n, octant, axis, around, own, masks, firsts) for axis in range(3)]
+                for j, c in enumerate(order_of):
+                    step = sum(step <= most[j] for step in (1, 4, 16, 48))
+                    at = 10 * ((kind * components + j) * 5 + step)
+                    terms = [sum(differ[j][2 * axis + (octant >> axis & 1)] for axis in range(3))]
+                    terms += [sum(differ[j])]
+                    terms += [term(sum(values[b][c] - value[j] for b in besides if b is not None))]
+                    terms += [term(sums[j]) * (65536 // (len(octants) - i)) >> 16]
+                    for k in range(min(j, 3)):
+                        terms += [term(off[k]), term(found[order_of[k]] - value[k])]
+                    total = sum(weights[at + k] * each for k, each in enumerate(terms))
+                    guess = value[j] + ((total + 2**19 >> 20) << unit)
+                    varies = sum(step <= min(most[j] + noise, 255) for step in STEPS)
+                    context = (kind * components + j) * 11 + varies
+                    found[c], off[j], about = self.corrected(stream, channel, guess, context)
+                    sums[j] += found[c] - value[j]
+                    noise += 2 * abs(about) >> unit
+                    if t % 4 == 1:
+                        sign = (off[j] > 0) - (off[j] < 0)
+                        for k, each in enumerate(terms):
+                            weights[at + k] += sign * each << (9, 8, 7, 5, 3)[step]
+                values.append(found)
         return stream
 
-    def error(self, stream: Stream, channel: Any, pool: Pool, context: int) -> int:
-        symbol = stream.symbol(pool, context)
-        if np.dtype(channel["dtype"]).itemsize > 1 and symbol >= 16:
-            length = (symbol - 16) // 4 + 5
-            symbol = (4 | symbol & 3) << length - 3 | stream.plain(length - 3)
-        return near(symbol) * (2 * channel["max_error"] + 1)
-
-    def corrected(self, channel: Any, guess: int, off: int) -> int:
-        most, error = (1 << 8 * np.dtype(channel["dtype"]).itemsize) - 1, channel["max_error"]
-        if not error:
-            return guess + off & most
-        number, step = min(max(guess, 0), most) + off, 2 * error + 1
+    def corrected(self, stream: Stream, channel: Any, guess: int, context: int) -> tuple[int, int, int]:
+        """Return the number that was guessed, what the guess is off by, and what contexts take that for."""
+        size, step = np.dtype(channel["dtype"]).itemsize, 2 * channel["max_error"] + 1
+        most, error = (1 << 8 * size) - 1, channel["max_error"]
+        off, about = (near(each) * step for each in stream.number(context, channel["unit"] + 4, size))
+        number = min(max(guess, 0), most) + off
         steps = (most + 2 * error) // step + 1
         number += steps * step * ((number < -error) - (number > most + error))
-        return min(max(number, 0), most)
+        return min(max(number, 0), most), off, about
 
     def rows(self, stream: Stream, number: int, owners: list[int], kind: int) -> list[list[int]]:
-        channel, pool, values = self.channels[number], self.pools[4 + number], self.values[number]
+        channel, values = self.channels[number], self.values[number]
         components, unit = channel["components"], channel["unit"]
-        most = (1 << 8 * np.dtype(channel["dtype"]).itemsize) - 1
         found: list[list[int]] = []
         before, last = [0] * components, -1
         for cell in owners:
@@ -419,13 +444,12 @@ class Archive:
             row, shift, noise, last = [0] * components, 0, 0, cell
             for j, c in enumerate([1, 0, 2, 3][:components] if components > 2 else range(components)):
                 own = values[cell][c]
-                guess = min(max(own + (shift if components > 2 else 0), 0), most)
+                guess = own + (shift if components > 2 else 0)
                 varies = min((abs(before[j]) >> unit) + noise, 255)
                 context = (kind * components + j) * 11 + sum(step <= varies for step in STEPS)
-                off = self.error(stream, channel, pool, context)
-                row[c] = self.corrected(channel, guess, off)
+                row[c], _, about = self.corrected(stream, channel, guess, context)
                 before[j] = shift = row[c] - own
-                noise += 2 * abs(off) >> unit
+                noise += 2 * abs(about) >> unit
             found.append(row)
         return found
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 import octex
 from octex import container
-from octex.archive import entropy, models, write
 from octex.archive.layout import MAGIC
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError, TextureFileError
@@ -92,17 +91,6 @@ def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tm
     texture.save(tmp_path / "a.octz")
     with at_most(1):
         octex.open(tmp_path / "a.octz").save(tmp_path / "b.octz")
-    assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
-
-
-@pytest.mark.parametrize("error", [0, 3])
-def test_an_archive_has_the_same_bytes_when_notes_are_many(
-    error: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    texture = hilly(8)
-    texture.save(tmp_path / "a.octz", max_error=error)
-    monkeypatch.setattr(write, "_MOST_NOTES", 100_000)
-    texture.save(tmp_path / "b.octz", max_error=error)
     assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
 
 
@@ -197,39 +185,6 @@ def test_an_archive_takes_no_ending_and_no_error_that_makes_no_sense(tmp_path: P
         texture.save(tmp_path / "a.octex", max_error=1)
     with pytest.raises(ArgumentError, match="max_error must be a whole number"):
         texture.save(tmp_path / "a.octz", max_error=-1)
-
-
-@given(numbers=st.lists(st.one_of(st.just(0), st.integers(0, 2**28 - 1)), max_size=40))
-def test_numbers_of_models_come_back_from_their_bytes(numbers: list[int]) -> None:
-    content = models.as_bytes(np.array(numbers, np.int64))
-    assert models.numbers_in(content, len(numbers)).tolist() == numbers
-    for wrong in (content[:-1], content + b"\x80", content + b"\0"):
-        with pytest.raises(ValueError, match=r"^$"):
-            models.numbers_in(wrong, len(numbers))
-    if numbers:
-        with pytest.raises(ValueError, match=r"^$"):
-            models.numbers_in(content, len(numbers) - 1)
-
-
-@given(counts=st.lists(st.integers(0, 10**9), min_size=256, max_size=256).filter(any))
-def test_frequencies_are_of_4096_and_leave_out_no_symbol(counts: list[int]) -> None:
-    sizes = entropy.normalized(np.array([counts]))[0]
-    assert sizes.sum() == 4096
-    assert ((sizes > 0) == (np.array(counts) > 0)).all()
-
-
-def test_tables_of_pools_are_numbered_through_beyond_255() -> None:
-    def pool(tables: int) -> entropy.Pool:
-        nothing = np.empty(0, np.uint32)
-        intervals = np.arange(tables * 256, dtype=np.uint32)
-        chosen = np.arange(tables, dtype=np.uint8)
-        return entropy.Pool(
-            chosen, intervals, nothing.astype(np.uint8), nothing, np.empty((0, 0), np.int64), 0
-        )
-
-    chosen, intervals = entropy.intervals_of([pool(200), pool(100), pool(9)])
-    np.testing.assert_array_equal(chosen, np.arange(309))
-    assert (chosen.dtype, intervals.size) == (np.uint32, 309 * 256)
 
 
 def test_the_command_archives_and_brings_back(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def _measured(texture: OctreeTexture, path: Path, setup: Setup, report: Report) 
 def _streams(path: Path) -> list[int]:
     """Return the bytes of an archive's streams: structure, areas, and those of each channel."""
     sizes = octex.open(path).info()["archive"]
-    return [size for name, size in sizes.items() if name not in ("models and directory", "other")]
+    return [size for name, size in sizes.items() if name not in ("directory", "other")]
 
 
 def _zstd_bytes(path: Path) -> int | None:

@@ -13,7 +13,6 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from random import Random
@@ -21,8 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from octex.archive import models
-from octex.archive.coding import Form, coding_of
 from octex.archive.head import channels_in, packed, pieces_of
 from octex.archive.layout import MAGIC, START, Place, runs
 from octex.arrays import bit_counts
@@ -288,10 +285,10 @@ class Archive:
     def __init__(self, content: bytes) -> None:
         self.content = content
         begin = int.from_bytes(content[16:24], "little")
-        lengths = struct.unpack_from("<4I", content, begin)
-        text = lzma.decompress(content[begin + 16 :])
+        lengths = struct.unpack_from("<3I", content, begin)
+        text = lzma.decompress(content[begin + 12 :])
         ends = np.cumsum([0, *lengths]).tolist()
-        header, self.root, self.model, records = (text[a:b] for a, b in pairwise(ends))
+        header, self.root, records = (text[a:b] for a, b in pairwise(ends))
         self.head = json.loads(header)
         self.records: list[int] = np.frombuffer(records, "<u4").tolist()
         self.places = list(places(self.head))
@@ -320,32 +317,11 @@ class Archive:
         for _ in pieces_of(sizes, channels):
             yield from ("other length", "other checksum")
 
-    @cached_property
-    def numbers(self) -> tuple[np.ndarray, list[tuple[str, int, int]]]:
-        """The models' numbers, and of their parts the names, where they begin and end."""
-        numbers = models.numbers_in(self.model, 1 << 31)
-        codings = {}
-        for name in channels_in(self.head["__metadata__"]):
-            components = self.head[f"channels/{name}"]["shape"][1]
-            codings[name] = coding_of(Form(components, 1, 0, 0, 0))
-        parts, at = [], 0
-        pools = ("occupied", "leaves", "flags", "areas", *codings)
-        for name, (contexts, _) in zip(pools, models.sizes_of(codings), strict=True):
-            tables = int(numbers[at])
-            for part, size in (("count", 1), ("tables", contexts), ("frequencies", 256 * tables)):
-                parts.append((f"{name} {part}", at, at + size))
-                at += size
-        for name, coding in codings.items():
-            parts.append((f"{name} weights", at, at + coding.weights.size))
-            at += coding.weights.size
-        return numbers, parts
-
     def built(
         self,
         *,
         head: Any = None,
         root: bytes | None = None,
-        model: bytes | None = None,
         records: list[int] | None = None,
         streams: list[bytes] | None = None,
     ) -> bytes:
@@ -360,10 +336,9 @@ class Archive:
         parts = [
             text,
             self.root if root is None else root,
-            self.model if model is None else model,
             struct.pack(f"<{len(found)}I", *found),
         ]
-        directory = struct.pack("<4I", *map(len, parts)) + packed(b"".join(parts))
+        directory = struct.pack("<3I", *map(len, parts)) + packed(b"".join(parts))
         return self.begun(directory, b"".join(contents))
 
     def begun(self, directory: bytes, streams: bytes) -> bytes:
@@ -394,7 +369,7 @@ class Archive:
     def directory(self, chance: Random) -> Damaged:
         """Change bytes of the directory: its lengths, what xz has packed."""
         begin = int.from_bytes(self.content[16:24], "little")
-        lengths, after = self.content[begin : begin + 16], self.content[begin + 16 :]
+        lengths, after = self.content[begin : begin + 12], self.content[begin + 12 :]
         if chance.random() < 0.5:
             lengths = blind(lengths, chance)
         else:
@@ -402,28 +377,8 @@ class Archive:
         return self.begun(lengths + after, self.content[START:begin]), "directory"
 
     def beginning(self, chance: Random) -> Damaged:
-        """Change the levels, the channels' forms, or what the root has."""
+        """Change the levels, the channels' forms and weights, or what the root has."""
         return self.built(root=blind(self.root, chance)), "root"
-
-    def modelled(self, chance: Random) -> Damaged:
-        """Change numbers of the models: any, or so that they are possible ones."""
-        numbers, parts = self.numbers
-        numbers = numbers.copy()
-        name, first, end = chance.choice(parts)
-        most = {"tables": 4, "weights": 1 << 17}.get(name.split()[-1], 1 << 28)
-        for _ in range(chance.choice((1, 3, 50))):
-            at = chance.randrange(first, end)
-            if name.endswith("frequencies") and chance.random() < 0.9:  # their sum stays
-                table = at - (at - first) % 256
-                given = chance.choice(np.flatnonzero(numbers[table : table + 256]).tolist()) + table
-                some = chance.choice((1, int(numbers[given])))
-                numbers[given] -= some
-                numbers[at] += some
-            elif chance.random() < 0.5:
-                numbers[at] = chance.randrange(most)
-            else:
-                numbers[at] = chance.choice((0, 1, 2, 255, 256, 4095, 4096, 65536, 1 << 17, 2**28 - 1))
-        return self.built(model=models.as_bytes(numbers)), f"models {name}"
 
     def recorded(self, chance: Random) -> Damaged:
         """Change a number of the records."""
@@ -452,7 +407,6 @@ class Archive:
         (2, beginning),
         (6, described),
         (3, directory),
-        (2, modelled),
         (4, recorded),
         (8, streamed),
     )

@@ -8,7 +8,7 @@
 
 A seed takes a small file that is sound, a texture or layer as .octex or .octz, points, voxels or cameras as
 .npz, another texture every 200 seeds, and damages it (see damage.py): blindly, or knowing its structure, any
-field of a header, any element of an array, any number of an archive's models, with every checksum made right
+field of a header, any element of an array, with every checksum made right
 again. It is then opened, described, validated, and some of this is done, by chance: a lookup in some way,
 also of a level, of an archive as one elsewhere of which a part is read, a save, as an archive and back,
 a merge as a layer, a conversion, a projection.

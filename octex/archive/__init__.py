@@ -1,14 +1,12 @@
 """The archive of a texture, ``.octz``: a third of a render file's bytes or less (paper 4.3.2).
 
 layout      blocks, the streams in them, and names; coarse levels first
-entropy     symbols of known frequencies to words and back; tables that contexts share
+entropy     symbols and bits, whose frequencies follow what occurs, to words and back
 around      what lies around a cell: what is known of it before it is decoded
-structure   which children a node has, and flags, after Tamminen and Samet
+structure   which children a node has, and flags
 areas       of cells, from what the others of their column leave, and their siblings
-coding      of values: as whole numbers, and what guesses are off by as symbols
-weights     of guesses, fitted by least squares
 values      of channels, from their parents' and from what came before; rows, from their cells'
-models      what the coders are told, chosen by what occurs
+weights     of guesses, fitted by least squares
 blocks      the streams of a block, in order: the same for noting and decoding
 head        the directory, read and checked
 write       a file; blocks of a level in parallel

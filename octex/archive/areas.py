@@ -11,33 +11,46 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import ABOUT, OWN, ones
-from octex.archive.entropy import DECODES, PASS, Coder, Pool, code_symbol, wide
-from octex.arrays import Int64s, Uint8s, Uint32s
+from octex.archive.entropy import DECODES, Coder, Model, code_token, new_model, wide
+from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS
 
 _PARTS = 6
 #: Contexts: 21 of which cells are around, 3 of how many children are left, 4 each of the largest area beside
 #: and of that along the axis, parts of the area that is left; then those of split rows.
-_OF_ROWS = 21 * 3 * 4 * 4 * _PARTS
-CONTEXTS = _OF_ROWS + 3 * _PARTS
+_SHAPES = 21 * 3 * 4 * 4 + 3
+_CONTEXTS = _SHAPES * _PARTS
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
 _STEPS = np.array([4, 9, 17, 25, 36])
 _NO_AXIS = 20
+#: Tokens of differences: 8 less or more, 0, 1, 2, then how many bits they have less one, and 2; the last has
+#: 7. Of each the bits, and the least that they are.
+_LENGTHS = np.searchsorted([1, 2, 3, 5, 9, 17, 33, 65], np.arange(256), side="right").astype(np.uint8)
+_BITS_OF = np.array([6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
+_LEAST_OF = np.array([65, 33, 17, 9, 5, 3, 2, 1, 0, 1, 2, 3, 5, 9, 17, 33])
 
-Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s]
+Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s, Uint8s, Int64s, Int64s]
+
+
+def model() -> Model:
+    """Return what a stream of areas begins with."""
+    return new_model(_CONTEXTS)
 
 
 def area_tables() -> Tables:
-    """Return what kernels take: 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes."""
+    """Return what kernels take.
+
+    These are 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes; tokens of differences.
+    """
     areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
     steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
     parts = _PARTS - 1 - np.searchsorted(_STEPS, np.arange(256), side="right")
     axes = np.full(FACING_FLAGS + 1, 3, np.uint8)
     axes[1 << np.arange(6)] = np.arange(6) >> 1
-    return areas, steps, parts.astype(np.uint8), axes
+    return areas, steps, parts.astype(np.uint8), axes, _LENGTHS, _BITS_OF, _LEAST_OF
 
 
 @inlined
@@ -51,16 +64,20 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
 
 
 @inlined
-def _code_area(
-    area: int, guess: int, whole: int, rest: int, context: int, tables: Tables, pool: Pool, coder: Coder
-) -> int:
-    """Code an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
-    areas, steps, parts, _ = tables
+def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, tables: Tables, coder: Coder) -> int:
+    """Note or decode an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
+    areas, steps, parts, _, lengths, bits, least = tables
     code = _code(max(rest, areas[np.uint64(whole)] >> 8), areas, steps)
     part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
     guess = code if guess < 0 else guess
-    context = context * _PARTS + part
-    return (guess + code_symbol(coder.state[PASS], (area - guess) & 255, context, pool, coder)) & 255
+    far = (area - guess + 128 & 255) - 128
+    size = abs(far)
+    token = wide(lengths[np.uint64(size)])
+    token = 8 - token if far < 0 else min(8 + token, 15)
+    plain = size - least[np.uint64(token)]
+    token, plain = code_token(token, plain, bits, shape * _PARTS + part, coder)
+    far = wide(least[np.uint64(token)] + plain)
+    return guess + (-far if token < 8 else far) & 255
 
 
 @inlined
@@ -71,13 +88,12 @@ def _size(area: int, whole: int) -> int:
 
 @kernel
 def code_areas(
-    rows: Uint32s,
+    rows: Int32s,
     cells: Int64s,
     flags: Uint8s,
     areas: Uint8s,
     begin: int,
     tables: Tables,
-    pool: Pool,
     coder: Coder,
 ) -> None:
     """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
@@ -95,7 +111,8 @@ def code_areas(
         for k in range(3):
             other = wide(rows[np.uint64(t), k])
             # Whether one lies there is as good as random: no branch.
-            beside[k] = wide(areas[np.uint64(other)]) & -wide(other >= begin)
+            is_there = -wide(other >= 0)
+            beside[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
         axis = wide(tables[3][flags[begin + t] & FACING_FLAGS])
         own = np.uint64(axis & -wide(axis < 3))
         along, beside[own] = beside[own], 0
@@ -115,9 +132,9 @@ def code_areas(
                 guess = _code(max(column - tables[0][along], column >> 6), tables[0], tables[1])
         context = ((shape * 3 + min(left, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
         guess = -1 if left == 1 else guess
-        area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, pool, coder)
+        area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
-        if coder.state[PASS] == DECODES:
+        if coder.work == DECODES:
             areas[begin + t] = area
 
 
@@ -128,7 +145,6 @@ def code_row_areas(
     begin: int,
     cell_areas: Uint8s,
     tables: Tables,
-    pool: Pool,
     coder: Coder,
 ) -> None:
     """Likewise the areas of rows from ``begin`` on, a row of each cell of ``owners``."""
@@ -139,9 +155,9 @@ def code_row_areas(
                 left += 1
             whole = wide(cell_areas[owners[n]])
             rest = tables[0][whole]
-        context, guess = _OF_ROWS // _PARTS + min(left, 3) - 1, -1 if left == 1 else whole
-        area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, pool, coder)
+        context, guess = _SHAPES - 4 + min(left, 3), -1 if left == 1 else whole
+        area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, tables, coder)
         rest = max(rest, tables[0][whole] >> 8) - tables[0][area]
-        if coder.state[PASS] == DECODES:
+        if coder.work == DECODES:
             areas[begin + n] = area
         left -= 1

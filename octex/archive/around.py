@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.layout import Block
-from octex.arrays import Int64s, Uint32s, Uint64s
+from octex.arrays import Int32s, Int64s, Uint64s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import TreeArrays
 
 #: Where a node's own cell stands, after those around it; where there is none, its own stands there too.
 OWN = 6
-# A row of what is known of a child: which cell lies across its faces −x, −y and −z, its parent where none of
-# the block does; then ABOUT: bits 0 … 3 how many children of its node are left, with itself, 4 whether any of
-# these is a node, 5 … 7 its octant; 8 … 13 of each axis whether a cell lies beyond its node, and a sibling.
+# A row of what is known of a child: which of the block's cells lies across its faces −x, −y and −z, −1 for
+# none; then ABOUT: bits 0 … 3 how many children of its node are left, with itself, 4 whether any of these is
+# a node, 5 … 7 its octant; 8 … 13 of each axis whether a cell lies beyond its node, and a sibling.
 ABOUT = 3
 
 
@@ -47,6 +47,14 @@ def ones(mask: int) -> int:
 def lowest(mask: int) -> int:
     """Return the place of a mask's lowest bit, of one that has any."""
     return popcount(np.uint64(~mask & mask - 1))
+
+
+def first_below(arrays: TreeArrays, node: int) -> tuple[int, int]:
+    """Return the first child node and the first child of a node."""
+    first = int(arrays.groups[node >> 3, 2])
+    below = (1 << 8 * (node & 7)) - 1
+    nodes, leaves = (int(word) & below for word in arrays.groups[node >> 3, :2])
+    return (first & 0xFFFFFFFF) + nodes.bit_count(), (first >> 32) + (nodes | leaves).bit_count()
 
 
 @inlined
@@ -130,39 +138,36 @@ def _around_nodes(
 
 @kernel
 def around_children(
-    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, rows: Uint32s
+    groups: Uint64s, first: int, last: int, cells: Int64s, nodes: Int64s, begin: int, rows: Int32s
 ) -> None:
-    """Write a row for each child of the nodes of a block, in order."""
+    """Write a row for each child of the nodes of a block, in order; its first is cell ``begin``."""
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
     t = 0
     for node in range(first, last):
         own = np.uint64(node - first)
-        parent = cells[own, OWN]
         inner, leaves, _, cell = children_of(groups, node)
-        occupied = inner | leaves
-        masks[OWN], begins[OWN] = occupied, cell
+        masks[OWN], begins[OWN] = inner | leaves, cell - begin
         for k in range(6):
             beyond = nodes[own, k]
-            masks[k] = 0xFF if cells[own, k] != parent else 0
+            masks[k] = 0xFF if cells[own, k] != cells[own, OWN] else 0
             begins[k] = -1
             if first <= beyond < last:
-                inner2, leaves2, _, begins[k] = children_of(groups, beyond)
-                masks[k] = inner2 | leaves2
-        left, has_nodes = ones(occupied), int(inner != 0)
-        bits = occupied
+                inner2, leaves2, _, cell2 = children_of(groups, beyond)
+                masks[k], begins[k] = inner2 | leaves2, cell2 - begin
+        left = ones(masks[OWN])
+        bits = masks[OWN]
         while bits:
             octant = lowest(bits)
             bits &= bits - 1
-            pairs, row = np.int64(0), np.uint64(t)
+            about, row = left | np.int64(masks[OWN] != leaves) << 4 | octant << 5, np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
-                beyond = np.uint64(2 * axis + upper)
-                pairs |= ((occupied >> across & 1) << 1 | masks[beyond] >> across & 1) << 2 * axis
+                beyond = masks[np.uint64(2 * axis + upper)] >> across & 1
+                about |= ((masks[OWN] >> across & 1) << 1 | beyond) << 2 * axis + 8
                 at = np.uint64(OWN if upper else 2 * axis)
-                beside = begins[at] + ones(masks[at] & ((1 << across) - 1))
                 is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
-                rows[row, axis] = beside if is_beside else parent
-            rows[row, ABOUT] = left | has_nodes << 4 | octant << 5 | pairs << 8
+                rows[row, axis] = begins[at] + ones(masks[at] & ((1 << across) - 1)) if is_beside else -1
+            rows[row, ABOUT] = about
             left -= 1
             t += 1

@@ -2,104 +2,116 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from octex.archive.areas import area_tables, code_areas, code_row_areas
+from octex.archive import areas, structure, values
 from octex.archive.around import around_children, around_nodes
-from octex.archive.coding import KEPT_NODES, SPLIT_ROWS, STEPS
-from octex.archive.entropy import Coder
-from octex.archive.layout import AREAS, STRUCTURE, Block, Content, owners_of
-from octex.archive.models import Models
-from octex.archive.structure import code_structure, facing_tables
-from octex.archive.values import code_rows, code_values
-from octex.arrays import Int64s, Uint32s
+from octex.archive.entropy import Coder, Model
+from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, Form, owners_of
+from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 
-_NO_SQUARES = np.empty((0, 0, 0))
+_AREA_TABLES = areas.area_tables()
 
 
 class Streams(Protocol):
     """Where streams come from, or go to."""
 
-    def begin(self, most: int) -> Coder:
+    def begin(self, model: Model, most: int) -> Coder:
         """Return the coder of the next stream; ``most`` is how many notes it may have."""
 
     def end(self) -> None:
         """Take a stream that is done; raises for one that makes no sense."""
 
+    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Write values (n, components, size) as whole ``numbers``, unless these are decoded."""
+
+    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Write values as they are decoded."""
+
     def list_flagged(self, content: Content, block: Block) -> None:
         """List a block's split cells and kept nodes, whose flags are coded."""
 
 
-@cache
-def _fixed() -> tuple[Any, Any]:
-    return facing_tables(), area_tables()
-
-
 def code_block(
-    content: Content, models: Models, block: Block, kinds: Sequence[str], streams: Streams
+    content: Content,
+    codings: Mapping[str, Coding],
+    block: Block,
+    kinds: Sequence[str],
+    streams: Streams,
+    models: dict[str, Model],
 ) -> None:
-    """Code streams of a block: STRUCTURE, AREAS, channels, those of ``kinds`` in this order."""
-    around = around_nodes(content.arrays, block)
-    if kinds[0] == STRUCTURE:
-        _code_structure(content, models, block, around, streams)
-        kinds = kinds[1:]
-    if kinds:
-        rows = np.empty((block.end.cell - block.begin.cell, 4), np.uint32)
-        around_children(content.arrays.groups, block.first, block.last, *around, rows)
-        for kind in kinds:
-            if kind == AREAS:
-                _code_areas(content, models, block, around[0], rows, streams)
-            else:
-                _code_channel(kind, content, models, block, around[0], rows, streams)
+    """Code streams of a block: STRUCTURE, AREAS, channels, those of ``kinds`` in this order.
+
+    ``models`` are what streams have learned in the last level of one block. They are copied, or if the block
+    is its level's only one, go on.
+    """
+    arrays, begin, end = content.arrays, block.begin, block.end
+    cells, nodes = around_nodes(arrays, block)
+    rows = np.empty((0, 4), np.int32)
+    is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
+    for kind in kinds:
+        if kind != STRUCTURE and len(rows) == 0:  # once which children there are is known
+            rows, owners = np.empty((end.cell - begin.cell, 4), np.int32), owners_of(content.split, block)
+            around_children(arrays.groups, block.first, block.last, cells, nodes, begin.cell, rows)
+        model = models.get(kind) or _new_model(kind, codings)
+        if is_only:
+            models[kind] = model
+        else:
+            model = Model(model.numbers.copy(), model.odds.copy())
+        if kind == STRUCTURE:
+            coder = streams.begin(model, structure.MOST * (block.last - block.first))
+            places = block.first, block.last, begin.node, begin.cell, end.node, end.cell
+            may_be_nodes = block.level + 3 < arrays.level_cells.size
+            structure.code_structure(arrays.groups, arrays.flags, *places, may_be_nodes, cells, nodes, coder)
+        elif kind == AREAS:
+            coder = streams.begin(model, len(rows) + owners.size)
+            areas.code_areas(rows, cells, arrays.flags, arrays.areas, begin.cell, _AREA_TABLES, coder)
+            row_areas = owners, content.split.areas, begin.row, arrays.areas
+            areas.code_row_areas(*row_areas, _AREA_TABLES, coder)
+        else:
+            count = len(rows) + owners.size + end.kept - begin.kept
+            form = codings[kind].form
+            coder = streams.begin(model, count * (form.components * (1 if form.size == 1 else 9) + 1))
+            _code_channel(content, kind, codings[kind], block, (owners, rows, cells), streams, coder)
+        streams.end()
+        if kind == STRUCTURE:
+            streams.list_flagged(content, block)
 
 
-def _code_structure(
-    content: Content, models: Models, block: Block, around: tuple[Int64s, Int64s], streams: Streams
-) -> None:
-    arrays, (begin, end) = content.arrays, (block.begin, block.end)
-    may_be_nodes = block.level + 3 < arrays.level_cells.size
-    coded = streams.begin(12 * (block.last - block.first))
-    places = block.first, block.last, begin.node, begin.cell, end.node, end.cell, may_be_nodes
-    pools = models.pools[0], models.pools[1], models.pools[2]
-    code_structure(arrays.groups, arrays.flags, *places, *around, _fixed()[0], pools, coded)
-    streams.end()
-    streams.list_flagged(content, block)
-
-
-def _code_areas(
-    content: Content, models: Models, block: Block, cells: Int64s, rows: Uint32s, streams: Streams
-) -> None:
-    begin, end = block.begin, block.end
-    own, split = content.arrays.areas, content.split
-    coded = _fixed()[1], models.pools[3], streams.begin(len(rows) + end.row - begin.row)
-    code_areas(rows, cells, content.arrays.flags, own, begin.cell, *coded)
-    code_row_areas(owners_of(split, block), split.areas, begin.row, own, *coded)
-    streams.end()
+def _new_model(kind: str, codings: Mapping[str, Coding]) -> Model:
+    if kind in codings:
+        return values.model_of(codings[kind].form)
+    return areas.model() if kind == AREAS else structure.model()
 
 
 def _code_channel(
-    name: str,
     content: Content,
-    models: Models,
+    name: str,
+    coding: Coding,
     block: Block,
-    cells: Int64s,
-    rows: Uint32s,
+    around: tuple[Uint32s, Int32s, Int64s],
     streams: Streams,
+    coder: Coder,
 ) -> None:
-    given, decoded, coding = content.given[name], content.decoded[name], models.codings[name]
-    (begin, end), split = (block.begin, block.end), content.split
-    count = len(rows) + end.row - begin.row + end.kept - begin.kept
-    coded = models.pool(name), streams.begin(count * (4 * coding.form.components + 1))
-    own = rows, cells, given.values, decoded.values, begin.cell, coding, STEPS, _NO_SQUARES
-    code_values(*own, *coded)
-    owners = owners_of(split, block)
-    of_split = owners, decoded.values, given.split_values, decoded.split_values, begin.row, SPLIT_ROWS
-    owners = content.kept.cells[begin.kept : end.kept]
-    of_kept = owners, decoded.values, given.kept_values, decoded.kept_values, begin.kept, KEPT_NODES
-    for task in (of_split, of_kept):
-        code_rows(*task, coding, STEPS, *coded)
-    streams.end()
+    form, (owners, rows, cells), begin, end = coding.form, around, block.begin, block.end
+    given, decoded = content.given[name], content.decoded[name]
+    own = slice(begin.cell, end.cell)
+    numbers = np.zeros((len(rows) + 1, form.components), np.uint32)
+    streams.read(numbers[:-1], given.values[own], form)
+    raw = decoded.values.reshape(-1)
+    values.code_values(rows, cells, raw, numbers, form, coding.weights, values.STEPS, coder)
+    streams.write(numbers[:-1], decoded.values[own], form)
+    kept = slice(begin.kept, end.kept)
+    for owned, own, theirs, ours, kind in (
+        (owners, slice(begin.row, end.row), given.split_values, decoded.split_values, values.SPLIT_ROWS),
+        (content.kept.cells[kept], kept, given.kept_values, decoded.kept_values, values.KEPT_NODES),
+    ):
+        if owned.size:
+            numbers = np.zeros((owned.size, form.components), np.uint32)
+            streams.read(numbers, theirs[own], form)
+            of_cells = values.numbers_of(decoded.values[owned], form)
+            values.code_rows(owned, of_cells, numbers, kind, form, values.STEPS, coder)
+            streams.write(numbers, ours[own], form)

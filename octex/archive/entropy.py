@@ -1,9 +1,9 @@
-"""The entropy coder: symbols of known frequencies to words of 16 bits and back, in one stream.
+"""The entropy coder: adaptive symbols and bits to words of 32 bits and back, in one stream.
 
-rANS (Duda 2013, "Asymmetric numeral systems") with four states of 32 bits, which take turns, so that four
-symbols are decoded at once (Giesen 2014, "Interleaved entropy coders"). Frequencies are of 4096. It writes
-backward: symbols are counted and noted first; when frequencies are known, the notes are turned into words,
-the last first. The decoder reads forward.
+rANS (Duda 2013, "Asymmetric numeral systems") with two states of 63 bits, which take turns (Giesen 2014,
+"Interleaved entropy coders"). Frequencies are of 32768. A context's frequencies follow what occurs in it, so
+nothing about them is stored. rANS writes backward: symbols are noted first, then the notes are turned into
+words, the last first. The decoder reads forward.
 """
 
 from __future__ import annotations
@@ -12,66 +12,85 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int64s, Uint8s, Uint16s, Uint32s
-from octex.jit import inlined, kernel
+from octex.arrays import Int64s, Uint8s, Uint16s, Uint32s
+from octex.jit import count_begun, inlined, kernel, move_begins
 
 #: Bits of a frequency.
-PRECISION = 12
+PRECISION = 15
 ONE = 1 << PRECISION
-STATES = 4
-_LEAST = 1 << 16  # a state is this or more between two symbols
+STATES = 2
+_LEAST = 1 << 31  # a state is this or more between two symbols
 
-# What a pass does. Of values it also measures how they differ.
-NOTES, DECODES, MEASURES = 0, 1, 2
-# What a coder's state holds, after the states of rANS.
-PLACE, FAULT, PASS, TURN = 4, 5, 6, 7
+NOTES, DECODES = 0, 1  # what a coder does
+# What a coder's state holds, after the states of rANS, that which is next first.
+PLACE, FAULT = 2, 3
+
+#: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
+#: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
+SYMBOLS = 16
+_MOST, _SEEN = ONE - SYMBOLS, SYMBOLS + 1
+_ROW = 32
+#: By how many bits less each number moves towards 0 up to the symbol that occurs, and to ``_MOST`` after it:
+#: the first symbols of a context move it far.
+_RATES = np.repeat(np.arange(1, 8), [1, 2, 4, 12, 40, 100, 90])
+#: Of the tokens of numbers: the least number, and how many bits follow.
+_TOKENS = np.array([*range(8), 8, 12, 16, 24, 32, 48, 64, 128]), np.array([0] * 8 + [2, 2, 3, 3, 4, 4, 6, 7])
+_TOKEN_OF = np.searchsorted(_TOKENS[0], np.arange(256), side="right").astype(np.uint8) - np.uint8(1)
+_LONG = np.append(_TOKENS[1][:-1], 5)
+_STEPS = _RATES, *_TOKENS, _LONG, _TOKEN_OF, np.zeros(SYMBOLS, np.int64)
+#: What a context begins with.
+_EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] * (_ROW - _SEEN), np.uint16)
+
+
+class Model(NamedTuple):
+    """What a stream has learned: what kernels take."""
+
+    numbers: Uint16s  # (contexts · 32,)
+    odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
+
+
+def new_model(symbols: int, bits: int = 0) -> Model:
+    """Return a model of so many contexts of symbols, and of bits."""
+    return Model(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
 
 
 class Coder(NamedTuple):
     """A stream that is noted or decoded: what kernels take."""
 
-    state: Int64s  # the states, then PLACE … TURN
-    # The words that are decoded, or notes: ``context << 8 | symbol``, contexts of all pools numbered through,
-    # or for plain bits, which have an interval of their own, ``1 << 31 | start << 13 | size``.
-    stream: Uint32s
+    work: int  # NOTES or DECODES
+    state: Int64s  # the states, then PLACE and FAULT
+    stream: Int64s  # the words that are decoded, or notes: size | start << 16 | plain << 32 | count << 48
+    model: Model
+    rates: Int64s
+    least: Int64s  # (16,)   of tokens
+    bits: Int64s  # (16,)
+    long_bits: Int64s  # (16,)   of numbers of more than a byte
+    tokens: Uint8s  # (256,)   of numbers
+    none: Int64s  # (16,)   of symbols: no bits
 
 
-class Pool(NamedTuple):
-    """How symbols of some contexts are coded: what kernels take."""
-
-    chosen: Uint8s  # (contexts,)   the table of each
-    intervals: Uint32s  # (tables · 256,)   of a symbol: where it begins, and << 16 its frequency
-    # To find a symbol, in few bytes, which stay in the fastest memory: where to look from, and of those that
-    # occur, one after the other: where it begins, << 12 its frequency less one, << 24 the symbol.
-    buckets: Uint8s  # (tables · 256,)   for each 16 of 4096
-    occurring: Uint32s  # (tables · 256,)
-    counts: Uint32s  # (contexts, symbols)   how often which occurred
-    first: int  # of its contexts, when all pools' are numbered through
+def _coder(work: int, stream: Int64s, model: Model) -> Coder:
+    return Coder(work, np.array([_LEAST] * STATES + [0, 0], np.int64), stream, model, *_STEPS)
 
 
-def new_coder(work: int, size: int) -> Coder:
-    """Return a coder that begins, for a stream of so many notes or words."""
-    return Coder(np.array([_LEAST] * STATES + [0, 0, work, 0], np.int64), np.empty(size, np.uint32))
+def noter(model: Model, most: int) -> Coder:
+    """Return a coder that notes, with room for so many notes."""
+    return _coder(NOTES, np.empty(most, np.int64), model)
 
 
-def decoder(content: bytes) -> Coder:
-    """Return a coder that reads a stream's bytes; a zero ends its words.
-
-    The words begin with the states, low words first; there are none where all was certain.
-    """
-    words = np.frombuffer(content, "<u2", len(content) // 2)
-    coder = new_coder(DECODES, words.size + 1)
-    coder.stream[:-1], coder.stream[-1] = words, 0
+def decoder(model: Model, content: bytes) -> Coder:
+    """Return a coder that reads a stream's bytes; a zero ends its words. These begin with the states."""
+    words = np.frombuffer(content, "<u4", len(content) // 4)
+    coder = _coder(DECODES, np.append(words, np.uint32(0)).astype(np.int64), model)
     if words.size >= 2 * STATES:
-        coder.state[:STATES] = words[: 2 * STATES].view("<u4")
+        coder.state[:STATES] = words[: 2 * STATES].view("<i8")
         coder.state[PLACE] = 2 * STATES
     return coder
 
 
 def is_whole(coder: Coder) -> bool:
     """Say whether a stream was read to its end, where the encoder began."""
-    wanted = [_LEAST] * STATES + [coder.stream.size - 1, 0]
-    return bool(coder.state[: FAULT + 1].tolist() == wanted)
+    return bool(coder.state.tolist() == [_LEAST] * STATES + [coder.stream.size - 1, 0])
 
 
 @inlined
@@ -81,256 +100,146 @@ def wide(number: Any) -> int:
 
 
 @inlined
-def _note(note: int, coder: Coder) -> None:
-    coder.stream[np.uint64(coder.state[PLACE])] = note
-    coder.state[PLACE] += 1
-
-
-@inlined
 def _low(coder: Coder) -> int:
     """Return what says which symbol is next."""
-    return wide(coder.state[coder.state[TURN] & (STATES - 1)] & (ONE - 1))
+    return wide(coder.state[0] & (ONE - 1))
 
 
 @inlined
-def _take(start: int, size: int, coder: Coder) -> None:
-    """Take a symbol's interval off a state."""
-    turn = coder.state[TURN] & (STATES - 1)
-    state = coder.state[turn]
-    state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
-    # Whether a word is wanted is as good as random: a branch would be missed. Beyond the end PLACE tells.
-    wants = wide(state < _LEAST)
+def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
+    """Note a symbol's interval and ``count`` bits, 0 to 15, or take them off a state; return the bits."""
     place = coder.state[PLACE]
-    word = wide(coder.stream[np.uint64(min(place, coder.stream.size - 1))])
-    coder.state[turn] = state << 16 * wants | word & -wants
+    if coder.work != DECODES:
+        coder.stream[np.uint64(place)] = count << 48 | plain << 32 | start << 16 | size
+        coder.state[PLACE] = place + 1
+        return plain
+    state = coder.state[0]
+    state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
+    plain = state & (1 << count) - 1
+    state >>= count
+    # Whether a word is wanted is as good as random: a branch would be missed, so a zero at the end is read
+    # else. Beyond the end PLACE tells.
+    wants, last = wide(state < _LEAST), coder.stream.size - 1
+    word = coder.stream[np.uint64(last ^ (last ^ min(place, last)) & -wants)]
+    coder.state[0], coder.state[1] = coder.state[1], state << 32 * wants | word
     coder.state[PLACE] = place + wants
-    coder.state[TURN] = (turn + 1) & (STATES - 1)
+    return plain
 
 
 @inlined
-def code_symbol(work: int, symbol: int, context: int, pool: Pool, coder: Coder) -> int:
-    """Note and count, or decode a symbol in a context; return it. ``work`` is the coder's PASS."""
-    if work != DECODES:
-        pool.counts[np.uint64(context), np.uint64(symbol)] += 1
-        _note((pool.first + context) << 8 | symbol, coder)
-        return symbol
-    found = _found(_low(coder), context, pool)
-    _take(found & (ONE - 1), (found >> PRECISION & (ONE - 1)) + 1, coder)
-    return found >> 2 * PRECISION
+def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder) -> tuple[int, int]:
+    """Note or decode a symbol of 16 in a context and its plain bits, ``bits`` of each symbol; return both."""
+    numbers, at = coder.model.numbers, context * _ROW
+    if coder.work == DECODES:
+        symbol = count_begun(numbers, at, _low(coder)) - 1
+    own = np.uint64(at + symbol)
+    start = wide(numbers[own])
+    size = wide(numbers[own + np.uint64(1)]) - start + 1
+    plain = _code(start + symbol, size, plain, bits[np.uint64(symbol)], coder)
+    seen = wide(numbers[np.uint64(at + _SEEN)])
+    numbers[np.uint64(at + _SEEN)] = min(seen + 1, coder.rates.size - 1)
+    move_begins(numbers, at, symbol, coder.rates[np.uint64(seen)])
+    return symbol, plain
 
 
 @inlined
-def _found(low: int, context: int, pool: Pool) -> int:
-    """Return what ``occurring`` has of the symbol that ``low`` says."""
-    table = wide(pool.chosen[np.uint64(context)]) << 8
-    at = table + wide(pool.buckets[np.uint64(table | low >> 4)])
-    found = wide(pool.occurring[np.uint64(at)])
-    while low > (found & (ONE - 1)) + (found >> PRECISION & (ONE - 1)):
-        at += 1
-        found = wide(pool.occurring[np.uint64(at)])
-    return found
+def code_symbol(symbol: int, context: int, coder: Coder) -> int:
+    """Note or decode a symbol of 16 in a context; return it."""
+    return code_token(symbol, 0, coder.none, context, coder)[0]
 
 
 @inlined
-def code_symbols(work: int, symbols: Int64s, contexts: Int64s, count: int, pool: Pool, coder: Coder) -> None:
-    """Note and count, or decode so many symbols whose contexts are known before."""
-    n, states = wide(0), coder.state
-    if work == DECODES:
-        turn, place = states[TURN], states[PLACE]
-        a, b, c, d = states[turn], states[turn + 1 & 3], states[turn + 2 & 3], states[turn + 3 & 3]
-        # Four states at once: none waits for another.
-        while n + 4 <= count and place + 4 < coder.stream.size:
-            a, place = _taken(a, place, n, symbols, contexts, pool, coder.stream)
-            b, place = _taken(b, place, n + 1, symbols, contexts, pool, coder.stream)
-            c, place = _taken(c, place, n + 2, symbols, contexts, pool, coder.stream)
-            d, place = _taken(d, place, n + 3, symbols, contexts, pool, coder.stream)
-            n += 4
-        states[turn], states[turn + 1 & 3], states[turn + 2 & 3], states[turn + 3 & 3] = a, b, c, d
-        states[PLACE] = place
-    while n < count:
-        at = np.uint64(n)
-        symbols[at] = code_symbol(work, symbols[at], contexts[at], pool, coder)
-        n += 1
+def code_bit(bit: int, context: int, coder: Coder) -> int:
+    """Note or decode a bit in a context of bits; return it."""
+    at = np.uint64(context)
+    odds = wide(coder.model.odds[at])
+    size = min(max(odds >> 1, 16), ONE - 16)
+    if coder.work == DECODES:
+        bit = wide(_low(coder) >= size)
+    _code(size & -bit, ONE - size if bit else size, 0, 0, coder)
+    coder.model.odds[at] = odds - (odds >> 5) if bit else odds + (65536 - odds >> 5)
+    return bit
 
 
 @inlined
-def _taken(
-    state: int, place: int, n: int, symbols: Int64s, contexts: Int64s, pool: Pool, stream: Uint32s
-) -> tuple[int, int]:
-    """Decode a symbol; return its state and the place after the words it took, which are there."""
-    low = state & (ONE - 1)
-    found = _found(low, contexts[np.uint64(n)], pool)
-    symbols[np.uint64(n)] = found >> 2 * PRECISION
-    state = ((found >> PRECISION & (ONE - 1)) + 1) * (state >> PRECISION) + low - (found & (ONE - 1))
-    wants = wide(state < _LEAST)
-    return state << 16 * wants | wide(stream[np.uint64(place)]) & -wants, place + wants
+def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Coder) -> tuple[int, int]:
+    """Note or decode a number; return it, and about what it is.
+
+    It has 8 bits at most if it is a byte's, else 39.
+
+    A token says where it lies in units of 2ᵘⁿⁱᵗ, and plain bits where from there. The last token is followed
+    by the number of bits.
+    """
+    high, token, plain = number >> unit, wide(0), wide(0)
+    if coder.work != DECODES:
+        token = wide(coder.tokens[np.uint64(min(high, 255))])
+        plain = high - coder.least[np.uint64(token)]
+    if is_byte:
+        token, plain = code_token(token, plain, coder.bits, context, coder)
+        about = coder.least[np.uint64(token)]  # known before its bits are
+        return about + plain, about
+    if token == SYMBOLS - 1:
+        plain = wide(0)
+        while high >> 8 + plain:
+            plain += 1
+    token, plain = code_token(token, plain, coder.long_bits, context, coder)
+    least, bits = coder.least[np.uint64(token)] + plain, wide(0)
+    if token == SYMBOLS - 1:
+        bits = 7 + plain
+        least = wide(1) << bits
+    high = least + _code_long(high - least, bits, coder)
+    number = high << unit | _code_long(number & (1 << unit) - 1, unit, coder)
+    return number, number
 
 
 @inlined
-def code_bits(value: int, count: int, coder: Coder) -> int:
-    """Note or decode ``count`` bits, 0 to 36, any as likely as any; return them."""
-    found = done = 0
+def _code_long(value: int, count: int, coder: Coder) -> int:
+    """Note or decode ``count`` plain bits, the lowest first; return them."""
+    found = done = wide(0)
     while done < count:
         some = min(count - done, PRECISION)
-        if coder.state[PASS] == DECODES:
-            part = _low(coder) >> (PRECISION - some)
-            _take(part << (PRECISION - some), ONE >> some, coder)
-        else:
-            part = value >> done & ((1 << some) - 1)
-            _note(1 << 31 | part << (PRECISION - some) << 13 | ONE >> some, coder)
-        found |= part << done
+        found |= _code(0, ONE, value >> done & (1 << some) - 1, some, coder) << done
         done += some
     return found
 
 
-@kernel
-def _write_words(notes: Uint32s, chosen: Uint32s, intervals: Uint32s, words: Uint16s) -> int:
-    """Turn notes into words, the last first, at the far end of ``words``; return where they begin.
+@inlined
+def folded(off: int) -> int:
+    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
+    return wide(off << 1 ^ off >> 63)
 
-    ``chosen`` and ``intervals`` are those of all pools, one after the other.
-    """
+
+@inlined
+def unfolded(number: int) -> int:
+    """Return what was folded."""
+    return wide(number >> 1 ^ -(number & 1))
+
+
+@kernel
+def _write_words(notes: Int64s, words: Uint32s) -> int:
+    """Turn notes into words, the last first, at the far end of ``words``; return where they begin."""
     states = np.full(STATES, _LEAST, np.int64)
     at = words.size
-    is_certain = True
     for i in range(notes.size - 1, -1, -1):
-        note = wide(notes[i])
-        start, size = note >> 13 & (ONE - 1), note & (2 * ONE - 1)
-        if note >> 31 == 0:
-            table = wide(chosen[np.uint64(note >> 8)])
-            interval = wide(intervals[np.uint64(table << 8 | note & 255)])
-            start, size = interval & 0xFFFF, interval >> 16
-        if size == ONE:  # it takes nothing
-            continue
-        is_certain = False
+        note = notes[i]
+        size, start, plain, count = note & 0xFFFF, note >> 16 & 0xFFFF, note >> 32 & 0xFFFF, note >> 48
         turn = np.uint64(i & (STATES - 1))
         state = states[turn]
-        if state >= size << 20:
-            at -= 1
-            words[at] = state & 0xFFFF
-            state >>= 16
-        whole = np.uint32(state) // np.uint32(size)
-        states[turn] = (wide(whole) << PRECISION) + state - wide(whole) * size + start
-    if is_certain:
-        return at
+        words[np.uint64(at - 1)] = state & 0xFFFFFFFF  # no branch, as good as random it would be missed
+        wants = wide(state >= size << 48 - count)
+        at -= wants
+        state = state >> 32 * wants << count | plain
+        whole = wide(np.uint64(state) // np.uint64(size))
+        states[turn] = (whole << PRECISION) + (state - whole * size) + start
     for last in range(STATES - 1, -1, -1):
         at -= 2
-        words[at] = states[last] & 0xFFFF
-        words[at + 1] = states[last] >> 16
+        words[at] = states[last] & 0xFFFFFFFF
+        words[at + 1] = states[last] >> 32
     return at
 
 
-def encoded(notes: Uint32s, chosen: Uint32s, intervals: Uint32s) -> bytes:
-    """Return the stream of notes; ``chosen`` and ``intervals`` are those of all pools."""
-    words = np.empty(notes.size + 2 * STATES, np.uint16)  # an interval is 12 bits or less
-    return words[_write_words(notes, chosen, intervals, words) :].astype("<u2").tobytes()
-
-
-def intervals_of(pools: list[Pool]) -> tuple[Uint32s, Uint32s]:
-    """Return the table of each context and the intervals of all pools, numbered through."""
-    tables = np.cumsum([0, *(pool.intervals.size >> 8 for pool in pools[:-1])]).tolist()
-    chosen = [pool.chosen.astype(np.uint32) + before for pool, before in zip(pools, tables, strict=True)]
-    return np.concatenate(chosen), np.concatenate([pool.intervals for pool in pools])
-
-
-# Tables of symbols' frequencies, which contexts share.
-
-#: Most tables of a pool.
-TABLES = 64
-_SIZES = (64, 24, 8, 1)
-_SYMBOL_BITS = 7.0  # about what the frequency of a symbol takes
-
-
-def normalized(counts: Int64s) -> Int64s:
-    """Return frequencies (n, 256) of 4096, at least 1 for each symbol that occurs; 0 for rows without any."""
-    found = np.zeros_like(counts)
-    rows = np.flatnonzero(counts.any(axis=1))
-    own, places = counts[rows], np.arange(rows.size)
-    sizes = np.maximum(np.rint(own * (ONE / own.sum(axis=1, keepdims=True))), 1).astype(np.int64)
-    sizes[own == 0] = 0
-    excess = sizes.sum(axis=1) - ONE
-    while (excess > 0).any():  # what was rounded up comes off the largest
-        largest = sizes.argmax(axis=1)
-        less = np.minimum(np.maximum(excess, 0), np.maximum(sizes[places, largest] // 2, 1))
-        sizes[places, largest] -= less
-        excess -= less
-    sizes[places, sizes.argmax(axis=1)] -= excess
-    found[rows] = sizes
-    return found
-
-
-def pool_of(chosen: Uint8s, sizes: Int64s) -> Pool:
-    """Return what kernels take to decode by frequencies (tables, 256), each row's sum 4096."""
-    starts = np.cumsum(sizes, axis=1) - sizes
-    intervals = (sizes << 16 | starts).astype(np.uint32).reshape(-1)
-    tables, symbols = np.nonzero(sizes)
-    ranks = np.cumsum(sizes > 0, axis=1) - 1
-    occurring = np.zeros(sizes.shape, np.uint32)
-    own = sizes[tables, symbols] - 1 << PRECISION | starts[tables, symbols]
-    occurring[tables, ranks[tables, symbols]] = symbols << 2 * PRECISION | own
-    buckets = np.repeat(ranks.astype(np.uint8).reshape(-1), sizes.reshape(-1))[:: ONE >> 8].copy()
-    return Pool(chosen, intervals, buckets, occurring.reshape(-1), np.empty((0, 0), np.uint32), 0)
-
-
-def counting_pool(contexts: int, symbols: int, first: int) -> Pool:
-    """Return what kernels take to count symbols, in contexts that are numbered from ``first`` on."""
-    none = pool_of(np.zeros(0, np.uint8), np.zeros((0, 256), np.int64))
-    return none._replace(counts=np.zeros((contexts, symbols), np.uint32), first=first)
-
-
-@kernel
-def _choose_tables(
-    symbols: Uint8s, counts: Int64s, ends: Int64s, bits: Float64s, chosen: Int64s, sums: Int64s
-) -> float:
-    """Choose for each context the table that codes its symbols in fewest bits; return how many all take.
-
-    Of contexts, one after the other up to ``ends``, there are the ``symbols`` that occur, and how often.
-    ``bits`` (symbols, tables) are what tables take for a symbol; counts are added to their table's ``sums``.
-    """
-    total = 0.0
-    costs = np.empty(bits.shape[1])
-    begin = wide(0)
-    for context in range(ends.size):
-        costs[:] = 0.0
-        for i in range(begin, ends[context]):
-            count = np.float64(counts[i])
-            for table in range(np.uint64(bits.shape[1])):  # in vectors
-                costs[table] += bits[np.uint64(symbols[i]), table] * count
-        table = wide(np.argmin(costs))
-        chosen[context] = table
-        total += costs[table]
-        for i in range(begin, ends[context]):
-            sums[table, symbols[i]] += counts[i]
-        begin = ends[context]
-    return total
-
-
-def shared_tables(counts: Uint32s) -> tuple[Uint8s, Int64s]:
-    """Return which table each context uses (contexts,), and frequencies (tables, 256).
-
-    Contexts whose symbols are spread alike share a table (k-means); there are as many tables as make them
-    and what they code smallest. Those that code most come first.
-    """
-    used = np.flatnonzero(counts.any(axis=1))
-    chosen = np.zeros(len(counts), np.uint8)
-    own = counts[used].astype(np.int64)
-    contexts, symbols = np.nonzero(own)
-    occurring = symbols.astype(np.uint8), own[contexts, symbols]
-    ends = np.cumsum(np.bincount(contexts, minlength=used.size))
-    sums = own[np.argsort(-own.sum(axis=1), kind="stable")]
-    least, nearest, sizes = np.inf, np.zeros(used.size, np.int64), np.ones((1, counts.shape[1]), np.int64)
-    for size in sorted({min(size, used.size) for size in _SIZES} - {0}, reverse=True):
-        found = np.zeros(used.size, np.int64)
-        for _ in range(3):
-            sums = sums[np.argsort(-sums.sum(axis=1), kind="stable")][:size]
-            centres = sums + 0.02
-            bits = (np.log2(centres.sum(axis=1, keepdims=True)) - np.log2(centres)).T.copy()
-            sums = np.zeros_like(sums)
-            total = _choose_tables(*occurring, ends, bits, found, sums)
-        total += _SYMBOL_BITS * np.count_nonzero(sums) + used.size * np.log2(size + 1)
-        if total < least:
-            least, nearest, sizes = total, found, sums
-    kept = sizes.any(axis=1)
-    chosen[used] = (np.cumsum(kept) - 1)[nearest]
-    frequencies = np.zeros((np.count_nonzero(kept), 256), np.int64)
-    frequencies[:, : counts.shape[1]] = sizes[kept]
-    return chosen, normalized(frequencies)
+def encoded(coder: Coder) -> bytes:
+    """Return the stream of what was noted."""
+    notes = coder.stream[: coder.state[PLACE]]
+    words = np.empty(notes.size + 2 * STATES + 1, np.uint32)  # a note takes a word at most
+    return words[_write_words(notes, words) :].astype("<u4").tobytes()

@@ -1,4 +1,4 @@
-"""The directory of an archive: what the render file of its content begins with, models and records."""
+"""The directory of an archive: what the render file of its content begins with, and records."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex import container
-from octex.archive.coding import DTYPES, Form, coding_of
 from octex.archive.layout import (
     BLOCK,
     FORMAT_VERSION,
@@ -22,7 +21,9 @@ from octex.archive.layout import (
     PIECE,
     START,
     TREE_NAMES,
+    Coding,
     Content,
+    Form,
     Named,
     Place,
     after_root,
@@ -30,8 +31,7 @@ from octex.archive.layout import (
     known_names,
     of_root,
 )
-from octex.archive.models import Models
-from octex.archive.models import read as read_models
+from octex.archive.values import CLASSES, DTYPES, TERMS, WEIGHT_BITS
 from octex.arrays import Array, Int64s, zeros
 from octex.errors import ArgumentError, TextureFileError
 from octex.tree.layout import FACING_FLAGS
@@ -55,7 +55,7 @@ class Directory(NamedTuple):
     tensors: dict[str, Array]  # zeros, but for what the root has, named and ordered as in a render file
     metadata: dict[str, str]
     content: Content
-    models: Models
+    codings: dict[str, Coding]
     records: Int64s
 
 
@@ -103,14 +103,14 @@ def read_directory(content: mmap.mmap, fetch: Fetch) -> Directory:
     if version != FORMAT_VERSION:
         raise DamagedError(f"has format version {version}, newer than this octex reads; update octex")
     begin = int.from_bytes(first[16:24], "little")
-    if not START <= begin <= len(content) or begin + length != len(content) or length < 16:
+    if not START <= begin <= len(content) or begin + length != len(content) or length < 12:
         raise DamagedError(f"has {len(content)} bytes, which is not what it says: cut off; copy it again")
     fetch([(begin, len(content))])
     directory = content[begin:]
-    lengths = np.frombuffer(directory, "<u4", 4).tolist()
+    lengths = np.frombuffer(directory, "<u4", 3).tolist()
     is_right = zlib.crc32(directory) == int.from_bytes(first[24:28], "little") and sum(lengths) <= _LONGEST
-    text = unpacked(directory[16:], sum(lengths)) if is_right else None
-    if text is None or lengths[3] % 4:
+    text = unpacked(directory[12:], sum(lengths)) if is_right else None
+    if text is None or lengths[2] % 4:
         raise DamagedError("its directory is damaged; copy it again")
     ends = np.cumsum([0, *lengths]).tolist()
     try:
@@ -127,7 +127,7 @@ def read_directory(content: mmap.mmap, fetch: Fetch) -> Directory:
         raise DamagedError("its directory is damaged; copy it again") from None
 
 
-def _opened(header: bytes, root: bytes, models: bytes, records: bytes) -> Any:
+def _opened(header: bytes, root: bytes, records: bytes) -> Any:
     """Return a directory of its parts, but for where it begins; raises errors for what no archive has."""
     entries, metadata, size = container.described(header)
     channels, numbers = channels_in(metadata), np.frombuffer(records, "<u4").astype(np.int64)
@@ -150,7 +150,11 @@ def _opened(header: bytes, root: bytes, models: bytes, records: bytes) -> Any:
     codings = {}
     for name, channel in found.given.items():
         error, unit = take(2, "<u4").tolist()
-        codings[name] = coding_of(_form(channel, tensors[f"channels/{name}"].dtype, error, unit, found))
+        form = _form(channel, tensors[f"channels/{name}"].dtype, error, unit, found)
+        weights = take(2 * form.components * CLASSES * TERMS, "<i4").astype(np.int64)
+        if np.abs(weights).max() > 8 << WEIGHT_BITS:
+            raise ValueError
+        codings[name] = Coding(form, weights)
     place = after_root(root[at], int(levels[1][1]))
     for array in of_root(found, found.given, place):
         array.reshape(-1)[:] = take(array.size, "u1")
@@ -161,7 +165,7 @@ def _opened(header: bytes, root: bytes, models: bytes, records: bytes) -> Any:
     found.arrays.groups[:1, 2] = 1 << 32 | 1  # the root's children, also where there are none
     found.split.cells[: place.split], found.kept.cells[: place.kept] = 0, 0
     found.split.facings[: place.split] = found.arrays.flags[0] & np.uint8(FACING_FLAGS)
-    return tensors, metadata, found, read_models(models, codings), numbers
+    return tensors, metadata, found, codings, numbers
 
 
 def _check_records(

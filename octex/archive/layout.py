@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Uint8s, Uint32s, bit_counts
+from octex.arrays import Array, Int64s, Uint8s, Uint32s, bit_counts
 from octex.files import open_file
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import no_kept, no_split
@@ -68,6 +68,23 @@ class Named(NamedTuple):
     values: Uint8s
     split_values: Uint8s
     kept_values: Uint8s
+
+
+class Form(NamedTuple):
+    """What a channel's values are."""
+
+    components: int
+    size: int  # bytes of a value: 1, 2, 4
+    is_float: int
+    error: int  # by how much a value may move
+    unit: int  # differences are measured in 2ᵘⁿⁱᵗ
+
+
+class Coding(NamedTuple):
+    """How a channel's values are coded."""
+
+    form: Form
+    weights: Int64s  # (groups · terms,)   of guesses
 
 
 class Content(NamedTuple):

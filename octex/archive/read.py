@@ -13,10 +13,22 @@ import numpy as np
 
 from octex.archive.around import around_nodes
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Coder, decoder, is_whole
+from octex.archive.entropy import Coder, Model, decoder, is_whole
 from octex.archive.head import DamagedError, Fetch, pieces_of, read_directory, unpacked
-from octex.archive.layout import AREAS, START, STRUCTURE, Block, Content, Place, after_root, owners_of, runs
-from octex.arrays import Array, Bools, Int64s
+from octex.archive.layout import (
+    AREAS,
+    START,
+    STRUCTURE,
+    Block,
+    Content,
+    Form,
+    Place,
+    after_root,
+    owners_of,
+    runs,
+)
+from octex.archive.values import write_numbers
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
 from octex.parallel import ordered_map, workers
@@ -59,17 +71,24 @@ class _Streams:
         self._stream: _Stream
         self._coder: Coder
 
-    def begin(self, most: int) -> Coder:  # noqa: ARG002 (for those that write)
+    def begin(self, model: Model, most: int) -> Coder:  # noqa: ARG002 (for those that write)
         """Return the coder of the next stream."""
         self._stream = next(self._left)
-        self._coder = decoder(self._stream.read(self._content))
+        self._coder = decoder(model, self._stream.read(self._content))
         return self._coder
 
     def end(self) -> None:
         """Raise for a stream that was not read to its end."""
-        if self._stream.length % 2 or not is_whole(self._coder):
+        if self._stream.length % 4 or not is_whole(self._coder):
             begin = self._stream.begin
             raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
+
+    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Do nothing: they are decoded."""
+
+    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
+        """Write values that were read."""
+        write_numbers(numbers, raw, form)
 
     def list_flagged(self, content: Content, block: Block) -> None:
         """List in the tables which cells of a block are split, or kept nodes, by their flags."""
@@ -134,7 +153,8 @@ class Decoding:
     def __init__(self, content: mmap.mmap, fetch: Fetch = _nothing) -> None:
         self._content, self._fetch = content, fetch
         self._directory = read_directory(content, fetch)
-        self._coded, self._models = self._directory.content, self._directory.models
+        self._models: dict[str, Model] = {}
+        self._coded, self._codings = self._directory.content, self._directory.codings
         self._records, self._at_byte = iter(self._directory.records.tolist()), START
         self._kinds = STRUCTURE, AREAS, *self.channels
         self._parts = list(self._planned())
@@ -153,7 +173,7 @@ class Decoding:
     @property
     def channels(self) -> list[str]:
         """The names of the channels."""
-        return list(self._models.codings)
+        return list(self._codings)
 
     @property
     def contents(self) -> Contents:
@@ -164,7 +184,7 @@ class Decoding:
             for kind in self._kinds
         }
         sizes["other"] = sum(stream.length for *_, stream in self._others)
-        sizes["models and directory"] = len(self._content) - self._directory.begin + START
+        sizes["directory"] = len(self._content) - self._directory.begin + START
         return Contents(self._directory.tensors, self._directory.metadata, sizes)
 
     def decode_all(self) -> None:
@@ -229,7 +249,7 @@ class Decoding:
     def _decode_block(self, task: tuple[_Part, list[str]]) -> None:
         part, kinds = task
         streams = _Streams(self._content, [part.streams[kind] for kind in kinds])
-        code_block(self._coded, self._models, part.block, kinds, streams)
+        code_block(self._coded, self._codings, part.block, kinds, streams, self._models)
 
     def _decode_piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
         found = unpacked(stream.read(self._content), end - begin)

@@ -1,39 +1,26 @@
-"""Which children a node has, which of them are leaves, and their flags, by what is known around.
-
-Of each node in turn: which of the four lower octants are occupied, which of the upper four; which children
-are leaves; then each child's flags. A cell shows no facing that its parent does not: where that has one, a
-symbol says for all children at once that they have just it.
-"""
+"""Which children a node has, which of them are leaves, and their flags, by what is known around."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from octex.archive.around import OWN, children_of, lowest, ones
-from octex.archive.entropy import DECODES, FAULT, PASS, Coder, Pool, code_symbol, wide
+from octex.archive.entropy import DECODES, FAULT, Coder, Model, code_bit, code_symbol, new_model, wide
 from octex.arrays import Int64s, Uint8s, Uint64s
 from octex.jit import inlined, kernel
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
+from octex.tree.layout import FACING_FLAGS
 
-#: Contexts, and symbols, of the three: 64 · 4 · 4 · 16 for each half; 3 · 4, and whether all flags are as the
-#: parent's facing; 5 · 9 · 8 · 6.
-OCCUPIED = 1 << 15, 16
-LEAVES = 13, 256
-FLAGS = 2160, 256
+#: Contexts of symbols: of the four lower octants 2¹⁰, of the upper 2¹¹.
+_SYMBOLS = 3 << 10
+# Where those of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
+_LEAVES, _ALIKE, _FACINGS, _SPLIT, _KEPT, _BITS = 0, 8, 16, 64, 82, 84
+#: The most bits of a node: 8 children with a leaf, six facings and two other flags.
+MOST = 8 * 9 + 3
 
 
-def facing_tables() -> tuple[Uint8s, Uint8s]:
-    """Return bits (64, 64) of a mask that another has, close together from bit 0 on; and the way back."""
-    together, apart = np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.uint8)
-    bits = np.arange(64)
-    for mask in range(64):
-        at = 0
-        for place in range(6):
-            if mask >> place & 1:
-                together[mask] |= ((bits >> place & 1) << at).astype(np.uint8)
-                apart[mask] |= ((bits >> at & 1) << place).astype(np.uint8)
-                at += 1
-    return together, apart
+def model() -> Model:
+    """Return what a stream of structure begins with."""
+    return new_model(_SYMBOLS, _BITS)
 
 
 @inlined
@@ -56,23 +43,17 @@ def code_structure(
     may_be_nodes: bool,
     cells: Int64s,
     nodes: Int64s,
-    facings: tuple[Uint8s, Uint8s],
-    pools: tuple[Pool, Pool, Pool],
     coder: Coder,
 ) -> None:
     """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
 
     Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
-    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT. Where a parent has one
-    facing, one symbol says whether all children have just it.
+    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
     """
-    work = coder.state[PASS]
-    decodes = work == DECODES
-    together, apart = facings
-    occupied_pool, leaves_pool, flags_pool = pools
+    decodes = coder.work == DECODES
     # Of the block's nodes: which children they have, and which is the first.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
-    kinds = 0  # of the children of the node before: nodes, mixed, leaves
+    was_leaf = 0
     for node in range(first, last):
         own = node - first
         is_node = is_leaf = 0
@@ -90,63 +71,66 @@ def code_structure(
         x = _mask(masks, nodes[own, 0] - first)
         y = _mask(masks, nodes[own, 2] - first)
         z = _mask(masks, nodes[own, 4] - first)
-        there = is_node | is_leaf
-        context = ((faces << 2 | x >> 1 & 1 | x >> 2 & 2) << 2 | y >> 2 & 3) << 4 | z >> 4
-        low = code_symbol(work, there & 15, context, occupied_pool, coder) & 15
-        context = ((faces << 2 | x >> 5 & 1 | x >> 6 & 2) << 2 | y >> 6 & 3) << 4 | low
-        high = code_symbol(work, there >> 4, 1 << 14 | context, occupied_pool, coder) & 15
-        there = low | high << 4
-        leaves = there
-        if may_be_nodes:
-            symbol = 255 if is_leaf == there else is_leaf
-            symbol = code_symbol(work, symbol, 4 * kinds + min(leaves_beside, 3), leaves_pool, coder)
-            leaves = symbol & there
-            kinds = 0 if leaves == 0 else 2 if leaves == there else 1
-        inner = there & ~leaves
-        masks[own], begins[own] = there, next_cell
-        if there == 0 or next_cell + ones(there) > end_cell or next_node + ones(inner) > end_node:
+        given = wide(is_node | is_leaf)
+        context = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
+        context |= (faces >> 1 & 1 | faces >> 2 & 2) << 8
+        there = code_symbol(given & 15, context, coder)
+        context = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | there
+        context |= (faces >> 1 & 1 | faces >> 2 & 2 | faces >> 3 & 4) << 8
+        there |= code_symbol(given >> 4, 1024 + context, coder) << 4
+        if there == 0 or next_cell + ones(there) > end_cell:
             coder.state[FAULT] = 1
             return
+        masks[own], begins[own] = there, next_cell
         parent = wide(flags[cells[own, OWN]])
-        shown = parent & FACING_FLAGS
-        many = min(ones(shown), 4)
-        count = ones(there)
-        bits = there
-        if many == 1:
-            alike = wide(1)
-            for n in range(0 if decodes else count):
-                alike &= wide(flags[next_cell + n] == shown)
-            alike = code_symbol(work, alike, 12, leaves_pool, coder)
-            if alike:
-                for n in range(count if decodes else 0):
-                    flags[next_cell + n] = shown
-                next_cell += count
-                bits = wide(0)
-        union = split_before = 0
+        count, leaves, alike = ones(there), wide(0), wide(1)
+        bits = there if may_be_nodes else 0
         while bits:
             octant = lowest(bits)
             bits &= bits - 1
-            some = 0
-            for axis in range(3 if many > 1 else 0):
+            was_leaf = code_bit(is_leaf >> octant & 1, _LEAVES + was_leaf * 4 + min(leaves_beside, 3), coder)
+            leaves |= was_leaf << octant
+        if not may_be_nodes:
+            leaves = there
+        shown = parent & FACING_FLAGS
+        for n in range(0 if decodes else count):
+            alike &= wide(flags[np.uint64(next_cell + n)] == shown)
+        alike = code_bit(alike, _ALIKE + 2 * min(ones(shown), 3) + (parent >> 7), coder)
+        beside_split, union, bits = wide(0), wide(0), there & alike - 1
+        for n in range(count if decodes and alike else 0):
+            flags[np.uint64(next_cell + n)] = shown
+        next_cell += count & -alike
+        while bits:
+            octant = lowest(bits)
+            bits &= bits - 1
+            some = wide(0)
+            for axis in range(3):
                 across = octant ^ 1 << axis
                 other = own if octant >> axis & 1 else nodes[own, 2 * axis] - first
                 if other >= 0 and masks[other] >> across & 1:
                     some |= wide(flags[begins[other] + ones(masks[other] & ((1 << across) - 1))])
-            flag = 0 if decodes else wide(flags[next_cell])
-            symbol = wide(together[shown, flag & FACING_FLAGS]) | flag & (SPLIT | KEPT)
-            before = 0 if next_cell == begins[own] else 1 + (wide(together[shown, union]) & 7)
-            context = (many * 9 + before) * 8 + (wide(together[shown, some & FACING_FLAGS]) & 7)
-            context = context * 6 + 2 * split_before + (parent >> 7)
-            symbol = code_symbol(work, symbol, context, flags_pool, coder)
+            flag, found, left = (0 if decodes else wide(flags[next_cell])), wide(0), shown
+            while left:
+                facing = lowest(left)
+                left &= left - 1
+                place = 0 if found else 1 + wide(left == 0)
+                known = (some >> facing & 1) << 1 | union >> facing & 1
+                context = _FACINGS + (known * 3 + place) * 4 + min(ones(shown), 4) - 1
+                found |= code_bit(flag >> facing & 1, context, coder) << facing
+            context = _SPLIT + (min(ones(found), 2) * 2 + (parent >> 7)) * 3 + beside_split
+            found |= code_bit(flag >> 7, context, coder) << 7
+            if leaves >> octant & 1 == 0:
+                found |= code_bit(flag >> 6 & 1, _KEPT + (parent >> 6 & 1), coder) << 6
+            beside_split = 1 + (found >> 7)
+            union |= found
             if decodes:
-                flag = wide(apart[shown, symbol & FACING_FLAGS]) | symbol & (SPLIT | KEPT)
-                if leaves >> octant & 1:
-                    flag &= ~KEPT
-                flags[next_cell] = flag
-            union |= flag & FACING_FLAGS
-            split_before = 1 + (flag >> 7)
+                flags[next_cell] = found
             next_cell += 1
+        inner = there & ~leaves
         next_node += ones(inner)
+        if next_node > end_node:
+            coder.state[FAULT] = 1
+            return
         if decodes:
             shift = np.uint64(8 * (node & 7))
             groups[node >> 3, 0] |= np.uint64(inner) << shift

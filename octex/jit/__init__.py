@@ -27,6 +27,8 @@ from octex.jit.instructions import popcount as popcount
 from octex.jit.instructions import prefetch as prefetch
 from octex.jit.instructions import trailing_zeros as trailing_zeros
 from octex.jit.vectors import add_to_rows as add_to_rows
+from octex.jit.vectors import count_begun as count_begun
+from octex.jit.vectors import move_begins as move_begins
 from octex.jit.vectors import nearest_box as nearest_box
 from octex.jit.vectors import refine_rows as refine_rows
 from octex.jit.vectors import spline_box as spline_box

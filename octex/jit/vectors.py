@@ -106,6 +106,15 @@ if DISABLED:
         place = int(squares.argmin()) if count else -1
         return int(nodes[place >> 3]) * 8 + (place & 7) if count else -1
 
+    def count_begun(numbers: Any, at: int, low: int) -> int:
+        """Return of how many i < 16 numbers[at + i] + i is ``low`` or less; all are uint16 below 2¹⁵."""
+        return int(np.count_nonzero(numbers[at : at + 16] + np.arange(16, dtype=np.uint16) <= low))
+
+    def move_begins(numbers: Any, at: int, last: int, rate: int) -> None:
+        """Move numbers[at + i] by 2^−``rate`` to 0 for i to ``last``, and to 2¹⁵ − 16 for others below 16."""
+        row = numbers[at : at + 16]
+        row[:] = row - (row >> rate) + np.where(np.arange(16) > last, 2**15 - 16 >> rate, 0)
+
 else:
     _FOUR = ir.VectorType(ir.FloatType(), 4)
     _NOTHING = ir.Constant(_FOUR, ir.Undefined)
@@ -391,3 +400,42 @@ else:
 
         four = types.UniTuple(types.float32, 4)
         return types.void(rows, numbers, weights, types.int64, types.int64, four), codegen
+
+    _SIXTEEN = ir.VectorType(ir.IntType(16), 16)
+    _PLACES = ir.Constant(_SIXTEEN, list(range(16)))
+
+    def _sixteen(builder: Any, value: Any) -> Any:
+        """Put a number into all sixteen lanes."""
+        nothing, value = ir.Constant(_SIXTEEN, ir.Undefined), builder.trunc(value, ir.IntType(16))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), 16), [0] * 16)
+        return builder.shuffle_vector(builder.insert_element(nothing, value, _lane(0)), nothing, zeros)
+
+    def _at_sixteen(context: Any, builder: Any, array_type: Any, array: Any, at: Any) -> Any:
+        return builder.bitcast(pointer_to(context, builder, array_type, array, at), _SIXTEEN.as_pointer())
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def count_begun(_context: Any, numbers: Any, _at: Any, _low: Any) -> Any:
+        """Return of how many i < 16 numbers[at + i] + i is ``low`` or less; all are uint16 below 2¹⁵."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            row = builder.load(_at_sixteen(context, builder, signature.args[0], *arguments[:2]), align=2)
+            begun = builder.icmp_signed("<=", builder.add(row, _PLACES), _sixteen(builder, arguments[2]))
+            return builder.zext(builder.ctpop(builder.bitcast(begun, ir.IntType(16))), ir.IntType(64))
+
+        return types.int64(numbers, types.int64, types.int64), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def move_begins(_context: Any, numbers: Any, _at: Any, _last: Any, _rate: Any) -> Any:
+        """Move numbers[at + i] by 2^−``rate`` to 0 for i to ``last``, and to 2¹⁵ − 16 for others below 16."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            numbers, at, last, rate = arguments
+            pointer = _at_sixteen(context, builder, signature.args[0], numbers, at)
+            row, rate = builder.load(pointer, align=2), _sixteen(builder, rate)
+            is_after = builder.icmp_signed(">", _PLACES, _sixteen(builder, last))
+            most, none = (ir.Constant(_SIXTEEN, [value] * 16) for value in (2**15 - 16, 0))
+            more = builder.select(is_after, builder.lshr(most, rate), none)
+            builder.store(builder.add(builder.sub(row, builder.lshr(row, rate)), more), pointer, align=2)
+            return context.get_dummy_value()
+
+        return types.void(numbers, types.int64, types.int64, types.int64), codegen
