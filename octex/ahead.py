@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -91,18 +91,26 @@ def _started(count: int, sections: tuple[str, ...]) -> Iterator[subprocess.Popen
 def main() -> None:
     """Be a helper: compile its share of some sections, the last lines first, while standard input lasts."""
     number, count = map(int, sys.argv[1:3])
-    threading.Thread(target=_watch, daemon=True).start()
+    threading.Thread(target=_watch, args=[_writing()], daemon=True).start()
     for line in lines(*sys.argv[3:])[::-1][number::count]:
         with suppress(Exception):
             kernel, arguments = read(line)
             kernel.compiled.compile(arguments)
 
 
-def _watch() -> None:
+def _writing() -> AbstractContextManager[Any]:
+    """Return what is held while a file is unfinished.
+
+    It is imported before there is another thread: two that import octex at once fail.
+    """
     from octex.jit.cache import WRITING
 
+    return WRITING
+
+
+def _watch(writing: AbstractContextManager[Any]) -> None:
     os.read(0, 1)  # not sys.stdin, whose lock a thread must not hold when Python ends
-    with WRITING:
+    with writing:
         os._exit(0)
 
 

@@ -133,7 +133,7 @@ def test_a_helper_watches_for_the_end_of_its_input_while_it_compiles() -> None:
     code = """
 import threading, time
 from octex import ahead
-threading.Thread(target=ahead._watch).start()
+threading.Thread(target=ahead._watch, args=[ahead._writing()]).start()
 time.sleep(60)
 print("late")
 """
