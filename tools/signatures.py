@@ -16,25 +16,28 @@ ROOT = Path(__file__).parent.parent
 MODEL = ROOT / "samples" / "droid.glb"
 _HEAD = "# What kernels are called with, by `tools/signatures.py`. See `octex/ahead.py`.\n"
 _RECORDER = """
-import importlib, json, sys
+import importlib, json, sys, threading
 from numba.core import event
 from octex import ahead
 from octex.jit.signatures import types_text
 
 ahead.cpu_count = lambda: 1  # no helpers
-calls, depth = [], 0
+calls = []
+
+class Depth(threading.local):  # of compilations within another, a thread each
+    now = 0
+
+depth = Depth()
 
 class Recorder(event.Listener):
     def on_start(self, told):
-        global depth
         function = told.data["dispatcher"].py_func
-        if depth == 0:  # what Python calls, and not a kernel
+        if depth.now == 0:  # what Python calls, and not a kernel
             calls.append(f"{function.__module__}:{function.__qualname__} {types_text(told.data['args'])}")
-        depth += 1
+        depth.now += 1
 
     def on_end(self, told):
-        global depth
-        depth -= 1
+        depth.now -= 1
 
 event.register("numba:compile", Recorder())
 module, *arguments = sys.argv[1:]
