@@ -1,7 +1,9 @@
 """How octex compiles: what makes kernels of functions, and the instructions that numba lacks.
 
-With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins. numba
-is used by its public names alone.
+With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins.
+
+No class or function of numba is changed. Of what it does not document, `decorators` passes the option
+``_nrt``, and `instructions` and `vectors` use what its own extensions generate code with.
 
 decorators    kernel, part …: what compiles functions
 cache         where compiled kernels lie on disk, and whether they are still what the source says
