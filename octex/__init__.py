@@ -1,22 +1,26 @@
 """octex: octree textures for Python. Colour a model without UVs (Benson & Davis, SIGGRAPH 2002).
 
 The words
-    texture     an octree with values: of each channel, one for each of its cells
-    root cell   the cube that holds the model; a cell of level k has 2⁻ᵏ of its edge
-    cell        a cube that the surface meets: a leaf, or a node, which is divided in eight
-    node        a cell above the leaves; its value is the average of those below it
-    depth       the level of the finest cells
-    channel     what is stored: base_color, alpha, roughness …; components are its numbers, codes its integers
-    rest        where a point of the surface lies before it is posed: the texture coordinate
-    field       the function of position that lookups evaluate: a spline over the cells around a point
-    footprint   what a lookup averages over: a width, or the derivatives of a position along a picture's axes
-    facing      one of six directions that the surface shows; a split cell has a value for each side
-    kept        of a node above finer paint: it keeps the value that the field beside the paint is made of
-    residual    what a node's value has beyond the average of the cells below it
-    layer       paint as a texture of its own: a channel, and how much of each cell it covers
+    texture     an octree with a value of each channel for each cell
+    root cell   the cube that holds the model; a cell of level k is 2⁻ᵏ as wide
+    cell        a cube that the surface passes through: a leaf, or a node, which has cells below it
+    depth       the finest level
+    rest        where a point of the surface lies before a pose moves it: the texture coordinate
     source      what a point's value comes from: images, functions, numbers, other models, points
+    channel     one property: base_color, alpha, roughness …; components are its numbers, codes its integers
+    node        its value is the average of the source over the surface inside it
+    leaf        its value is a coefficient of the field, or an average without a fit
+    field       the function of position that lookups evaluate: a spline over the cells around a point
+    fit         choosing the leaves' values so that the field matches the source
+    residual    a node's value minus the average of the values below it: not 0 where leaves are fitted
+    tap         a stored value that a lookup reads, with its weight
+    footprint   the area that a lookup averages over: a width, or derivatives by a picture's x and y
+    facing      the axis direction nearest to a triangle's normal: +x −x +y −y +z −z
+    split cell  a cell that stores a value for each facing of the surface in it, one row each
+    kept node   a node above finer paint that also stores its old leaf value, for the field next to the paint
+    adaptive    of a tree: it has leaves of several levels
+    layer       a texture that holds only paint: one channel, and its coverage as alpha
     patch       a disc of a surface, laid flat to be painted on in a picture
-    fit         choosing the leaves' values so that the field meets the source
 
 The rooms, each of which knows only those before it
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees

@@ -97,13 +97,13 @@ def bake(
     colours across the chart's edge on the surface, so smaller mip levels show no seam. Normals are in tangent
     space, as in glTF.
 
-    Materials keep their names, sides and alpha modes; an atlas joins those that agree in the latter two. If
-    all are opaque and the texture has alpha below 1, they become masked, or blended if many texels are
-    between 0 and 1. Constant channels become factors.
+    Materials keep their names, double-sidedness and alpha modes; an atlas joins those with the same last two.
+    If all are opaque and the texture has alpha below 1, they become masked, or blended if many texels have
+    alpha between 0 and 1. Constant channels become factors.
 
     Raises ArgumentError for numbers out of range and for channels that the texture or the materials lack,
     ModelError for texture coordinates that cannot be kept, for an atlas without room, and if ``source`` is
-    nowhere near. (Benson & Davis 2002, 6.3.)
+    too far away everywhere. (Benson & Davis 2002, 6.3.)
     """
     as_texture(texture)
     as_surface(surface)

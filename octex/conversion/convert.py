@@ -110,7 +110,8 @@ def convert(
     encoded range stores a value for each facing.
 
     PointCloud accepts only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; Voxels neither
-    ``depth`` nor ``cell``. ``path`` excludes sources with gaps.
+    ``depth`` nor ``cell``. Sources with gaps (such as a cloud with a ``distance``) must fit into ``memory``,
+    and do not accept ``path`` with an ``executor``.
 
     Raises ModelError and ImageError for a model that cannot be used, OutputError if ``path`` cannot be
     written, and ArgumentError for any other argument out of range.

@@ -77,8 +77,8 @@ def paint(
     projections   pictures with cameras. Consecutive ones with the same blend mode form one layer: each cell
                   averages them, weighted by the fourth power of their resolution, and is blended once
     channel       the channel to paint
-    max_depth     the deepest level of paint. Default: cells half as wide to as wide as a pixel, at most level
-                  14
+    max_depth     the deepest level of paint; cells above it are a quarter to half a pixel wide. Default: half
+                  a pixel to one pixel, at most level 14
     max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
                   painted; paint fades over the last 10. Default: 75; 85 if every picture was drawn on a view
     edge_feather  pixels over which paint fades toward the picture's border and toward edges in depth
@@ -86,12 +86,12 @@ def paint(
                   "best" takes one picture per patch (Lempitsky & Ivanov 2007). Default: "robust" for three or
                   more
     balance       "gain" multiplies pictures so that they agree; "full" does so for each component, and
-                  removes vignetting. Overexposed pixels are ignored where another picture is darker
+                  removes vignetting. Overexposed pixels are ignored where a darker exposure exists
     reference     number of the picture that ``balance`` does not change. Default: the median gain is 1
     back_faces    also paint surface that faces away
     holes         what a new texture has where no picture sees: "smooth" (default) continues the colours
                   harmonically over the surface; "leave" stores no cells
-    coverage      also store how much of each cell the pictures cover, 0 … 1, as channel "coverage"
+    coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
     fit           choose leaf values so that lookups match the pictures; False stores plain averages
     memory        bytes, or a text like "4GB": keep what exceeds it in files of ``folder``. Pictures take 64
                   bytes a pixel, merging some 700 MB
@@ -198,8 +198,8 @@ def project(
 ) -> OctreeTexture:
     """Project pictures onto a surface, and return the paint as a layer for ``octex.merge``.
 
-    A layer is a texture with the painted channel and ``alpha``, how much of each cell the paint covers. It
-    stores opacities relative to the largest one; ``merge`` applies opacity and blend mode. ``like`` is the
+    A layer is a texture with the painted channel and ``alpha``, the coverage of each cell. Its opacities are
+    relative to the largest one; ``merge`` applies opacity and blend mode. ``like`` is the
     texture that the layer will be merged into, or None for a new one. All other arguments are those of
     ``paint``.
     """

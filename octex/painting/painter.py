@@ -26,8 +26,8 @@ Stroke = tuple[Change, ...]
 class Painter:
     """A painting session: strokes on a texture of a surface, with undo and redo.
 
-    It keeps what does not change between strokes, so a stroke is fast. ``texture()`` is bit for bit what the
-    same calls of ``octex.paint`` and ``octex.fill`` return.
+    It caches what does not change between strokes, so a stroke is fast. ``texture()`` equals, bit for bit,
+    what the same calls of ``octex.paint`` and ``octex.fill`` return.
 
     Each stroke returns its changes: the tiles that it touched, before and after, as two small textures. A
     change can be pickled, applied to an equal texture and inverted.
@@ -49,7 +49,7 @@ class Painter:
 
     @property
     def strokes(self) -> tuple[Stroke, ...]:
-        """What the calls that are not undone have changed, the first one first."""
+        """The changes of the calls that are not undone, oldest first."""
         return tuple(self._done)
 
     def paint(

@@ -34,39 +34,39 @@ _FARTHEST = 1e100
 
 
 class Sphere(NamedTuple):
-    """The ball of ``radius`` around ``center``; over the last ``soft`` of it coverage fades out."""
+    """A ball, in rest positions. Coverage fades out over the last ``soft`` inside its radius."""
 
     center: tuple[float, float, float]
     radius: float
     soft: float = 0.0
 
     def checked(self) -> Sphere:
-        """Return the same of plain numbers, or raise ArgumentError."""
+        """Return the region with its numbers as floats, or raise ArgumentError."""
         x, y, z = as_reals(self.center, "center", (3,), most=_FARTHEST).tolist()
         radius = as_number(as_positive(self.radius, "radius"), "radius", 0.0, _FARTHEST)
         return Sphere((x, y, z), radius, as_number(self.soft, "soft", 0.0, np.inf))
 
     def covers(self, points: Float64s) -> Float64s:
-        """Return how much of points (n, 3) it covers, (n,)."""
+        """Return the coverage (n,), 0 … 1, at rest positions (n, 3)."""
         apart = as_points(points) - np.asarray(self.center, np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
             return _falling_off(self.radius - np.linalg.norm(apart, axis=1), self.soft)
 
     def bounds(self) -> Float64s:
-        """Return its lowest and highest corner (2, 3)."""
+        """Return the lowest and highest corner (2, 3)."""
         center = np.asarray(self.center, np.float64)
         return np.stack([center - self.radius, center + self.radius])
 
 
 class Box(NamedTuple):
-    """The box between two corners; over the last ``soft`` inside its faces coverage fades out."""
+    """A box between two corners, at rest. Coverage fades out over the last ``soft`` inside its faces."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     soft: float = 0.0
 
     def checked(self) -> Box:
-        """Return the same of plain numbers, or raise ArgumentError."""
+        """Return the region with its numbers as floats, or raise ArgumentError."""
         low, high = (
             as_reals(corner, name, (3,), most=_FARTHEST)
             for corner, name in ((self.low, "low"), (self.high, "high"))
@@ -77,14 +77,14 @@ class Box(NamedTuple):
         return Box((x, y, z), (u, v, w), as_number(self.soft, "soft", 0.0, np.inf))
 
     def covers(self, points: Float64s) -> Float64s:
-        """Return how much of points (n, 3) it covers, (n,)."""
+        """Return the coverage (n,), 0 … 1, at rest positions (n, 3)."""
         low, high = self.bounds()
         points = as_points(points).astype(np.float64, copy=False)
         with np.errstate(over="ignore", invalid="ignore"):
             return _falling_off(np.minimum(points - low, high - points).min(axis=1), self.soft)
 
     def bounds(self) -> Float64s:
-        """Return its lowest and highest corner (2, 3)."""
+        """Return the lowest and highest corner (2, 3)."""
         return np.stack([np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)])
 
 

@@ -57,17 +57,17 @@ class Patch:
 
     @property
     def width(self) -> int:
-        """Of its pictures, in pixels."""
+        """Size of the picture in pixels."""
         return self.camera.width
 
     @property
     def height(self) -> int:
-        """Of its pictures, in pixels."""
+        """Size of the picture in pixels."""
         return self.camera.height
 
     @property
     def faults(self) -> list[str]:
-        """What keeps the disc from being one, in words: folds, and borders within."""
+        """What is wrong with the disc, in words: folds, and borders inside it; empty if nothing is."""
         said = []
         if self.folded.size:
             said.append(f"{self.folded.size:,} of its {self.triangles.size:,} triangles fold over")

@@ -60,13 +60,13 @@ def mix(
 
     Values mix in linear light, weighted by alpha. The tree has all cells of both textures; a cell that only
     one has keeps its values. Where one has a leaf that the other divides, the leaf's field gives the values
-    below it (paper 4.2). The node keeps the leaf's value if its texture prevails, with an amount of a half or
-    more; so a field that is not mixed does not move. Amounts of exactly 0 and 1 return one texture's field
+    below it (paper 4.2). If its share is a half or more, the node also stores the leaf's value (a kept node);
+    so a field that is not mixed does not move. Amounts of exactly 0 and 1 return one texture's field
     everywhere.
 
     Averages are recomputed. A cell has the facings of both; values per facing mix facing by facing. Areas are
-    those of the texture that prevails. The result has the channels that both have, stored as in ``first``; a
-    texture without alpha is opaque.
+    those of the texture with the larger share. The result has the channels that both have, stored as in
+    ``first``; a texture without alpha is opaque.
 
     Raises ArgumentError for textures of different root cells or separations, or without a common channel, for
     channels that differ in components or meaning, and for an amount that cannot be used.

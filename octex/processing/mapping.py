@@ -45,13 +45,12 @@ def map_values(
               parameter without a default, it gets the rest positions (n, 3) of the cells' centres
     channel   one name or several; each channel is mapped separately
 
-    Results are rounded and clamped as the channel is stored; alpha is clamped to 0 … 1. f is applied to
-    leaves, their values per facing and kept values. An average becomes the mean of the new values below it.
-    Fitted leaves differ from their average by a residual; it changes by f(average) − f(mean), so an affine f
-    maps averages exactly.
+    Results are rounded and clamped as the channel is stored; alpha is clamped to 0 … 1. f is applied to the
+    values of leaves, facings and kept nodes. A node gets the mean of the new values below it, plus a
+    residual: f(its value) − f(the mean of the values below it). So an affine f maps averages exactly.
 
-    Raises ArgumentError for unknown channels, and if f raises, returns another shape, no numbers or values
-    that are not finite; the error names the first position.
+    Raises ArgumentError for unknown channels, and if f raises an error, or returns another shape, no numbers
+    or values that are not finite; the message names the first position.
     """
     if not callable(f):
         raise ArgumentError(f"f must be a function of values, not {f!r}")

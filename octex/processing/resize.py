@@ -33,8 +33,8 @@ def resize(
     """Return a texture of another depth.
 
     Coarser: ``texture.level(depth)``; leaves become the averages of what was below them. Deeper: every leaf
-    above ``depth`` is divided into all its cells of that depth, with values from the field, and its node
-    keeps the leaf's value (paper 4.2). So the field does not move, except for rounding. Areas are divided
+    above ``depth`` is divided into all its cells of that depth, with values from the field, and becomes
+    a kept node (paper 4.2). So the field does not move, except for rounding. Areas are divided
     evenly. Painting needs no deeper texture: ``octex.paint`` divides cells where paint is finer.
 
     With normals the field does not move where the surface in a cell faces one way. Otherwise it moves by up

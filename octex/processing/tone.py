@@ -95,7 +95,7 @@ def curves(
     Between the points the curve is the monotone cubic of Fritsch & Carlson (1980); outside of them it is
     constant. Encoded values are sRGB for light, in any stored type. Averages follow as in ``octex.map``.
 
-    Raises ArgumentError for unknown channels, for directions, and for points that are no such pairs.
+    Raises ArgumentError for unknown channels, for directions, and for points of another shape or order.
     """
 
     def tone_of(form: ChannelFormat) -> Tone:

@@ -113,12 +113,12 @@ class PointCloud(Placeable):
     ) -> PointCloud:
         """Read points from a file.
 
-        ``.ply``: vertices with colours, and normals ``nx ny nz`` if there are any; faces are not looked at.
+        ``.ply``: vertices with colours, and normals ``nx ny nz`` if there are any; faces are ignored.
         ``.xyz``: a line for each point, ``x y z r g b`` or ``x y z nx ny nz r g b``; colours up to 255 if one
         is above 1, else up to 1, sRGB both. ``.npz``: arrays ``points``, ``colors`` (or ``base_color``), and
         perhaps ``normals``, as the class takes them.
 
-        Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
+        Raises ModelError, with the file's name, for a file that is missing, damaged or has other contents.
         """
         path = as_path(path)
         reader = _READERS.get(path.suffix.lower())
@@ -156,7 +156,7 @@ class PointCloud(Placeable):
 
     @property
     def spacing(self) -> float:
-        """How near 19 of 20 points have another, in the model's units."""
+        """The distance within which 19 of 20 points have a neighbour, in the model's units."""
         return self._ready.spacing()
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002

@@ -104,7 +104,13 @@ class Polygons(NamedTuple):
 
 
 class Creases(NamedTuple):
-    """Where a subdivision surface is sharp: 0 is smooth, from 10 on sharp for good; see ``subdivide``."""
+    """Sharp edges and corners of a subdivision surface, for ``subdivide``.
+
+    edges      (k, 2): pairs of vertices
+    sharpness  (k,) of the edges: 0 is smooth, 10 or more is sharp at every level
+    vertices   (j,) numbers of vertices
+    spikes     (j,) the sharpness of these vertices
+    """
 
     edges: Int32s  # (k, 2)   vertices
     sharpness: Float32s  # (k,)

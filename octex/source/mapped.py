@@ -64,10 +64,10 @@ class MappedImage(Placeable):
     mag_filter  "linear" or "nearest"
 
     The image is upright and, from outside, not mirrored. For a plane, its top is toward +y; along y toward
-    −z, along −y toward +z. Footprints follow the mapping. Images of ``normal`` are in the frame of the
-    mapping's u and the shading normals; without ``frames`` triangles are flat.
+    −z, along −y toward +z. Filtering follows the mapping's stretch. A normal map is in the tangent space of
+    the mapping's u and the shading normals (``frames``; without them, of the triangles' normals).
 
-    Raises ArgumentError for a name or number that is none of these.
+    Raises ArgumentError for other names and numbers.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class MappedImage(Placeable):
         self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
-        """Return the image laid on a surface by its rest positions, and what provenance says of it.
+        """Return the image placed on a surface by its rest positions, and its entries of provenance.
 
         Raises ImageError for an image that cannot be used.
         """

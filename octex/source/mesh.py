@@ -187,7 +187,7 @@ class Mesh:
         return areas
 
     def scatter(self, n: int, seed: int = 0) -> SurfaceSamples:
-        """Draw ``n`` points, uniform by posed area; the same for the same seed.
+        """Draw ``n`` points, uniform by posed area; the same seed gives the same points.
 
         Raises ModelError if the surface has no area, ArgumentError for a negative ``n``.
         """

@@ -162,9 +162,9 @@ class Surface(Mesh):
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
         """Return several surfaces as one, to share a texture (Benson & Davis 2002, 5).
 
-        Triangles, vertices and polygons are theirs in order. It has the channels that any of them has, with
-        the defaults of materials elsewhere: 1, no light, the faces' normals. It has no texture coordinates.
-        Raises ArgumentError for none.
+        Triangles, vertices and polygons follow in the order of the surfaces. The result has all channels that
+        any of them has; surfaces without one get its default (1, no emission, the faces' normals). It has no
+        texture coordinates. Raises ArgumentError for an empty list.
         """
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
@@ -203,15 +203,14 @@ class Surface(Mesh):
         """Build the surface where a function of position has the value ``level``.
 
         f            takes positions (n, 3), float64, and returns (n,), below ``level`` inside, as signed
-                     distances do. Some positions lie up to an edge outside ``bounds``
+                     distances do. Some positions lie up to ``edge_length`` outside ``bounds``
         bounds       lowest and highest corner (2, 3); they close the shape where they cut it
-        edge_length  of the triangles, about. Vertices lie on the surface, by Newton's method; between them a
-                     triangle is off by up to edge_length² / 4r, r the radius of curvature. Thinner shapes may
-                     be lost
+        edge_length  of the triangles, about. Vertices lie on the surface (Newton's method); a triangle is off
+                     by up to edge_length² / 4r, r the radius of curvature. Thinner shapes may be lost
         sources      channels, as for ``with_sources`` (default: middle grey)
 
-        The grid is manifold3d's (Benson & Davis 2002, 1 and 5). Raises ArgumentError for a function that
-        raises, or returns NaN or another shape, and for bounds and lengths out of range; ModelError if there
+        The library manifold3d makes the triangles. Raises ArgumentError for a function that raises an error
+        or returns NaN or another shape, and for bounds and lengths out of range; ModelError if there
         is no surface.
         """
         vertices, triangles = level_set(f, bounds, edge_length, level)
@@ -224,13 +223,13 @@ class Surface(Mesh):
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
-        """What the source gives, in the order of the columns of ``evaluate_all``."""
+        """The channels of the source, in the order of the columns of ``evaluate_all``."""
         return self.source.channels
 
     def with_rest(self, rest: npt.ArrayLike) -> Surface:
         """Return the same surface at other rest positions (n, 3).
 
-        Raises ModelError for another number of them, or if they are not finite.
+        Raises ModelError for a wrong number of positions, or if they are not finite.
         """
         mesh = super().with_rest(rest)
         surface = self._with(self.source.with_rest(mesh.rest), mesh)
@@ -238,9 +237,9 @@ class Surface(Mesh):
         return surface
 
     def with_channels(self, channels: Sequence[str]) -> Surface:
-        """Return the same surface with these of its channels alone, and ``alpha`` if their sources have gaps.
+        """Return the same surface with only these channels, and ``alpha`` if their sources have gaps.
 
-        Raises ArgumentError for one that it lacks, and for none at all.
+        Raises ArgumentError for a channel that it lacks, and for an empty list.
         """
         channels = as_names(channels, "channels")
         if not channels:
@@ -251,7 +250,7 @@ class Surface(Mesh):
 
     @property
     def coverage(self) -> Surface:
-        """The same surface with ``alpha`` alone: 0 in the gaps that its source has, else 1."""
+        """The same surface with only ``alpha``: 0 in gaps, where its source has no value, else 1."""
         return self._with(self.source.only([]))
 
     def with_filter(self, filter: str) -> Surface:
@@ -274,8 +273,8 @@ class Surface(Mesh):
             a function of rest positions, or of them and face normals: see overrides.FunctionSource
             a value, linear light for colours: a number, or one for each component
         Images of ``normal`` are in tangent space; without ``frames`` (``load_surface`` with ``normals``) the
-        triangles are flat. Vertex colours do not multiply these values. Where any source has a gap, nothing
-        is converted.
+        triangles are flat. Vertex colours do not multiply these values. A conversion stores no cells
+        where any source has a gap.
 
         Raises ArgumentError for an unknown channel or another kind of value, ImageError for an image that
         cannot be used, ModelError if the surface lacks the texture coordinates for it.
@@ -301,9 +300,9 @@ class Surface(Mesh):
     def completed(
         self, sources: Mapping[str, object], channels: Sequence[str] | None, filter: str | None = None
     ) -> Surface:
-        """Return the surface with ``sources`` (as for ``with_sources``), and with ``channels`` alone.
+        """Return the surface with ``sources`` (as for ``with_sources``), and only with ``channels``.
 
-        Sources of channels that are not wanted are left out.
+        Sources of other channels are ignored.
         """
         names = None if channels is None else as_names(channels, "channels")
         sources = as_entries(sources, "sources")
@@ -317,8 +316,8 @@ class Surface(Mesh):
     def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
         """Return some triangles (k,) of the surface, in that order, with the vertices that they use.
 
-        ``source`` is one of these triangles; by default they keep the whole's. Raises ArgumentError for
-        numbers of triangles that are not there, ModelError for none.
+        ``source`` gives their values; by default they keep theirs. Raises ArgumentError for unknown
+        triangles, ModelError for an empty list.
         """
         if not isinstance(source, (Source, NoneType)):
             raise ArgumentError(f"source must be a Source, not {source!r}")
@@ -326,12 +325,12 @@ class Surface(Mesh):
         return self._with(source or Picked(self.source, chosen, vertices, self.rest), mesh)
 
     def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
-        """Return the same surface with parts moved apart that are nearer than ``margin`` at rest.
+        """Return the same surface, with parts that are nearer than ``margin`` at rest moved apart.
 
         The largest parts stay; the others are placed next to the model, so that the root cell grows as little
-        as possible. Values stay. The surface and its textures remember the moves: see ``placed_in``. A part
-        that intersects itself stays as it is. Without such parts the surface itself is returned. ``found`` is
-        an earlier result of ``overlapping_parts`` with this margin or a larger one.
+        as possible. Values do not change. The surface and its textures store the moves: see ``placed_in``. A
+        part that intersects itself stays as it is. If no parts are that near, the surface itself is returned.
+        ``found`` is an earlier result of ``overlapping_parts`` with this margin or a larger one.
 
         Raises ArgumentError for a margin that is not above zero, and for a surface that is separated already.
         """
@@ -340,9 +339,9 @@ class Surface(Mesh):
         return self._separated(separation_of(self, margin, found))
 
     def placed_in(self, texture: OctreeTexture) -> Surface:
-        """Return the same surface with its rest positions where a texture has them.
+        """Return the same surface with the rest positions that a texture was made with.
 
-        This is the surface itself, unless the texture was made of one that was ``separated``. Raises
+        This is the surface itself, unless the texture was made from a ``separated`` surface. Raises
         ArgumentError if the parts are not those of the texture's surface.
         """
         metadata = getattr(texture, "metadata", None)  # whatever a texture is, its provenance says it
@@ -359,7 +358,7 @@ class Surface(Mesh):
         return self._separated(separation)
 
     def rest_positions(self, texture: OctreeTexture) -> Float64s:
-        """Return where a texture has the vertices (n, 3): what lookups on the surface take.
+        """Return the vertices' positions (n, 3) in a texture: the texture coordinates for lookups.
 
         These are ``rest``, unless parts were moved apart. Raises ArgumentError as ``placed_in`` does.
         """

@@ -27,8 +27,8 @@ class Transfer(Placeable):
     model      a file, or a Surface
     distance   how far away the other surface may be, in the model's units (None: any distance); surface
                farther away stays empty
-    max_angle  largest angle in degrees between the normals of the two faces. Below 180, the two sides of a
-               thin wall are told apart
+    max_angle  largest angle in degrees between the normals of the two faces. Below 180, the two sides of
+               a thin wall keep their own colours
 
     Use it for one channel, ``{"base_color": transfer}``, or for all that the other model has, ``sources``.
     """

@@ -94,7 +94,7 @@ class Voxels:
         ``colors``, ``rgb`` and ``values`` of three or four columns are base_color.
         ``.vxz``: O-Voxel's, of the cube from −0.5 to 0.5, without its dual grid.
 
-        Raises ModelError, with the file's name, for what cannot be read, is not there or does not fit.
+        Raises ModelError, with the file's name, for a file that is missing, damaged or has other contents.
         """
         path = as_path(path)
         with reading(path):

@@ -16,23 +16,23 @@ from octex.texture.texture import OctreeTexture, opened
 def open_texture(
     path: str | os.PathLike[str], *, cache: str | os.PathLike[str] | None = None
 ) -> OctreeTexture:
-    """Open an ``.octex`` or ``.octz`` file, or one at an address; the content decides, not the name.
+    """Open an ``.octex`` or ``.octz`` file, on disk or at a URL; the content decides, not the name.
 
     path    a file, which is memory-mapped (``.octex``) or decoded (``.octz``; into a temporary file from 256
-            MB on); or an address, ``https://…`` or any that fsspec supports (``pip install 'octex[remote]'``;
+            MB on); or a URL, ``https://…`` or any that fsspec supports (``pip install 'octex[remote]'``;
             for ``s3://…`` also install s3fs)
-    cache   for an address: a folder that keeps what was fetched, for later processes, while the file does not
-            change. Default: a temporary file
+    cache   for a URL: a folder that caches what was fetched, also for later processes, until the file
+            changes. Default: a temporary file
 
-    At an address ``sample``, ``taps`` and ``contains`` fetch the blocks that they read by range requests, and
+    At a URL ``sample``, ``taps`` and ``contains`` fetch the blocks that they read by range requests, and
     ``level`` fetches the coarse levels; everything else fetches what it needs completely.
 
     If another program shortens a mapped file, the system ends the process that reads it (SIGBUS): replace
     files by new ones, as ``save`` does.
 
     Raises TextureFileError for a file that is missing, damaged, of another type or of a newer version, and,
-    also later, for an address that cannot be read or whose file changed; OutputError without room for what is
-    fetched; ArgumentError for a ``cache`` without an address.
+    also later, for a URL that cannot be read or whose file changed; OutputError without room for the
+    cache; ArgumentError for a ``cache`` without a URL.
     """
     if is_address(path):
         from octex.texture.remote import open_remote

@@ -70,7 +70,7 @@ class OctreeTexture:
     """An octree texture: values in the cells that a surface passes through, sampled by rest position.
 
     tree        the octree
-    channels    the stored values by name; what you get is read-only
+    channels    the stored values by name, as read-only arrays
     placement   where the root cell lies
     bounds      of the surface, at rest
     metadata    provenance: free text by name, stored in the file
@@ -140,7 +140,7 @@ class OctreeTexture:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays: structure, flags, areas, values, the split table and the kept nodes."""
+        """Bytes of all arrays: structure, flags, areas, values, and those of split cells and kept nodes."""
         here = self.source.here(self)
         return here.tree.nbytes + sum(channel.nbytes for channel in here.channels.values())
 
@@ -220,7 +220,7 @@ class OctreeTexture:
         blur             widens both sides of a footprint by this
         sharpness        0 … 1: sharpens footprints; results may leave the range of the stored values
         normals          shading normals (n, 3) in rest space: surface that faces away has no weight. Points
-                         of a surface bring their own
+                         of ``Surface.scatter`` have their own
         bleed_threshold  for footprints without normals (paper 3.5.2): where the opposite sides of a coarse
                          cell differ by this much, use finer cells
         normalize        return unit vectors for directions; False: stored means, shorter where directions
@@ -231,10 +231,10 @@ class OctreeTexture:
 
         Returns float32 (n, components), or a dict for a list of channels: linear light for colours, −1 … 1
         for directions, 0 … 1 for other integers. Values blend in linear light, weighted by ``alpha``. Every
-        point has a value: off the surface coarser averages answer, outside the root cell the nearest point
-        inside.
+        point has a value: off the surface that of a coarser level, outside the root cell that of the nearest
+        point inside.
 
-        In adaptive trees, points sampled together may change a result by 10⁻⁶ of the surrounding values.
+        In adaptive textures, a result may depend on the call's other points, by 10⁻⁶ of the values around.
 
         Raises ArgumentError for values that are not finite, with the first row (``out`` is then partly
         written), for unknown channels and filters, and for an ``out`` that does not fit.
@@ -360,11 +360,11 @@ class OctreeTexture:
         executor: Executor | None = None,
         **options: Unpack[FootprintOptions],
     ) -> TapList:
-        """List what ``sample`` blends at rest positions (n, 3), as the rows of a sparse matrix.
+        """List the taps of ``sample`` at rest positions (n, 3): the stored values that it reads, and weights.
 
-        Returns ``starts`` (n + 1,) int64, ``rows`` (taps,) int64, each once per point, and ``weights``
-        (taps,) float32, which sum to 1 per point. Weights times ``rows(channel)`` is what ``sample`` returns
-        with ``normalize=False``. With scipy:
+        Returns a sparse matrix: ``starts`` (n + 1,) int64, ``rows`` (taps,) int64, each once per point, and
+        ``weights`` (taps,) float32, which sum to 1 per point. Weights times ``rows(channel)`` is what
+        ``sample`` returns with ``normalize=False``. With scipy:
 
             taps = texture.taps(points)
             values = texture.rows("base_color")

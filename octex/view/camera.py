@@ -62,12 +62,12 @@ class Camera:
     width, height     picture size in pixels
     K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
     world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
-    distortion        what ``distort`` does to (x/z, y/z) before K; zeros if orthographic
-    distortion_model  what its numbers are: ``opencv``: k1, k2, p1, p2 (radial and tangential), or
+    distortion        numbers of the lens, which moves (x/z, y/z) before K; zeros if orthographic
+    distortion_model  what these numbers are: ``opencv``: k1, k2, p1, p2 (radial and tangential), or
                       these with k3, k4, k5, k6 (rational); ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye
                       model, or k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE; ``fov``: ω
 
-    Matrices are copied, and read-only. Raises ArgumentError for what is none of these.
+    Matrices are copied, and read-only. Raises ArgumentError for other shapes, values and names.
     """
 
     width: int
@@ -109,15 +109,17 @@ class Camera:
         """Make a perspective camera.
 
         size         (width, height) in pixels
-        pose         (4, 4) or (3, 4) matrix; ``convention`` says what it means, it is never guessed
+        pose         (4, 4) or (3, 4) matrix, a rotation and a translation
+        convention   "opengl": camera-to-world, looking along −z with +y up (glTF, Blender); "opencv":
+                     world-to-camera, looking along +z with +y down (OpenCV, COLMAP)
         K            (3, 3) intrinsics in pixels; or instead of it
         focal        focal length in pixels, one number or (x, y), and
         center       principal point in pixels; default: the middle of the picture
         distortion   numbers of the lens, as ``distortion_model`` says; of ``opencv`` also k1, k2 alone, or
                      k1, k2, p1, p2, k3; default: none
 
-        Raises ArgumentError for a matrix that is no pose or no intrinsics, for a distortion of another count
-        of numbers than its model has, and unless exactly one of K and focal is given.
+        Raises ArgumentError for a matrix that is not a pose or not intrinsics, for a wrong number of
+        distortion coefficients, and unless exactly one of K and focal is given.
         """
         width, height = _as_size(size)
         if (K is None) == (focal is None) or (K is not None and center is not None):
@@ -146,7 +148,7 @@ class Camera:
         pixels_per_unit: float,
         center: tuple[float, float] | None = None,
     ) -> Camera:
-        """Make a camera of parallel rays, ``pixels_per_unit`` to a unit of the world; else as ``pinhole``."""
+        """Make a camera with parallel rays: a length of 1 is ``pixels_per_unit`` pixels. See ``pinhole``."""
         width, height = _as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
         K = _intrinsics(scale, scale, _as_center(center, width, height))
@@ -169,7 +171,7 @@ class Camera:
         direction    from the model toward the camera
         fov          the angle, in degrees, across the shorter side of the picture
         up           what points up in the picture; another axis is taken if it is parallel to ``direction``
-        margin       part of the width and of the height that stays free on each side
+        margin       free border on each side, as a fraction of width and height
 
         Raises ArgumentError for no points, non-finite ones, a direction of no length, or an angle or margin
         out of range.
@@ -199,7 +201,7 @@ class Camera:
         return cls(width, height, _intrinsics(focal, focal, (width / 2, height / 2)), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
-        """Return the camera with everything drawn so many times as large about the picture's middle.
+        """Return the camera with the picture enlarged ``times`` about its middle.
 
         Raises ArgumentError for a number that is not above zero.
         """
@@ -237,14 +239,13 @@ class Camera:
 
     @property
     def lens(self) -> Float64s:
-        """The distortion as kernels read it: `octex.view.lens.lens_numbers`."""
+        """The distortion as compiled kernels read it: `octex.view.lens.lens_numbers`."""
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
-        """Return where the lens moves normalised coordinates (x/z, y/z), (n, 2).
+        """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them.
 
-        NaN from where what becomes of r = √(x² + y²), without the tangential part, stops rising: points
-        farther out would be folded back into the picture.
+        Far from the axis, where the radial distortion would fold points back into the picture, they are NaN.
         """
         points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
         found = np.empty_like(points)
@@ -291,10 +292,10 @@ class Camera:
             return (origins - translation) @ rotation, directions / lengths
 
     def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Float64s, Float64s]:
-        """Return how seen points (n, 3) move, in the world, from a pixel to the next: to the right and down.
+        """Return the derivatives of seen points (n, 3) by pixel, in the world: to the right and down.
 
-        What is seen there is taken for planes with ``normals`` (n, 3) (Igehy, "Tracing Ray Differentials",
-        1999). Planes that are seen edge-on are taken as turned by 0.06°. Lens distortion is left out.
+        The surface at a point counts as a plane with its normal, ``normals`` (n, 3), 0.06° or more
+        from edge-on (Igehy, "Tracing Ray Differentials", 1999). Lens distortion is ignored.
         """
         points = as_points(points).astype(np.float64, copy=False)
         normals = as_points(normals, "normals").astype(np.float64, copy=False)
@@ -307,9 +308,9 @@ class Camera:
 
     @property
     def eye(self) -> Float64s:
-        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3).
+        """Its position, its axis, and the steps of a pixel to the right and down at depth 1 (4, 3).
 
-        As kernels read them: `octex.view.differentials`.
+        As compiled kernels read them: `octex.view.differentials`.
         """
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation
@@ -318,7 +319,7 @@ class Camera:
     def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
         """Return how wide a pixel is in the world, across the view, at depths of any shape.
 
-        Lens distortion is left out.
+        Lens distortion is ignored.
         """
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
         depth = as_reals(depth, "depth", *((-1,) * n for n in range(_MOST_DIMENSIONS)))

@@ -122,7 +122,7 @@ def write_cameras(
 ) -> None:
     """Write cameras, by name, to a JSON file from which ``read_cameras`` reads the same bits.
 
-    ``views`` are PNG files of the views that the cameras drew, by the same names: ``Frame.view``.
+    ``views`` are the PNG bytes of the views that octex drew, by the same names; ``Frame.view`` has them.
 
     The file is replaced completely or not at all. Raises OutputError if it cannot be written.
     """

@@ -28,8 +28,8 @@ CHANNELS_KEY = "octex:channels"
 class Ptex(Placeable):
     """The texels of a .ptx file, for the mesh that it was painted on.
 
-    A file that octex wrote names its channels. Otherwise one number a texel is a grey ``base_color``, three
-    are RGB, and a declared alpha, or the last of two or four, is ``alpha``. Integers are sRGB for colours;
+    A file that octex wrote names its channels. Otherwise one component per texel is a grey ``base_color``,
+    three are RGB; a declared alpha, or the last of two or four, is ``alpha``. Integers are sRGB for colours;
     floats are linear light. Between texels, quads use a Catmull–Rom spline that continues across edges;
     triangles are linear between centres and corners of texels, and continuous across edges.
 
