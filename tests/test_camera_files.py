@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from octex.cameras.camera import Camera
+from octex.cameras.files import find_frame, read_cameras, write_cameras
 from octex.errors import CameraError, OutputError
-from octex.view.camera import Camera
-from octex.view.camera_files import find_frame, read_cameras, write_cameras
 from tests.naive_lens import through
 
 POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))

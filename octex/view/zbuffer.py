@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
+from octex.cameras.camera import Camera
 from octex.checks import as_points
 from octex.errors import ArgumentError
 from octex.jit import kernel, part
 from octex.parallel import cpu_count, ordered_map, sharing
-from octex.view.camera import Camera
 
 Index = int | np.integer[Any]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Json,
@@ -28,7 +28,7 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
-from octex.view.lens import DistortionModel
+from octex.cameras.lens import DistortionModel
 
 #: Where pictures are, beside the file.
 _FOLDER = "images"

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.files import read_bytes
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Lens,
@@ -24,6 +23,7 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
+from octex.files import read_bytes
 
 #: What a file starts with.
 MARK = b"# Bundle file"

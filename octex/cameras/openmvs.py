@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Bytes,
     Frame,

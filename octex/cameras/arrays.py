@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.cameras.camera import LARGEST, NO_DISTORTION, Camera, Convention
+from octex.cameras.fields import BrokenError, Frame, choice_field, fixed_lens, view_of_pose, within
+from octex.cameras.lens import DISTORTION_MODELS
 from octex.npz import read_npz
-from octex.view.camera import LARGEST, NO_DISTORTION, Camera, Convention
-from octex.view.camera_records import BrokenError, Frame, choice_field, fixed_lens, view_of_pose, within
-from octex.view.lens import DISTORTION_MODELS
 
 _VIEWS, _POSES = ("viewmats", "w2c", "extrinsics"), ("camtoworlds", "c2w", "poses")
 _INTRINSICS = ("Ks", "K", "intrinsics")

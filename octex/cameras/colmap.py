@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.errors import CameraError
-from octex.files import read_bytes
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Bytes,
     Frame,
@@ -25,7 +23,9 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
-from octex.view.lens import DistortionModel
+from octex.cameras.lens import DistortionModel
+from octex.errors import CameraError
+from octex.files import read_bytes
 
 
 class _Model(NamedTuple):

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Optics,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Json,
@@ -28,7 +28,7 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
-from octex.view.lens import DistortionModel
+from octex.cameras.lens import DistortionModel
 
 #: The distortions by their fields: how many numbers, and where octex has these among its own.
 _DISTORTIONS: dict[str, tuple[DistortionModel, tuple[int, ...]]] = {

@@ -15,10 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.errors import ArgumentError, CameraError, ModelError
-from octex.files import referred
-from octex.source.models.gltf_file import rotation_matrix
-from octex.view.camera import (
+from octex.cameras.camera import (
     LARGEST,
     LARGEST_SIZE,
     NO_DISTORTION,
@@ -27,7 +24,10 @@ from octex.view.camera import (
     Convention,
     Distortion,
 )
-from octex.view.lens import DistortionModel
+from octex.cameras.lens import DistortionModel
+from octex.errors import ArgumentError, CameraError, ModelError
+from octex.files import referred
+from octex.source.models.gltf_file import rotation_matrix
 
 Json = dict[str, Any]
 

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s
+from octex.cameras.differentials import differentials
+from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 from octex.checks import (
     as_choice,
     as_number,
@@ -26,8 +28,6 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError
-from octex.view.differentials import differentials
-from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 
 #: What a pose matrix means.
 #: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
@@ -237,7 +237,7 @@ class Camera:
 
     @property
     def lens(self) -> Float64s:
-        """The distortion as kernels read it: `octex.view.lens.lens_numbers`."""
+        """The distortion as kernels read it: `octex.cameras.lens.lens_numbers`."""
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
@@ -309,7 +309,7 @@ class Camera:
     def eye(self) -> Float64s:
         """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3).
 
-        As kernels read them: `octex.view.differentials`.
+        As kernels read them: `octex.cameras.differentials`.
         """
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation

@@ -10,7 +10,7 @@ OpenSfM            reconstruction.json, of OpenDroneMap too
 OpenMVG            sfm_data.json
 Bundler            .out, with the list of the pictures beside it
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
-arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `camera_arrays` says
+arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and what `octex.cameras.arrays` says
 
 What a file holds decides how it is read, not its name (but for COLMAP's files, which go by their names).
 """
@@ -29,22 +29,12 @@ from typing import Literal
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.checks import as_entries, as_path
-from octex.errors import ArgumentError, CameraError, OutputError
-from octex.files import read_bytes, replacing
-from octex.source.models.gltf_file import Document
-from octex.view.camera import Camera, Convention
-from octex.view.camera_arrays import read_arrays
-from octex.view.camera_bundler import MARK as BUNDLER_MARK
-from octex.view.camera_bundler import read_bundler
-from octex.view.camera_colmap import colmap_folder, read_colmap
-from octex.view.camera_gltf import read_gltf
-from octex.view.camera_meshroom import read_meshroom
-from octex.view.camera_metashape import read_metashape
-from octex.view.camera_openmvg import read_openmvg
-from octex.view.camera_openmvs import MARK, read_openmvs
-from octex.view.camera_opensfm import read_opensfm
-from octex.view.camera_records import (
+from octex.cameras.arrays import read_arrays
+from octex.cameras.bundler import MARK as BUNDLER_MARK
+from octex.cameras.bundler import read_bundler
+from octex.cameras.camera import Camera, Convention
+from octex.cameras.colmap import colmap_folder, read_colmap
+from octex.cameras.fields import (
     BrokenError,
     Json,
     Lens,
@@ -67,8 +57,18 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
-from octex.view.camera_records import Frame as Frame
-from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel
+from octex.cameras.fields import Frame as Frame
+from octex.cameras.gltf import read_gltf
+from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel
+from octex.cameras.meshroom import read_meshroom
+from octex.cameras.metashape import read_metashape
+from octex.cameras.openmvg import read_openmvg
+from octex.cameras.openmvs import MARK, read_openmvs
+from octex.cameras.opensfm import read_opensfm
+from octex.checks import as_entries, as_path
+from octex.errors import ArgumentError, CameraError, OutputError
+from octex.files import read_bytes, replacing
+from octex.source.models.gltf_file import Document
 
 _OURS = "octex_cameras"
 _VERSION = 1

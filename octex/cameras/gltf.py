@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.source.models.gltf_file import Document, scene_nodes
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Json,
@@ -23,6 +22,7 @@ from octex.view.camera_records import (
     view_of_pose,
     within,
 )
+from octex.source.models.gltf_file import Document, scene_nodes
 
 
 def read_gltf(path: Path, document: Document) -> list[Frame]:

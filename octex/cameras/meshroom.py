@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.view.camera_records import (
+from octex.cameras.fields import (
     BrokenError,
     Frame,
     Json,
