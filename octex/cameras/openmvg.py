@@ -1,91 +1,69 @@
 """Cameras of OpenMVG, sfm_data.json.
 
-A camera sees X at R(X − C), in axes like OpenCV's; pixels' centres are whole numbers. What cameras are shows
-in the names of their distortions' numbers.
+A camera sees X at R(X − C), in axes like OpenCV's; pixels' centres are whole numbers. The names of their
+distortions' numbers tell the kinds of cameras apart.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from octex.cameras.fields import (
-    BrokenError,
-    Frame,
-    Json,
-    Optics,
-    beside,
-    field_of,
-    intrinsics_of,
-    matrix_field,
-    numbers_field,
-    object_field,
-    objects_field,
-    pixels_field,
-    positive_field,
-    text_field,
-    view_of_pose,
-    within,
-)
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.frames import Frame, Optics, intrinsics, picture_path, rigid, view_of
 from octex.cameras.lens import DistortionModel
 
-#: The distortions by their fields: how many numbers, and where octex has these among its own.
-_DISTORTIONS: dict[str, tuple[DistortionModel, tuple[int, ...]]] = {
-    "disto_k1": ("opencv", (0,)),
-    "disto_k3": ("opencv", (0, 1, 4)),
-    "disto_t2": ("opencv", (0, 1, 4, 2, 3)),
-    "fisheye": ("fisheye", (0, 1, 2, 3)),
+#: The distortions by their fields: octex's model, how many numbers it has, and where those of the field go.
+_DISTORTIONS: dict[str, tuple[DistortionModel, int, list[int]]] = {
+    "disto_k1": ("opencv", 5, [0]),
+    "disto_k3": ("opencv", 5, [0, 1, 4]),
+    "disto_t2": ("opencv", 5, [0, 1, 4, 2, 3]),
+    "fisheye": ("fisheye", 4, [0, 1, 2, 3]),
 }
-#: How many numbers octex has of each model.
-_COUNTS = {"opencv": 5, "fisheye": 4}
 
 
-def read_openmvg(path: Path, document: Json) -> list[Frame]:
+def read(path: Path, document: dict[str, Any]) -> list[Frame]:
     """Read the cameras of all views that are placed."""
-    poses = {_key(each): object_field(each, "value") for each in objects_field(document, "extrinsics")}
-    optics = {_key(each): each for each in objects_field(document, "intrinsics")}
-    root = document.get("root_path", "")
+    scene = Record(document)
+    poses = {each.key("key"): each.record("value") for each in scene.records("extrinsics")}
+    optics = {each.key("key"): each for each in scene.records("intrinsics")}
+    root = str(scene.find("root_path", "")).rstrip("/")
     frames = []
-    for number, record in enumerate(objects_field(document, "views")):
+    for number, record in enumerate(scene.records("views")):
         with within(f"view {number}"):
-            given = _data(record)
-            name = text_field(given, "filename")
-        pose, of_lens = poses.get(str(given.get("id_pose"))), optics.get(str(given.get("id_intrinsic")))
-        if pose is None or of_lens is None:
+            seen = _data(record)
+            name = seen.text("filename")
+        pose, lens = poses.get(str(seen.find("id_pose"))), optics.get(str(seen.find("id_intrinsic")))
+        if pose is None or lens is None:
             continue  # not placed
         with within(f"view {name!r}"):
             with within("intrinsics"):
-                lens = _optics(_data(of_lens))
-            rotation, view = matrix_field(pose, "rotation", (3, 3)), np.eye(4)
-            view[:3, :3], view[:3, 3] = rotation, -rotation @ numbers_field(pose, "center", 3)
-            frame = lens.frame(name, path, view_of_pose(view, "opencv"))
-        folders = (str(root).rstrip("/"), str(given.get("local_path", "")).strip("/"))
-        image = "/".join([*filter(None, folders), name])
-        frames.append(frame._replace(image=beside(path, image)))
+                shared = _optics(_data(lens))
+            rotation = pose.matrix("rotation", (3, 3))
+            view = view_of(rigid(rotation, -rotation @ pose.numbers("center", 3)))
+        folders = root, str(seen.find("local_path", "")).strip("/")
+        image = picture_path(path, "/".join([*filter(None, folders), name]))
+        frames.append(Frame(name, path, shared, view, image))
     return frames
 
 
-def _key(record: Json) -> str:
-    return str(field_of(record, "key", object, "a number"))
+def _data(record: Record) -> Record:
+    """Return the object that a pointer points at; older versions hold shared fields in ``value0``."""
+    data = record.record("value").record("ptr_wrapper").record("data")
+    return data.over(data.record("value0")) if "value0" in data else data
 
 
-def _data(record: Json) -> Json:
-    """Return what a pointer points at, of older and newer versions: in a record of its own, what all have."""
-    data = object_field(object_field(object_field(record, "value"), "ptr_wrapper"), "data")
-    return {**object_field(data, "value0"), **data} if "value0" in data else data
-
-
-def _optics(record: Json) -> Optics:
+def _optics(record: Record) -> Optics:
     if "focal_length" not in record:
         raise BrokenError("focal_length is missing; undistort pictures of panoramas")
-    size = pixels_field(record, "width"), pixels_field(record, "height")
-    focal = positive_field(record, "focal_length")
-    center = numbers_field(record, "principal_point", 2) + 0.5
-    K = intrinsics_of(focal, focal, *center.tolist())
-    for field, (model, places) in _DISTORTIONS.items():
+    size, focal = record.size(), record.positive("focal_length")
+    center = record.numbers("principal_point", 2) + 0.5
+    K = intrinsics(focal, focal, *center.tolist())
+    for field, (model, count, places) in _DISTORTIONS.items():
         if field in record:
-            numbers = np.zeros(_COUNTS[model])
-            numbers[list(places)] = numbers_field(record, field, len(places))
+            numbers = np.zeros(count)
+            numbers[places] = record.numbers(field, len(places))
             return Optics(size, K, tuple(numbers.tolist()), model)
-    return Optics(size, K, (0.0,) * _COUNTS["opencv"], "opencv")
+    return Optics(size, K)

@@ -7,80 +7,57 @@ parts of the picture's longer side, centres from its middle.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.cameras.fields import (
-    BrokenError,
-    Frame,
-    Json,
-    Optics,
-    beside,
-    intrinsics_of,
-    number_field,
-    numbers_field,
-    object_field,
-    pixels_field,
-    positive_field,
-    rotation_of,
-    text_field,
-    view_of_pose,
-    within,
-)
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.frames import Frame, Optics, intrinsics, picture_path, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 
-#: Where pictures are, beside the file.
+#: The folder of the pictures, beside the file.
 _FOLDER = "images"
-#: What octex calls the distortions, and the fields of their numbers in its order.
+#: The distortions by projection_type: octex's model, and the fields of its numbers in its order.
 _DISTORTIONS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
-    "perspective": ("opencv", ("k1", "k2")),
-    "simple_radial": ("opencv", ("k1", "k2")),
-    "radial": ("opencv", ("k1", "k2")),
+    **dict.fromkeys(("perspective", "simple_radial", "radial"), ("opencv", ("k1", "k2"))),
     "brown": ("opencv", ("k1", "k2", "p1", "p2", "k3")),
-    "fisheye": ("fisheye", ("k1", "k2", "k3", "k4")),
-    "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), ("fisheye", ("k1", "k2", "k3", "k4"))),
 }
 
 
-def read_opensfm(path: Path, document: list[Json]) -> list[Frame]:
+def read(path: Path, reconstructions: list[dict[str, Any]]) -> list[Frame]:
     """Read the cameras of the first reconstruction, the largest; others have space of their own."""
     frames = []
-    cameras = object_field(document[0], "cameras")
-    for name, shot in object_field(document[0], "shots").items():
+    scene = Record(reconstructions[0])
+    cameras, shots = scene.record("cameras"), scene.record("shots")
+    for name in shots:
         with within(f"shot {name!r}"):
-            if not isinstance(shot, dict):
-                raise BrokenError("must be an object")
-            camera = text_field(shot, "camera")
+            shot = shots.record(name)
+            camera = shot.text("camera")
             with within(f"camera {camera!r}"):
-                optics = _optics(object_field(cameras, camera))
-            view = np.eye(4)
-            view[:3, :3] = _rotation(numbers_field(shot, "rotation", 3))
-            view[:3, 3] = numbers_field(shot, "translation", 3)
-            frame = optics.frame(name, path, view_of_pose(view, "opencv"))
-        frames.append(frame._replace(image=beside(path, f"{_FOLDER}/{name}")))
+                optics = _optics(cameras.record(camera))
+            view = rigid(_rotation(shot.numbers("rotation", 3)), shot.numbers("translation", 3))
+            image = picture_path(path, f"{_FOLDER}/{name}")
+            frames.append(Frame(name, path, optics, view_of(view), image))
     return frames
 
 
-def _optics(record: Json) -> Optics:
-    kind = text_field(record, "projection_type") if "projection_type" in record else "perspective"
+def _optics(record: Record) -> Optics:
+    kind = record.text("projection_type") if "projection_type" in record else "perspective"
     if kind not in _DISTORTIONS:
         raise BrokenError(
             f"projection_type {kind!r} is not known; octex knows {', '.join(_DISTORTIONS)}: undistort the "
             "pictures"
         )
-    width, height = size = pixels_field(record, "width"), pixels_field(record, "height")
+    width, height = size = record.size()
     side = max(size)
     x, y = ("focal", "focal") if "focal" in record else ("focal_x", "focal_y")
-    center = [number_field(record, field, 0.0) for field in ("c_x", "c_y")]
-    K = intrinsics_of(
-        positive_field(record, x) * side,
-        positive_field(record, y) * side,
-        width / 2 + center[0] * side,
-        height / 2 + center[1] * side,
-    )
+    center_x, center_y = (record.number(field, 0.0) * side for field in ("c_x", "c_y"))
+    focal_x, focal_y = (record.positive(field) * side for field in (x, y))
+    K = intrinsics(focal_x, focal_y, width / 2 + center_x, height / 2 + center_y)
     model, fields = _DISTORTIONS[kind]
-    return Optics(size, K, tuple(number_field(record, field, 0.0) for field in fields), model)
+    return Optics(size, K, tuple(record.number(field, 0.0) for field in fields), model)
 
 
 def _rotation(axis: Float64s) -> Float64s:
