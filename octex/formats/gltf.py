@@ -15,7 +15,15 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import FileFormat, ImageFormat, Written, encoded_images, image_names, materials_of
+from octex.formats.images import (
+    FileFormat,
+    ImageFormat,
+    Target,
+    Written,
+    encoded_images,
+    image_names,
+    materials_of,
+)
 from octex.formats.origins import origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
@@ -31,22 +39,22 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _DIELECTRIC = 0.04
 
 
-def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
 
-    ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
+    The path ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
     posed ones, of a model far from the origin by a translation of its node; normals and tangents are the
-    surface's ``frames``, without which viewers shade it flat. ``images`` is how maps are stored, as
-    ``write_model`` has it.
+    surface's ``frames``, without which viewers shade it flat.
 
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
+    path, images, _ = target
     if images == "exr":
         raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
-    write = _write_glb if path.suffix.lower() == ".glb" else _write_files
-    return Written(write(content, path), sum(len(data) for data, _ in content.images))
+    write_content = _write_glb if path.suffix.lower() == ".glb" else _write_files
+    return Written(write_content(content, path), sum(len(data) for data, _ in content.images))
 
 
 class _Content:

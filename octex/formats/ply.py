@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from octex.arrays import Float64s
 from octex.channels import ColorSpace, encode
-from octex.errors import ModelError, TextureFileError
+from octex.errors import TextureFileError
 from octex.files import replacing
-from octex.formats.images import Written, codes_of, colors_of_vertices, normals_of_vertices
+from octex.formats.images import Target, Written, codes_of, needed_colors, normals_of_vertices
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
@@ -57,16 +57,14 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
             )
 
 
-def write_mesh(surface: Surface, path: Path) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
 
     ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
     blue alpha`` are sRGB and coverage, 0 … 255. Raises ModelError for a surface whose values come from
     images.
     """
-    colors = colors_of_vertices(surface)
-    if colors is None:
-        raise ModelError(f"{surface.name}: .ply files hold colours at vertices; bake these, or write a .glb")
+    colors = needed_colors(surface, ".ply")
     normals = normals_of_vertices(surface)
     columns = [*surface.vertices.T]
     fields = [(axis, "<f8") for axis in "xyz"]
@@ -91,11 +89,11 @@ def write_mesh(surface: Surface, path: Path) -> Written:
         "end_header",
         "",
     ]
-    with replacing(path) as file:
+    with replacing(target.path) as file:
         file.write("\n".join(lines).encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
-    return Written([path], 0)
+    return Written([target.path], 0)
 
 
 def _properties(vertex: np.dtype[np.void]) -> list[str]:
