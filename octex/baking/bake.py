@@ -12,6 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
+from octex.baking.directions import across, in_tangent_space, turned, unit
 from octex.baking.fit import lacking
 from octex.baking.flat import are_flat, means_at_texels, points_on
 from octex.baking.gutters import Borders, fill_up, gutter_of
@@ -23,11 +24,8 @@ from octex.baking.maps import (
     Values,
     alpha_mode,
     average,
-    in_tangent_space,
     inputs_of,
     sampled,
-    turned,
-    unit,
 )
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, Shown, Texels, texel_points
@@ -419,8 +417,7 @@ def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> N
         left = np.flatnonzero(is_unlike)
     if left.size:
         normals = job.normals[gutter.triangles[left]]
-        helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-        wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside[left]][:, None]
+        wide = across(normals) * job.sizes[gutter.beside[left]][:, None]
         found, there = job.sampled(Points(rest[left], normals, (wide, np.cross(normals, wide))))
         own = places[left]
         if there is not None:

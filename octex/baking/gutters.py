@@ -9,6 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
+from octex.source.vectors import Vector, dot_product, length_of, minus, row_of, times
 
 #: Most triangles that a way across the surface crosses.
 _MOST_CROSSED = 64
@@ -100,29 +101,17 @@ def find_nearest(
 
 
 @inlined
-def _minus(rest: Float64s, a: int, b: int) -> tuple[float, float, float]:
-    return rest[a, 0] - rest[b, 0], rest[a, 1] - rest[b, 1], rest[a, 2] - rest[b, 2]
-
-
-@inlined
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _edge_frame(
-    rest: Float64s, faces: Int32s, triangle: int, side: int
-) -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
+def _edge_frame(rest: Float64s, faces: Int32s, triangle: int, side: int) -> tuple[Vector, Vector, float]:
     """Return unit vectors along a side and from it into the triangle, and the side's length; 0: no frame."""
-    start, end, tip = faces[triangle, side], faces[triangle, (side + 1) % 3], faces[triangle, (side + 2) % 3]
-    along, inward = _minus(rest, end, start), _minus(rest, tip, start)
-    length = np.sqrt(_dot(along, along))
+    start = row_of(rest, faces[triangle, side])
+    along = minus(row_of(rest, faces[triangle, (side + 1) % 3]), start)
+    inward = minus(row_of(rest, faces[triangle, (side + 2) % 3]), start)
+    length = length_of(along)
     if not length > 0.0:
         return along, inward, 0.0
     along = (along[0] / length, along[1] / length, along[2] / length)
-    part = _dot(along, inward)
-    inward = (inward[0] - part * along[0], inward[1] - part * along[1], inward[2] - part * along[2])
-    height = np.sqrt(_dot(inward, inward))
+    inward = minus(inward, times(along, dot_product(along, inward)))
+    height = length_of(inward)
     if not height > 0.0:
         return along, inward, 0.0
     return along, (inward[0] / height, inward[1] / height, inward[2] / height), length
@@ -155,9 +144,9 @@ def _follow(
         s = (dx * (c[1] - a[1]) - dy * (c[0] - a[0])) / doubled
         u = ((b[0] - a[0]) * dy - (b[1] - a[1]) * dx) / doubled
         start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
-        to_tip = _minus(rest, tip, start)
-        forward = s * length + u * _dot(to_tip, along)
-        away = max(-u * _dot(to_tip, inward), 0.0)
+        to_tip = minus(row_of(rest, tip), row_of(rest, start))
+        forward = s * length + u * dot_product(to_tip, along)
+        away = max(-u * dot_product(to_tip, inward), 0.0)
         place = t * length
         for _ in range(_MOST_CROSSED):
             # Across the edge, which is run through the other way there.
@@ -168,8 +157,8 @@ def _follow(
                 break
             place, forward = min(max(length - place, 0.0), length), -forward
             start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
-            to_tip = _minus(rest, tip, start)
-            tip_along, tip_away = _dot(to_tip, along), _dot(to_tip, inward)
+            to_tip = minus(row_of(rest, tip), row_of(rest, start))
+            tip_along, tip_away = dot_product(to_tip, along), dot_product(to_tip, inward)
             # Barycentric coordinates of the end: of the tip, of the side's end, of its start.
             r = away / tip_away
             q = (place + forward - r * tip_along) / length
@@ -206,7 +195,7 @@ def _follow(
             new_along, new_inward, new_length = _edge_frame(rest, faces, triangle, out)
             if new_length == 0.0:
                 break
-            forward, away = _dot(way, new_along), max(-_dot(way, new_inward), 0.0)
+            forward, away = dot_product(way, new_along), max(-dot_product(way, new_inward), 0.0)
             place = (r0 if by_end else other_part) * new_length
             side = out
 
