@@ -9,14 +9,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s
+from octex.arrays import Float32s
 from octex.baking.fit import fit_rows, put_codes
 from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_encoder
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Texture
-from octex.texture import OctreeTexture
 
 #: The images of a material, by the channel that names each: the channels in red, green and blue, and alpha.
 IMAGES = {
@@ -36,29 +35,6 @@ BITS: tuple[Bits, ...] = (8, 16, 32)
 _FLOAT = 32
 #: Texels that differ by no more than this are alike, by the bits of a number: cells of 8 bits are rounded.
 _ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
-
-
-class Points(NamedTuple):
-    """Points of a surface that texels show."""
-
-    rest: Float64s  # (n, 3)
-    normals: Float64s  # (n, 3)   of the triangles at rest
-    #: How rest positions change to the texel at the right, and to the one below, (n, 3) each; None where no
-    #: texel shows more than a leaf.
-    derivatives: tuple[Float64s, Float64s] | None
-
-    def of(self, rows: Bools) -> Points:
-        """Return some of the points."""
-        derivatives = self.derivatives
-        if derivatives is not None:
-            derivatives = derivatives[0][rows], derivatives[1][rows]
-        return Points(self.rest[rows], self.normals[rows], derivatives)
-
-
-def sampled(texture: OctreeTexture, names: list[str], points: Points) -> dict[str, Float32s]:
-    """Return channels (n, components) at points, averaged over their texels; linear light."""
-    dPdx, dPdy = points.derivatives or (None, None)
-    return texture.sample(points.rest, names, dPdx=dPdx, dPdy=dPdy, normals=points.normals, threads=1)
 
 
 class Values(NamedTuple):
