@@ -125,7 +125,7 @@ class Camera:
         if K is None:
             x, y = np.broadcast_to(as_reals(cast(float, focal), "focal", (), (2,)), 2).tolist()
             middle = _as_center(center, width, height)
-            K = _intrinsics(as_positive(x, "focal"), as_positive(y, "focal"), middle)
+            K = intrinsics(as_positive(x, "focal"), as_positive(y, "focal"), *middle)
         return cls(
             width,
             height,
@@ -149,7 +149,7 @@ class Camera:
         """Make a camera of parallel rays, ``pixels_per_unit`` to a unit of the world; else as ``pinhole``."""
         width, height = _as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
-        K = _intrinsics(scale, scale, _as_center(center, width, height))
+        K = intrinsics(scale, scale, *_as_center(center, width, height))
         return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "orthographic")
 
     @classmethod
@@ -196,7 +196,7 @@ class Camera:
         view = np.eye(4)
         view[:3, :3] = rotation
         view[:3, 3] = -eye
-        return cls(width, height, _intrinsics(focal, focal, (width / 2, height / 2)), view, "pinhole")
+        return cls(width, height, intrinsics(focal, focal, width / 2, height / 2), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
         """Return the camera with everything drawn so many times as large about the picture's middle.
@@ -204,10 +204,9 @@ class Camera:
         Raises ArgumentError for a number that is not above zero.
         """
         times = as_positive(times, "times")
-        middle = self.width / 2, self.height / 2
-        K = self.K.copy()
+        K, middle = self.K.copy(), np.array([self.width, self.height]) / 2
         K[:2, :2] *= times
-        K[:2, 2] = [centre + times * (at - centre) for at, centre in zip(K[:2, 2], middle, strict=True)]
+        K[:2, 2] = middle + times * (K[:2, 2] - middle)
         return replace(self, K=K)
 
     @property
@@ -336,8 +335,9 @@ class Camera:
         return replace(self, width=width, height=height, K=K)
 
 
-def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Float64s:
-    return np.array([[focal_x, 0.0, center[0]], [0.0, focal_y, center[1]], [0.0, 0.0, 1.0]])
+def intrinsics(focal_x: float, focal_y: float, center_x: float, center_y: float) -> Float64s:
+    """Return the matrix of focal lengths and a centre, in pixels."""
+    return np.array([[focal_x, 0.0, center_x], [0.0, focal_y, center_y], [0.0, 0.0, 1.0]])
 
 
 def _as_size(size: tuple[int, int]) -> tuple[int, int]:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from octex.arrays import Float64s
+from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import Frame, Optics, intrinsics, is_file, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, is_file, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, Projection
+from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, Projection, intrinsics
 from octex.cameras.fields import BrokenError
 from octex.cameras.lens import DistortionModel
 from octex.errors import ArgumentError, CameraError
@@ -102,11 +102,6 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # too long a name, for example
         return False
-
-
-def intrinsics(x: float, y: float, center_x: float, center_y: float) -> Float64s:
-    """Return the matrix of focal lengths and a centre."""
-    return np.array([[x, 0.0, center_x], [0.0, y, center_y], [0.0, 0.0, 1.0]])
 
 
 def centred(focal: float, width: int, height: int) -> Float64s:

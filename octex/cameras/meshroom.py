@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Float64s
+from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, intrinsics, picture_path, rigid, view_of
+from octex.cameras.frames import Frame, Optics, picture_path, rigid, view_of
 
 _FROM_MESH = np.diag([1.0, -1.0, -1.0, 1.0])
 #: How many numbers a distortion has, by its name and by the camera's type that older versions name.

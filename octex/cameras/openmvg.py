@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, intrinsics, picture_path, rigid, view_of
+from octex.cameras.frames import Frame, Optics, picture_path, rigid, view_of
 from octex.cameras.lens import DistortionModel
 
 #: The distortions by their fields: octex's model, how many numbers it has, and where those of the field go.

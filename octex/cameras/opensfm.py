@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Float64s
+from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, intrinsics, picture_path, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, picture_path, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 
 #: The folder of the pictures, beside the file.

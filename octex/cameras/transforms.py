@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from octex.arrays import Float64s
-from octex.cameras.camera import Distortion
+from octex.cameras.camera import Distortion, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, intrinsics, is_file, picture_path, view_of
+from octex.cameras.frames import Frame, Optics, is_file, picture_path, view_of
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")

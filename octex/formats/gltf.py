@@ -197,31 +197,32 @@ class _Content:
             made["alphaMode"] = material.alpha_mode.upper()
         if material.alpha_mode == "mask":
             made["alphaCutoff"] = material.cutoff
-        if "occlusion" in inputs and inputs["occlusion"].texture is not None:
-            made["occlusionTexture"] = self._texture(inputs["occlusion"])
-        if "normal" in inputs and inputs["normal"].texture is not None:
-            made["normalTexture"] = {**self._texture(inputs["normal"]), "scale": inputs["normal"].factor[0]}
+        textures = {
+            name: self._texture(inputs[name])
+            for name in ("occlusion", "normal", "emissive", "specular")
+            if name in inputs and inputs[name].texture is not None
+        }
+        extensions: dict[str, Any] = {}
+        if "occlusion" in textures:
+            made["occlusionTexture"] = textures["occlusion"]
+        if "normal" in textures:
+            made["normalTexture"] = {**textures["normal"], "scale": inputs["normal"].factor[0]}
         if "emissive" in inputs:
-            self._emit(inputs["emissive"], made)
+            strength = max(1.0, *inputs["emissive"].factor)
+            made["emissiveFactor"] = [each / strength for each in inputs["emissive"].factor]
+            if "emissive" in textures:
+                made["emissiveTexture"] = textures["emissive"]
+            if strength > 1.0:
+                extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
         if "specular" in inputs:
-            given = inputs["specular"]
-            specular: dict[str, Any] = {"specularColorFactor": [each / _DIELECTRIC for each in given.factor]}
-            if given.texture is not None:
-                specular["specularColorTexture"] = self._texture(given)
-            made.setdefault("extensions", {})["KHR_materials_specular"] = specular
-            self._extensions.add("KHR_materials_specular")
+            factors = [each / _DIELECTRIC for each in inputs["specular"].factor]
+            extensions["KHR_materials_specular"] = {"specularColorFactor": factors}
+            if "specular" in textures:
+                extensions["KHR_materials_specular"]["specularColorTexture"] = textures["specular"]
+        if extensions:
+            made["extensions"] = extensions
+            self._extensions |= extensions.keys()
         return made
-
-    def _emit(self, given: Input, made: dict[str, Any]) -> None:
-        strength = max(1.0, *given.factor)
-        made["emissiveFactor"] = [each / strength for each in given.factor]
-        if given.texture is not None:
-            made["emissiveTexture"] = self._texture(given)
-        if strength > 1.0:
-            made.setdefault("extensions", {})["KHR_materials_emissive_strength"] = {
-                "emissiveStrength": strength
-            }
-            self._extensions.add("KHR_materials_emissive_strength")
 
     def finish(self, buffer: Mapping[str, Any], place: Callable[[int], dict[str, Any]]) -> bytes:
         """Return the JSON; ``place`` says where the image with a number is."""

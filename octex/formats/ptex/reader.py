@@ -96,6 +96,7 @@ class PtexFile:
         if header["mesh_type"] >= len(layout.MESH_TYPES) or header["data_type"] >= len(layout.DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
         self.mesh_type = layout.MESH_TYPES[header["mesh_type"]]
+        self._is_triangle = self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
         self.dtype = np.dtype(layout.DTYPES[header["data_type"]])
         self._stored = self.dtype.newbyteorder("<")
         self.n_channels, self.n_faces = int(header["channels"]), int(header["faces"])
@@ -109,17 +110,14 @@ class PtexFile:
             raise self._refusal("its levels' sizes take another number of bytes than there are levels")
         self._pixel = self.n_channels * self.dtype.itemsize
         length = int(header["extended_header"])
-        bytes_of = np.zeros(layout.EXTENDED_HEADER.itemsize, np.uint8)
-        taken = min(length, layout.EXTENDED_HEADER.itemsize)
-        bytes_of[:taken] = np.frombuffer(self._read(layout.HEADER.itemsize, taken), np.uint8)
-        extended = bytes_of.view(layout.EXTENDED_HEADER)[0]
+        known = layout.EXTENDED_HEADER.itemsize
+        data = self._read(layout.HEADER.itemsize, min(length, known)).ljust(known, b"\0")
+        extended = np.frombuffer(data, layout.EXTENDED_HEADER)[0]
         u, v, edges = (int(extended[name]) for name in ("u_border", "v_border", "edge_filter"))
         if max(u, v) >= len(layout.BORDER_MODES) or edges >= len(layout.EDGE_FILTERS):
             raise self._refusal("an unknown border mode or edge filter")
-        self.border_modes, self.edge_filter = (
-            (layout.BORDER_MODES[u], layout.BORDER_MODES[v]),
-            layout.EDGE_FILTERS[edges],
-        )
+        self.border_modes = layout.BORDER_MODES[u], layout.BORDER_MODES[v]
+        self.edge_filter = layout.EDGE_FILTERS[edges]
 
         at = layout.HEADER.itemsize + length
         sizes = {name: int(header[name]) for name in ("face_info", "constants", "level_info", "level_data")}
@@ -144,8 +142,7 @@ class PtexFile:
         log2, neighbors, across, subfaces = layout.unpacked_faces(self._info)
         self.faces = Faces(locked(log2), locked(neighbors), locked(across), locked(subfaces))
         self.is_constant: Bools = locked(self._info["flags"] & layout.IS_CONSTANT != 0)
-        self._order: dict[int, Int64s] = {}
-        self._headers: dict[int, tuple[Uint32s, Int64s]] = {}
+        self._headers: dict[int, tuple[Int64s, Int64s, Uint32s]] = {}
 
     def _placed_levels(self, at: int, size: int, first: int, room: int) -> list[tuple[int, int, int, int]]:
         """Return where each level begins, its bytes, those of its header, and its faces."""
@@ -202,10 +199,10 @@ class PtexFile:
     def _check_faces(self) -> None:
         info = self._info
         u, v, neighbors = info["u_log2"], info["v_log2"], info["neighbors"]
-        sides = 4 if self.mesh_type == layout.MESH_TYPES[layout.QUAD] else 3
+        sides = 3 if self._is_triangle else 4
         if min(u.min(), v.min()) < 0 or max(u.max(), v.max()) > layout.LONGEST_LOG2:
             raise self._refusal(f"a face's side is not of 1 to 2^{layout.LONGEST_LOG2} texels")
-        if self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE] and (u != v).any():
+        if self._is_triangle and (u != v).any():
             raise self._refusal("a triangle has another number of texels along u than along v")
         if (neighbors[:, :sides] < -1).any() or (neighbors[:, :sides] >= self.n_faces).any():
             raise self._refusal(f"a face has a neighbour that is not among the {self.n_faces}")
@@ -237,32 +234,26 @@ class PtexFile:
             return np.broadcast_to(pixel, (1 << v - level, 1 << u - level, self.n_channels))
         if face in self._edited:
             at, end = self._edited[face]
-            word = int.from_bytes(self._read(at, 4), "little")
-            size = word & (1 << layout.BLOCK_BITS) - 1
+            words = np.frombuffer(self._read(at, 4), "<u4")
+            size, encoding = (int(each[0]) for each in layout.sizes_of(words))
             begin = at + 4 + self._pixel
             if begin + size > end:
                 raise self._refusal("an edit of a face is too short")
-            whole = self._block(begin, size, word >> layout.BLOCK_BITS, u, v)
-            return self._halved(whole, level, is_multiplied=False)
-        number = face
+            return self._halved(self._block(begin, size, encoding, u, v), level, is_multiplied=False)
         for stored in range(min(level, self.n_levels - 1), -1, -1):
-            if stored:
-                number = int(self._numbers[face])
+            number = int(self._numbers[face]) if stored else face
             if number < self._levels[stored][3] and (stored == 0 or min(u, v) > stored):
-                words, begins = self._level(stored)
-                word = int(words[number])
-                size, encoding = word & (1 << layout.BLOCK_BITS) - 1, word >> layout.BLOCK_BITS
+                begin, size, encoding = (int(each[number]) for each in self._level(stored))
                 if stored == 0 or size:
-                    found = self._block(int(begins[number]), size, encoding, u - stored, v - stored)
+                    found = self._block(begin, size, encoding, u - stored, v - stored)
                     return self._halved(found, level - stored, is_multiplied=stored > 0)
-            number = face
         raise self._refusal(f"face {face} is not in it")
 
     def _halved(self, texels: Array, times: int, *, is_multiplied: bool) -> Array:
         if times and not is_multiplied and self.alpha_channel is not None:
             texels = premultiplied(texels, self.alpha_channel)
         for _ in range(times):
-            texels = halved(texels[None], self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE])[0]
+            texels = halved(texels[None], self._is_triangle)[0]
         return texels
 
     @cached_property
@@ -273,16 +264,14 @@ class PtexFile:
         numbers[order] = np.arange(len(order))
         return numbers
 
-    def _level(self, level: int) -> tuple[Uint32s, Int64s]:
-        """Return the words of a level's blocks, and where these begin."""
+    def _level(self, level: int) -> tuple[Int64s, Int64s, Uint32s]:
+        """Return where the blocks of a level begin, their sizes and their encodings."""
         if level not in self._headers:
             at, length, header, faces = self._levels[level]
-            words = np.frombuffer(self._inflated(at, header, 4 * faces), "<u4")
-            sizes = (words & np.uint32((1 << layout.BLOCK_BITS) - 1)).astype(np.int64)
-            ends = np.cumsum(sizes)
-            if header + int(ends[-1] if faces else 0) > length:
+            sizes, encodings = layout.sizes_of(np.frombuffer(self._inflated(at, header, 4 * faces), "<u4"))
+            if header + int(sizes.sum()) > length:
                 raise self._refusal("the blocks of a level are larger than it")
-            self._headers[level] = words, at + header + ends - sizes
+            self._headers[level] = at + header + np.cumsum(sizes) - sizes, sizes, encodings
         return self._headers[level]
 
     def _block(self, at: int, size: int, encoding: int, u: int, v: int) -> Array:
@@ -317,9 +306,8 @@ class PtexFile:
         if not (0 <= tile_u <= u and 0 <= tile_v <= v) or 6 + header > len(data):
             raise self._refusal("its tiles do not fit a face")
         across, count = 1 << u - tile_u, 1 << u - tile_u + v - tile_v
-        words = np.frombuffer(self._unzipped(data[6 : 6 + header], 4 * count), "<u4")
-        sizes = (words & np.uint32((1 << layout.BLOCK_BITS) - 1)).astype(np.int64)
-        encodings = words >> np.uint32(layout.BLOCK_BITS)
+        words = self._unzipped(data[6 : 6 + header], 4 * count)
+        sizes, encodings = layout.sizes_of(np.frombuffer(words, "<u4"))
         begins = 6 + header + np.cumsum(sizes) - sizes
         if begins[-1] + sizes[-1] > len(data):
             raise self._refusal("a face of tiles ends early")
