@@ -107,32 +107,25 @@ def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, ow
     return found
 
 
-@kernel
-def _planes(positions: Float64s, first: Int64s) -> Float64s:
+def _sides(first_corners: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    """Return the polygon of each corner (n,), its number there, and the number of the corner after it."""
+    sizes = np.diff(first_corners)
+    polygons = np.repeat(np.arange(len(sizes)), sizes)
+    within = np.arange(len(polygons)) - first_corners[polygons]
+    return polygons, within, (within + 1) % sizes[polygons]
+
+
+def _planes(positions: Float64s, first_corners: Int64s) -> Float64s:
     """Return where corners lie on the planes of their polygons (n, 2)."""
-    plane = np.empty((positions.shape[0], 2))
-    for polygon in range(first.size - 1):
-        begin, end = first[polygon], first[polygon + 1]
-        x = y = z = 0.0
-        for i in range(begin, end):
-            j = i + 1 if i + 1 < end else begin
-            x += (positions[i, 1] - positions[j, 1]) * (
-                positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2]
-            )
-            y += (positions[i, 2] - positions[j, 2]) * (
-                positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0]
-            )
-            z += (positions[i, 0] - positions[j, 0]) * (
-                positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1]
-            )
-        axis = 2
-        if abs(x) >= abs(y) and abs(x) >= abs(z):
-            axis = 0
-        elif abs(y) >= abs(z):
-            axis = 1
-        for i in range(begin, end):
-            plane[i, 0], plane[i, 1] = positions[i, (axis + 1) % 3], positions[i, (axis + 2) % 3]
-    return plane
+    polygons, _, after = _sides(first_corners)
+    first = first_corners[polygons]
+    steps = positions - positions[first + after]
+    sums = positions + positions[first + after] - 2 * positions[first]
+    products = steps[:, [1, 2, 0]] * sums[:, [2, 0, 1]]
+    count = len(first_corners) - 1
+    areas = np.abs(np.stack([np.bincount(polygons, each, count) for each in products.T], axis=1))
+    axis = np.argmax(areas, axis=1)[polygons, None]
+    return np.take_along_axis(positions, (axis + np.array([1, 2])) % 3, axis=1)
 
 
 def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
@@ -142,13 +135,9 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     the same way, is a border: no neighbour turns it over.
     """
     place = first_equal(mesh.rest)[patches.corners]
-    first, sizes = patches.first_corners, np.diff(patches.first_corners)
-    corners = np.arange(len(place))
-    polygon = np.repeat(np.arange(len(sizes)), sizes)
-    size, base = sizes[polygon], patches.first_faces[polygon]
-    within = corners - first[polygon]
-    after = (within + 1) % size
-    across = sides_across(place, place[first[polygon] + after])
+    polygon, within, after = _sides(patches.first_corners)
+    base = patches.first_faces[polygon]
+    across = sides_across(place, place[patches.first_corners[polygon] + after])
     whole = np.diff(patches.first_faces)[polygon] == 1
     neighbors = np.full((patches.n_faces, 4), -1, np.int32)
     edges = np.zeros((patches.n_faces, 4), np.uint8)
