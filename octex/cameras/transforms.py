@@ -63,28 +63,29 @@ def _optics(record: Record) -> Optics:
 
 
 def _intrinsics(record: Record) -> Callable[[int, int], Float64s]:
-    x, y = (record.positive(each) if each in record else None for each in ("fl_x", "fl_y"))
-    across = down = None
+    x = _focal(record, "fl_x", "camera_angle_x")
     if x is None:
-        if "camera_angle_x" not in record:
-            raise BrokenError("fl_x is missing, and so is camera_angle_x; one of them must be given")
-        across = focal_of_angle(record, "camera_angle_x")
-        down = focal_of_angle(record, "camera_angle_y") if "camera_angle_y" in record else None
+        raise BrokenError("fl_x is missing, and so is camera_angle_x; one of them must be given")
+    y = _focal(record, "fl_y", "" if "fl_x" in record else "camera_angle_y")
     center_x, center_y = (record.number(each) if each in record else None for each in ("cx", "cy"))
 
     def scaled(width: int, height: int) -> Float64s:
-        focal_x = across * width if across is not None else x
-        focal_y = y if y is not None else down * height if down is not None else focal_x
-        assert focal_x is not None
-        assert focal_y is not None
+        focal_x = x[0] + x[1] * width
         return intrinsics(
             focal_x,
-            focal_y,
+            focal_x if y is None else y[0] + y[1] * height,
             width / 2 if center_x is None else center_x,
             height / 2 if center_y is None else center_y,
         )
 
     return scaled
+
+
+def _focal(record: Record, field: str, angle: str) -> tuple[float, float] | None:
+    """Return a focal length, so many pixels and so many pictures; None where neither field is there."""
+    if field in record:
+        return record.positive(field), 0.0
+    return (0.0, focal_of_angle(record, angle)) if angle in record else None
 
 
 def focal_of_angle(record: Record, field: str) -> float:
