@@ -42,16 +42,6 @@ class Contents(NamedTuple):
     metadata: Mapping[str, str | Array] = {}
 
 
-class _Level(NamedTuple):
-    """The faces of a level, in its order."""
-
-    words: Uint32s  # (n,)   size and encoding of each block
-    blocks: list[bytes]
-
-    def parts(self) -> list[bytes]:
-        return [zlib.compress(self.words.astype("<u4").tobytes(), 9), *self.blocks]
-
-
 def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """Write a .ptx file with all levels.
 
@@ -63,11 +53,10 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     is_constant = _constant(texels, faces.counts)
     packing = start(executor, zlib.compress, layout.packed_faces(faces, is_constant).tobytes(), 9)
     levels, constants = _levels(contents, is_constant, executor)
-    parts = [level.parts() for level in levels]
     info = np.zeros(len(levels), layout.LEVEL_INFO)
-    info["header"] = [len(each[0]) for each in parts]
-    info["bytes"] = [sum(map(len, each)) for each in parts]
-    info["faces"] = [len(level.words) for level in levels]
+    info["header"] = [len(level[0]) for level in levels]
+    info["bytes"] = [sum(map(len, level)) for level in levels]
+    info["faces"] = [len(level) - 1 for level in levels]
     packed = packing.result()
     averages = zlib.compress(constants.tobytes(), 9)
     small, large = _metadata(contents.metadata)
@@ -102,13 +91,13 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     before[1] = extended.tobytes()
     with replacing(path) as file:
         file.writelines(before)
-        for each in parts:
-            file.writelines(each)
+        for level in levels:
+            file.writelines(level)
         file.writelines(after)
 
 
-def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[_Level], Array]:
-    """Return all levels, and the average of each face (n, channels)."""
+def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[list[bytes]], Array]:
+    """Return all levels, a header and blocks each, and the average of each face (n, channels)."""
     faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
     dtype, is_triangle = texels.dtype, contents.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
     order, counts = layout.reduced_order(faces.log2, is_constant)
@@ -135,7 +124,8 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
             words[level][numbers] = group_words
             for number, block in zip(numbers.tolist(), group_blocks, strict=True):
                 blocks[level][number] = block
-    made = [_Level(word, block) for word, block in zip(words, blocks, strict=True)]
+    heads = [zlib.compress(each.astype("<u4").tobytes(), 9) for each in words]
+    made = [[head, *level] for head, level in zip(heads, blocks, strict=True)]
     return made, stored(sums, dtype).astype(dtype.newbyteorder("<"))
 
 
