@@ -32,7 +32,8 @@ The rooms, each of which knows only those before it
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
     conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
-    view        cameras and their files, what a camera sees, studio light
+    cameras     cameras, their lenses and their files
+    view        what a camera sees: a z-buffer and the visibility of points; studio light
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures
     baking      textures to images at texture coordinates
@@ -57,6 +58,9 @@ if TYPE_CHECKING:
     from octex.baking.bake import bake as bake
     from octex.baking.displaced import displace as displace
     from octex.baking.vertices import bake_vertices as bake_vertices
+    from octex.cameras.camera import Camera as Camera
+    from octex.cameras.files import read_cameras as read_cameras
+    from octex.cameras.files import write_cameras as write_cameras
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
@@ -95,9 +99,6 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture as OctreeTexture
     from octex.texture import TextureSet as TextureSet
     from octex.texture import open_texture
-    from octex.view.camera import Camera as Camera
-    from octex.view.camera_files import read_cameras as read_cameras
-    from octex.view.camera_files import write_cameras as write_cameras
 
     map = map_values
     open = open_texture
@@ -109,6 +110,8 @@ _EXPORTS = {
     "baking.bake": "bake",
     "baking.displaced": "displace",
     "baking.vertices": "bake_vertices",
+    "cameras.camera": "Camera",
+    "cameras.files": "read_cameras write_cameras",
     "conversion.apart": "separate",
     "conversion.convert": "convert",
     "conversion.sets": "convert_set",
@@ -138,8 +141,6 @@ _EXPORTS = {
     "source.transfer": "Transfer",
     "source.voxels": "Voxels",
     "texture": "OctreeTexture TextureSet open",
-    "view.camera": "Camera",
-    "view.camera_files": "read_cameras write_cameras",
 }
 _RENAMED = {"map": "map_values", "open": "open_texture"}
 _HOMES = {

@@ -14,9 +14,9 @@ import numpy as np
 from PIL import Image
 
 import octex
+from octex.cameras.camera import Camera
 from octex.channels import encode
 from octex.preview import render, source_shader, texture_shader
-from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "800"))

@@ -15,10 +15,10 @@ from make_ribbon import ribbon
 from PIL import Image
 
 import octex
+from octex.cameras.camera import Camera
 from octex.channels import encode
 from octex.preview.pictures import film_surface
 from octex.preview.shaders import Appearance, source_shader
-from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "240"))

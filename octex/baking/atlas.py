@@ -8,11 +8,12 @@ from itertools import pairwise
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
+from octex.baking.directions import unit
 from octex.baking.layout import Layout, charts_of, doubled_areas, neighbors
 from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.jit import kernel
-from octex.source.corners import Corners
+from octex.source.corners import Corners, area_vectors
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal, welded
 
@@ -151,9 +152,8 @@ def _pieces(middles: Floats, some: Int64s) -> list[Int64s]:
 def projected(mesh: Mesh) -> Float64s:
     """Return flattened corners (m, 3, 2) of charts that face about one way, 1024 for the longest side."""
     rest = (_SIDE * _unit_positions(mesh))[mesh.triangles]
-    crosses = np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0])
-    areas = np.linalg.norm(crosses, axis=1)
-    normals = crosses / np.where(areas > 0, areas, 1.0)[:, None]
+    crosses = area_vectors(rest)
+    areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     others, _ = neighbors(mesh)
     charts = np.full(len(rest), -1, np.int32)
     axes = np.zeros((len(rest), 3))
@@ -211,9 +211,7 @@ def _grow(
 def _project(rest: Float64s, directions: Float64s) -> Float64s:
     """Project triangles (m, 3, 3) along directions (m, 3): to the right and down, seen from their tips."""
     helper = np.where(np.abs(directions[:, 1:2]) < 0.9, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    right = np.cross(helper, directions)
-    lengths = np.linalg.norm(right, axis=1, keepdims=True)
-    right /= np.where(lengths > 0, lengths, 1.0)
+    right = unit(np.cross(helper, directions))
     down = np.cross(right, directions)
     return np.stack([np.einsum("mkx,mx->mk", rest, right), np.einsum("mkx,mx->mk", rest, down)], axis=-1)
 

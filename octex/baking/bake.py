@@ -12,6 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
+from octex.baking.directions import across, in_tangent_space, turned, unit
 from octex.baking.fit import lacking
 from octex.baking.flat import are_flat, means_at_texels, points_on
 from octex.baking.gutters import Borders, fill_up, gutter_of
@@ -19,15 +20,10 @@ from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbo
 from octex.baking.maps import (
     BITS,
     Bits,
-    Points,
     Values,
     alpha_mode,
     average,
-    in_tangent_space,
     inputs_of,
-    sampled,
-    turned,
-    unit,
 )
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, Shown, Texels, texel_points
@@ -36,7 +32,7 @@ from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, sharing, workers
-from octex.source.corners import Corners, Frames, area_vectors
+from octex.source.corners import Corners, area_vectors
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -132,7 +128,7 @@ def bake(
         sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         report("unwrap", 1, 1)
-        job = _job(texture, surface, other, sheets, coordinates, names, bits, supersample)
+        job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
         done, total = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
         shows_any = False
@@ -234,77 +230,71 @@ class _Other(NamedTuple):
         placed = surface.placed_in(texture)
         return cls(placed, nearest, unit(area_vectors(placed.rest[placed.triangles])), distance)
 
-    def beside(self, points: Points) -> tuple[Points, Bools]:
-        """Return the points nearest to others, and which of these have one."""
-        found = self.nearest.nearest(points.rest, points.normals, distance=self.distance, least_cosine=0.0)
-        there = found.triangles >= 0
-        triangles = found.triangles[there]
-        rest = self.surface.rest_at(triangles, found.barycentric[there])
-        return points.of(there)._replace(rest=rest, normals=self.normals[triangles]), there
 
+class _Job:
+    """Everything that is the same for all texels, and the lookups."""
 
-class _Job(NamedTuple):
-    """What is the same for all texels."""
+    def __init__(
+        self, texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet],
+        coordinates: Corners, names: list[str], bits: int, supersample: int,
+    ) -> None:  # fmt: skip
+        self.texture, self.surface, self.other, self.names = texture, surface, other, names
+        self.bits = bits
+        self.supersample = supersample  # lookups along each side of a texel
+        self.has_modes = any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials)
+        #: (m, 3)   the triangles beyond the sides of each, and which side it is there
+        self.others, self.sides = neighbors(surface)
+        rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
+        for sheet in sheets:
+            flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
+        first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
+        one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+        doubled = doubled_areas(flat)
+        scale = np.where(doubled != 0, 1.0 / np.where(doubled != 0, doubled, 1.0), 0.0)[:, None]
+        #: (m, 3)   how rest positions change from a lookup to the next at the right, and below
+        self.dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
+        self.dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
+        leaf = texture.placement.size / 2**texture.tree.max_depth
+        #: (m,)   whether a lookup averages over no more than a leaf
+        self.is_fine = (self.dPdx**2).sum(axis=1) + (self.dPdy**2).sum(axis=1) <= leaf**2
+        self.sizes = supersample * np.linalg.norm(np.cross(self.dPdx, self.dPdy), axis=1) ** 0.5  # of texels
+        self.normals = unit(np.cross(first, second))
+        self.blocks = None
+        if other is None:
+            self.blocks = Blocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
+        self.frames = None
+        if NORMAL.name in names:
+            normals = None if surface.frames is None else surface.frames.normals
+            self.frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
 
-    texture: OctreeTexture
-    surface: Surface
-    other: _Other | None
-    others: Int32s  # (m, 3)   the triangles beyond the sides of each, and which side it is there
-    sides: Int32s  # (m, 3)
-    names: list[str]
-    dPdx: Float64s  # (m, 3)   of what is looked up: a part of a texel
-    dPdy: Float64s  # (m, 3)
-    normals: Float64s  # (m, 3)
-    sizes: Float64s  # (m,)   the edges of texels
-    is_fine: Bools  # (m,)   what is looked up is no more than a leaf
-    blocks: Blocks | None
-    frames: Frames | None
-    has_modes: bool  # the model's materials say how alpha counts
-    bits: int
-    supersample: int  # lookups along each side of a texel
+    def sampled(
+        self, triangles: Int32s, rest: Float64s, derivatives: tuple[Float64s, Float64s] | None
+    ) -> tuple[Float32s, Bools | None]:
+        """Return the channels side by side at points of triangles (n,), and which have any; None for all."""
+        normals, there = self.normals[triangles], None
+        if self.other is not None:
+            nearest = self.other.nearest.nearest(
+                rest, normals, distance=self.other.distance, least_cosine=0.0
+            )
+            there = nearest.triangles >= 0
+            triangles = nearest.triangles[there]
+            rest = self.other.surface.rest_at(triangles, nearest.barycentric[there])
+            normals = self.other.normals[triangles]
+            derivatives = derivatives and (derivatives[0][there], derivatives[1][there])
+        dPdx, dPdy = derivatives or (None, None)
+        values = self.texture.sample(rest, self.names, dPdx=dPdx, dPdy=dPdy, normals=normals, threads=1)
+        return np.concatenate([values[name] for name in self.names], axis=1), there
 
-    def values(self, triangles: Int32s, rest: Float64s) -> tuple[dict[str, Float32s], Bools | None]:
-        """Return the channels at texels of triangles, those that are there; and which are, None for all."""
-        derivatives = None
-        if not self.is_fine[triangles].all():
-            derivatives = self.dPdx[triangles], self.dPdy[triangles]
-        return self.sampled(Points(rest, self.normals[triangles], derivatives))
-
-    def sampled(self, points: Points) -> tuple[dict[str, Float32s], Bools | None]:
-        """Return the channels at points, those that are there; and which are, None for all."""
-        if self.other is None:
-            return sampled(self.texture, self.names, points), None
-        points, there = self.other.beside(points)
-        return sampled(self.texture, self.names, points), there
-
-
-def _job(
-    texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet], coordinates: Corners,
-    names: list[str], bits: int, supersample: int,
-) -> _Job:  # fmt: skip
-    rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
-    for sheet in sheets:
-        flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
-    first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
-    one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    doubled = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    scale = np.where(doubled != 0, 1.0 / np.where(doubled != 0, doubled, 1.0), 0.0)[:, None]
-    frames = None
-    if NORMAL.name in names:
-        normals = None if surface.frames is None else surface.frames.normals
-        frames = corner_frames(surface.rest, surface.triangles, normals, None, coordinates)
-    dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
-    dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
-    leaf = texture.placement.size / 2**texture.tree.max_depth
-    is_fine = (dPdx**2).sum(axis=1) + (dPdy**2).sum(axis=1) <= leaf**2
-    normal = unit(np.cross(first, second))
-    blocks = Blocks.of(texture, names, normal, dPdx, dPdy) if other is None else None
-    others, sides = neighbors(surface)
-    return _Job(
-        texture, surface, other, others, sides, names, dPdx, dPdy, normal,
-        supersample * np.linalg.norm(np.cross(dPdx, dPdy), axis=1) ** 0.5, is_fine, blocks, frames,
-        any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials), bits, supersample,
-    )  # fmt: skip
+    def write(
+        self, places: Int32s, triangles: Int32s, rest: Float64s,
+        derivatives: tuple[Float64s, Float64s] | None, values: Float32s, areas: Float32s,
+    ) -> None:  # fmt: skip
+        """Write the channels at points to texels ``places`` (n,); texels without any get the area 0."""
+        found, there = self.sampled(triangles, rest, derivatives)
+        if there is not None:
+            areas[places[~there]] = 0.0
+            places = places[there]
+        put_rows(found, places, values)
 
 
 def _blur(job: _Job, shown: Layout) -> float:
@@ -352,36 +342,28 @@ def _bake_drawn(
     missed = np.arange(shown.places.size)
     if job.blocks is not None:
         missed = job.blocks.look_up(shown, values)
+    triangles = shown.each()
     if missed.size:
-        found, there = job.values(shown.each()[missed], shown.rest[missed])
-        places = shown.places[missed]
-        if there is not None:
-            areas.reshape(-1)[places[~there]] = 0.0
-            places = places[there]
-        _put(found, places, lanes, values)
+        on, derivatives = triangles[missed], None
+        if not job.is_fine[on].all():
+            derivatives = job.dPdx[on], job.dPdy[on]
+        job.write(shown.places[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
     if job.frames is not None:
-        directions = np.take(values[:, lanes[NORMAL.name]], shown.places, axis=0)
-        turned_in = in_tangent_space(directions, job.frames, shown.each(), shown.barycentric)
-        values[shown.places, lanes[NORMAL.name]] = turned_in
-
-
-def _put(found: dict[str, Float32s], places: Int32s, lanes: Mapping[str, slice], values: Float32s) -> None:
-    """Write channels, in the order of their lanes, to values (places, lanes)."""
-    put_rows(np.concatenate([found[name] for name in lanes], axis=1), places, values)
+        normals = lanes[NORMAL.name]
+        directions = np.take(values[:, normals], shown.places, axis=0)
+        values[shown.places, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
 
 
 def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
     """Write the channels of flat triangles where these are read from and nothing else is, in place."""
     own, barycentric = points_on(layout)
     triangles = layout.faces[own]
-    rest = job.surface.rest_at(triangles, barycentric)
-    found, there = job.sampled(Points(rest, job.normals[triangles], None))
+    values, there = job.sampled(triangles, job.surface.rest_at(triangles, barycentric), None)
     if there is not None:
         own, barycentric, triangles = own[there], barycentric[there], triangles[there]
-    values = np.concatenate([found[name] for name in maps.lanes], axis=1)
     if job.frames is not None:
-        lanes = maps.lanes[NORMAL.name]
-        values[:, lanes] = in_tangent_space(values[:, lanes], job.frames, triangles, barycentric)
+        normals = maps.lanes[NORMAL.name]
+        values[:, normals] = in_tangent_space(values[:, normals], job.frames, triangles, barycentric)
     corners = job.surface.rest[job.surface.triangles[layout.faces]]
     areas = np.linalg.norm(area_vectors(corners), axis=1)
     texels, means = means_at_texels(layout, own, barycentric, values, areas)
@@ -418,18 +400,12 @@ def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> N
         is_unlike[job.blocks.look_up(shown, values)] = True
         left = np.flatnonzero(is_unlike)
     if left.size:
-        normals = job.normals[gutter.triangles[left]]
-        helper = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-        wide = unit(np.cross(normals, helper)) * job.sizes[gutter.beside[left]][:, None]
-        found, there = job.sampled(Points(rest[left], normals, (wide, np.cross(normals, wide))))
-        own = places[left]
-        if there is not None:
-            areas[own[~there]] = 0.0
-            own = own[there]
-        _put(found, own, maps.lanes, values)
+        on, size = gutter.triangles[left], job.sizes[gutter.beside[left]]
+        wide = across(job.normals[on]) * size[:, None]
+        job.write(places[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
     if job.frames is not None:
-        lanes = maps.lanes[NORMAL.name]
         both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
         shading = [unit(job.frames.normals.at(*each)) for each in both]
-        directions = turned(values[places, lanes], *shading)
-        values[places, lanes] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
+        normals = maps.lanes[NORMAL.name]
+        directions = turned(values[places, normals], *shading)
+        values[places, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)

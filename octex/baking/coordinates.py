@@ -35,7 +35,15 @@ def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
     """Raise ModelError if places of a mesh that look otherwise share its texture coordinates."""
-    shared = _shared(texture, mesh, names, layout, pool)
+    whole = unit_area(layout)
+    shared = 1.0 - 1.0 / whole if whole > _MOST_DRAWN else 0.0
+    if 0.0 < whole <= _MOST_DRAWN:
+        layout = layout.sized(PROBE)
+        drawn = _drawn(layout, pool)
+        covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
+        shared = max(whole - covered, 0.0) / whole
+        if shared > _MOST:
+            shared = _differing(texture, mesh, names, layout, drawn)
     if shared > _MOST:
         raise ModelError(
             f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
@@ -45,24 +53,25 @@ def check_overlaps(
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
     """Raise ModelError if texels of a map of a size are so long that they show what looks otherwise."""
-    spread = _spread(texture, mesh, names, size)
+    is_squeezed = squeezed(texture, mesh, size)
+    if not is_squeezed.any():
+        return
+    stretch, along = stretches_of(mesh, size)
+    own, weights = _scattered(areas_of(mesh))
+    own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
+    # As far as the triangle goes each way, and at most as the texel does.
+    steps = along[own]
+    reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
+    reach = np.minimum(reach, 0.5 / np.maximum(stretch[own], 1e-300))
+    part = np.random.default_rng(1).random((own.size, 1))
+    moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
+    differs = _look_otherwise(texture, mesh, names, (own, weights), (own, moved), width=cell_of(texture))
+    spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
             f"{mesh.name}: its texture coordinates are squeezed, so that on {100 * spread:.3g} % of it one "
             "texel shows several places that differ; have an atlas made"
         )
-
-
-def _shared(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor) -> float:
-    """Return how much of what triangles cover in a map others cover too that look otherwise, as a part."""
-    whole = unit_area(layout)
-    if whole > _MOST_DRAWN:
-        return 1.0 - 1.0 / whole
-    layout = layout.sized(PROBE)
-    drawn = _drawn(layout, pool)
-    covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
-    shared = max(whole - covered, 0.0) / whole if whole > 0.0 else 0.0
-    return shared if shared <= _MOST else _differing(texture, mesh, names, layout, drawn)
 
 
 def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
@@ -89,24 +98,6 @@ def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
     is_long = stretch < min(1.0 / (_LONG * cell_of(texture)), even / _UNEVEN)
     found: Bools = is_long & (areas > 0.0)
     return found if areas[found].sum() > _MOST * areas.sum() else np.zeros_like(found)
-
-
-def _spread(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> float:
-    """Return the part of a mesh on which what looks otherwise lies beside it in the same long texel."""
-    is_squeezed = squeezed(texture, mesh, size)
-    if not is_squeezed.any():
-        return 0.0
-    stretch, along = stretches_of(mesh, size)
-    own, weights = _scattered(areas_of(mesh))
-    own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
-    # As far as the triangle goes each way, and at most as the texel does.
-    steps = along[own]
-    reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
-    reach = np.minimum(reach, 0.5 / np.maximum(stretch[own], 1e-300))
-    part = np.random.default_rng(1).random((own.size, 1))
-    moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
-    found = _look_otherwise(texture, mesh, names, (own, weights), (own, moved), width=cell_of(texture))
-    return float(found.sum()) / _TRIED
 
 
 def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:

@@ -6,17 +6,19 @@ import json
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Float64s, Int32s, Int64s
+from octex.baking.directions import frames_of, unit
 from octex.baking.tessellation import Tessellation, edges_of, tessellated
 from octex.channels import LUMINANCE, ChannelFormat
 from octex.checks import as_choice, as_number, as_positive, as_whole
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners
 from octex.source.mesh import FARTHEST
 from octex.source.subdivided import OnCage
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import carried
+from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, row_of
 from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 from octex.view.shading import corner_normals
@@ -80,7 +82,7 @@ def displace(
     rest = undisplaced if resting is surface.rest else parts.spread(surface.rest[surface.triangles])
     directions = parts.spread(normals)
     lengths = np.linalg.norm(directions, axis=1)
-    directions /= np.where(lengths > 0, lengths, 1)[:, None]
+    directions = unit(directions)
     facing = parts.spread(corner_normals(resting, surface.triangles, 180.0).astype(np.float64))
     heights, slopes = _heights(texture, form, undisplaced, facing, scale, middle)
     _even(parts.triangles, undisplaced, heights, slopes)
@@ -97,9 +99,8 @@ def displace(
         parts.owners, parts.points, corners, rest_corners, normals, directions, lengths, heights, slopes,
         bent,
     )  # fmt: skip
-    sizes = np.linalg.norm(bent, axis=1, keepdims=True)
-    bent = np.where(sizes > 0, bent / np.where(sizes > 0, sizes, 1), directions)
-    frames = carried(_frames(bent, parts), parts.triangles, moved, rest)
+    bent = np.where(bent.any(axis=1, keepdims=True), unit(bent), directions)
+    frames = carried(frames_of(bent, parts.triangles), parts.triangles, moved, rest)
     uv = None
     if surface.uv is not None:
         own = surface.uv.values[surface.uv.rows[parts.parents]]
@@ -137,8 +138,7 @@ def _normals(surface: Surface, triangles: Int64s) -> Float64s:
         return corner_normals(surface.vertices, surface.triangles, 180.0).astype(np.float64)
     given = frames.normals.values[frames.normals.rows].reshape(-1, 3)
     sums = np.stack([np.bincount(triangles.ravel(), column) for column in given.T], axis=1)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.asarray((sums / np.where(lengths > 0, lengths, 1))[triangles])
+    return unit(sums.astype(np.float64))[triangles]
 
 
 def _heights(
@@ -230,24 +230,16 @@ def _bend(
 ) -> None:
     """Add up the normals of the displaced surface at vertices (n, 3), a unit vector for each parent there.
 
-    Of each parent two sides are moved along: a tangent t there becomes t + (∂h) n + h ∂n.
+    Two sides of each parent move with the surface: a tangent t becomes t + (∂h) n + h ∂n.
     """
     for p in range(len(points)):
         t, v = owners[p], points[p]
-        nx, ny, nz = directions[v, 0], directions[v, 1], directions[v, 2]
+        normal = row_of(directions, v)
         turn = heights[v] / max(lengths[v], 1e-30)
-        ax, ay, az = _moved(t, 1, corners, normals, turn)
-        bx, by, bz = _moved(t, 2, corners, normals, turn)
-        rise = fall = 0.0
-        for axis in range(3):
-            rise += slopes[v, axis] * (rest[t, 1, axis] - rest[t, 0, axis])
-            fall += slopes[v, axis] * (rest[t, 2, axis] - rest[t, 0, axis])
-        rise -= ax * nx + ay * ny + az * nz
-        fall -= bx * nx + by * ny + bz * nz
-        ax, ay, az = ax + rise * nx, ay + rise * ny, az + rise * nz
-        bx, by, bz = bx + fall * nx, by + fall * ny, bz + fall * nz
-        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        size = np.sqrt(x * x + y * y + z * z)
+        a = _moved(row_of(slopes, v), rest[t], corners[t], normals[t], 1, turn, normal)
+        b = _moved(row_of(slopes, v), rest[t], corners[t], normals[t], 2, turn, normal)
+        x, y, z = cross_product(a, b)
+        size = length_of((x, y, z))
         if size > 0.0:
             bent[v, 0] += x / size
             bent[v, 1] += y / size
@@ -255,21 +247,13 @@ def _bend(
 
 
 @inlined
-def _moved(t: int, k: int, corners: Float64s, normals: Float64s, turn: float) -> tuple[float, float, float]:
-    """Return a side of a parent with what the change of the normal along it adds."""
-    return (
-        corners[t, k, 0] - corners[t, 0, 0] + turn * (normals[t, k, 0] - normals[t, 0, 0]),
-        corners[t, k, 1] - corners[t, 0, 1] + turn * (normals[t, k, 1] - normals[t, 0, 1]),
-        corners[t, k, 2] - corners[t, 0, 2] + turn * (normals[t, k, 2] - normals[t, 0, 2]),
-    )
-
-
-def _frames(normals: Float64s, parts: Tessellation) -> Frames:
-    """Return normals of vertices as frames, with tangents that mean nothing."""
-    axes = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    tangents: Float32s = np.ones((len(normals), 4), np.float32)
-    across = np.cross(normals, axes)
-    lengths = np.linalg.norm(across, axis=1, keepdims=True)
-    tangents[:, :3] = np.where(lengths > 0, across / np.where(lengths > 0, lengths, 1), axes)
-    rows = parts.triangles
-    return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))
+def _moved(
+    slope: Vector, rest: Float64s, corners: Float64s, normals: Float64s, k: int, turn: float, normal: Vector
+) -> Vector:
+    """Return a side of a parent (3, 3), from corner 0 to k, moved with the surface at a vertex."""
+    first = row_of(normals, 0)
+    side = minus(row_of(corners, k), row_of(corners, 0))
+    change = minus(row_of(normals, k), first)
+    side = side[0] + turn * change[0], side[1] + turn * change[1], side[2] + turn * change[2]
+    rise = dot_product(slope, minus(row_of(rest, k), row_of(rest, 0))) - dot_product(side, normal)
+    return side[0] + rise * normal[0], side[1] + rise * normal[1], side[2] + rise * normal[2]

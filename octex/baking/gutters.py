@@ -9,6 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
+from octex.source.vectors import Vector, dot_product, length_of, minus, row_of, times
 
 #: Most triangles that a way across the surface crosses.
 _MOST_CROSSED = 64
@@ -100,32 +101,27 @@ def find_nearest(
 
 
 @inlined
-def _minus(rest: Float64s, a: int, b: int) -> tuple[float, float, float]:
-    return rest[a, 0] - rest[b, 0], rest[a, 1] - rest[b, 1], rest[a, 2] - rest[b, 2]
-
-
-@inlined
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
 def _edge_frame(
     rest: Float64s, faces: Int32s, triangle: int, side: int
-) -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
-    """Return unit vectors along a side and from it into the triangle, and the side's length; 0: no frame."""
-    start, end, tip = faces[triangle, side], faces[triangle, (side + 1) % 3], faces[triangle, (side + 2) % 3]
-    along, inward = _minus(rest, end, start), _minus(rest, tip, start)
-    length = np.sqrt(_dot(along, along))
+) -> tuple[Vector, Vector, float, float, float]:
+    """Return unit vectors along a side and from it into the triangle, and the side's length; 0: no frame.
+
+    And how far the triangle's tip lies along these vectors.
+    """
+    start = row_of(rest, faces[triangle, side])
+    along = minus(row_of(rest, faces[triangle, (side + 1) % 3]), start)
+    to_tip = minus(row_of(rest, faces[triangle, (side + 2) % 3]), start)
+    length = length_of(along)
     if not length > 0.0:
-        return along, inward, 0.0
+        return along, to_tip, 0.0, 0.0, 0.0
     along = (along[0] / length, along[1] / length, along[2] / length)
-    part = _dot(along, inward)
-    inward = (inward[0] - part * along[0], inward[1] - part * along[1], inward[2] - part * along[2])
-    height = np.sqrt(_dot(inward, inward))
+    tip_along = dot_product(to_tip, along)
+    inward = minus(to_tip, times(along, tip_along))
+    height = length_of(inward)
     if not height > 0.0:
-        return along, inward, 0.0
-    return along, (inward[0] / height, inward[1] / height, inward[2] / height), length
+        return along, inward, 0.0, 0.0, 0.0
+    inward = (inward[0] / height, inward[1] / height, inward[2] / height)
+    return along, inward, length, tip_along, dot_product(to_tip, inward)
 
 
 @kernel
@@ -146,7 +142,7 @@ def _follow(
         edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
         barycentric[n] = edges[n]
         found[n] = triangle
-        along, inward, length = _edge_frame(rest, faces, triangle, side)
+        along, inward, length, tip_along, tip_away = _edge_frame(rest, faces, triangle, side)
         other = int(others[triangle, side])
         doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if other < 0 or length == 0.0 or doubled == 0.0:
@@ -154,22 +150,15 @@ def _follow(
         # The way in the map, as parts of the sides a → b and a → c, then along and away from the edge.
         s = (dx * (c[1] - a[1]) - dy * (c[0] - a[0])) / doubled
         u = ((b[0] - a[0]) * dy - (b[1] - a[1]) * dx) / doubled
-        start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
-        to_tip = _minus(rest, tip, start)
-        forward = s * length + u * _dot(to_tip, along)
-        away = max(-u * _dot(to_tip, inward), 0.0)
+        forward, away = s * length + u * tip_along, max(-u * tip_away, 0.0)
         place = t * length
         for _ in range(_MOST_CROSSED):
             # Across the edge, which is run through the other way there.
-            next_side = int(sides[triangle, side])
-            triangle, side = other, next_side
-            along, inward, length = _edge_frame(rest, faces, triangle, side)
+            triangle, side = other, int(sides[triangle, side])
+            along, inward, length, tip_along, tip_away = _edge_frame(rest, faces, triangle, side)
             if length == 0.0:
                 break
             place, forward = min(max(length - place, 0.0), length), -forward
-            start, tip = faces[triangle, side], faces[triangle, (side + 2) % 3]
-            to_tip = _minus(rest, tip, start)
-            tip_along, tip_away = _dot(to_tip, along), _dot(to_tip, inward)
             # Barycentric coordinates of the end: of the tip, of the side's end, of its start.
             r = away / tip_away
             q = (place + forward - r * tip_along) / length
@@ -203,10 +192,10 @@ def _follow(
                 rest_along * along[1] + rest_away * inward[1],
                 rest_along * along[2] + rest_away * inward[2],
             )
-            new_along, new_inward, new_length = _edge_frame(rest, faces, triangle, out)
+            new_along, new_inward, new_length, _, _ = _edge_frame(rest, faces, triangle, out)
             if new_length == 0.0:
                 break
-            forward, away = _dot(way, new_along), max(-_dot(way, new_inward), 0.0)
+            forward, away = dot_product(way, new_along), max(-dot_product(way, new_inward), 0.0)
             place = (r0 if by_end else other_part) * new_length
             side = out
 

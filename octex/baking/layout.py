@@ -11,7 +11,7 @@ from octex.errors import ModelError
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
 from octex.source.parts import join
-from octex.source.welding import first_equal
+from octex.source.welding import first_equal, sides_across
 
 #: Where texture coordinates come from.
 Layouts = Literal["auto", "keep", "atlas"]
@@ -109,17 +109,7 @@ def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
 def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
     """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
     faces = first_equal(mesh.rest)[mesh.triangles]
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    keys = low * (int(faces.max()) + 1) + high
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    pairs = starts[np.diff(starts, append=keys.size) == 2]
-    a, b = order[pairs], order[pairs + 1]
-    opposite = (ends[a, 0] == ends[b, 1]) & (low[a] < high[a])
-    a, b = a[opposite], b[opposite]
-    found = np.full(keys.size, -1, np.int64)
-    found[a], found[b] = b, a
+    found = sides_across(faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1))
     others = np.where(found < 0, -1, found // 3).astype(np.int32).reshape(-1, 3)
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
 

@@ -9,15 +9,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Float32s
 from octex.baking.fit import fit_rows, put_codes
 from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_encoder
-from octex.jit import inlined, kernel
+from octex.jit import kernel
 from octex.parallel import ordered_map
-from octex.source.corners import Frames
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Texture
-from octex.texture import OctreeTexture
 
 #: The images of a material, by the channel that names each: the channels in red, green and blue, and alpha.
 IMAGES = {
@@ -37,99 +35,6 @@ BITS: tuple[Bits, ...] = (8, 16, 32)
 _FLOAT = 32
 #: Texels that differ by no more than this are alike, by the bits of a number: cells of 8 bits are rounded.
 _ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
-#: Directions shorter than this point nowhere; squared.
-_NOWHERE = 1e-12
-
-
-class Points(NamedTuple):
-    """Points of a surface that texels show."""
-
-    rest: Float64s  # (n, 3)
-    normals: Float64s  # (n, 3)   of the triangles at rest
-    #: How rest positions change to the texel at the right, and to the one below, (n, 3) each; None where no
-    #: texel shows more than a leaf.
-    derivatives: tuple[Float64s, Float64s] | None
-
-    def of(self, rows: Bools) -> Points:
-        """Return some of the points."""
-        derivatives = self.derivatives
-        if derivatives is not None:
-            derivatives = derivatives[0][rows], derivatives[1][rows]
-        return Points(self.rest[rows], self.normals[rows], derivatives)
-
-
-def sampled(texture: OctreeTexture, names: list[str], points: Points) -> dict[str, Float32s]:
-    """Return channels (n, components) at points, averaged over their texels; linear light."""
-    dPdx, dPdy = points.derivatives or (None, None)
-    return texture.sample(points.rest, names, dPdx=dPdx, dPdy=dPdy, normals=points.normals, threads=1)
-
-
-def in_tangent_space(
-    directions: Float32s, frames: Frames, triangles: Int32s, barycentric: Float64s
-) -> Float32s:
-    """Return directions at rest (n, 3) in the frames of points of triangles (n,), of length 1.
-
-    x is along the tangent, y along the bitangent, z along the normal (MikkTSpace's conventions).
-    """
-    found = np.empty((triangles.size, 3), np.float32)
-    _turn_in(directions, *frames.normals, *frames.tangents, triangles, barycentric, found)
-    return found
-
-
-@inlined
-def _between(
-    values: Float32s, rows: Int32s, triangle: int, p: float, q: float, r: float
-) -> tuple[float, float, float]:
-    a, b, c = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
-    return (
-        p * values[a, 0] + q * values[b, 0] + r * values[c, 0],
-        p * values[a, 1] + q * values[b, 1] + r * values[c, 1],
-        p * values[a, 2] + q * values[b, 2] + r * values[c, 2],
-    )
-
-
-@inlined
-def _of_length_1(x: float, y: float, z: float) -> tuple[float, float, float]:
-    length = np.sqrt(x * x + y * y + z * z)
-    scale = 1.0 / length if length > 0.0 else 0.0
-    return x * scale, y * scale, z * scale
-
-
-@kernel
-def _turn_in(
-    directions: Float32s, normals: Float32s, normal_rows: Int32s, tangents: Float32s, tangent_rows: Int32s,
-    triangles: Int32s, barycentric: Float64s, found: Float32s,
-) -> None:  # fmt: skip
-    for n in range(triangles.size):
-        triangle = int(triangles[n])
-        p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
-        nx, ny, nz = _between(normals, normal_rows, triangle, p, q, r)
-        nx, ny, nz = _of_length_1(nx, ny, nz)
-        tx, ty, tz = _between(tangents, tangent_rows, triangle, p, q, r)
-        along = nx * tx + ny * ty + nz * tz
-        tx, ty, tz = _of_length_1(tx - along * nx, ty - along * ny, tz - along * nz)
-        hand = 1.0 if tangents[tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
-        bx, by, bz = hand * (ny * tz - nz * ty), hand * (nz * tx - nx * tz), hand * (nx * ty - ny * tx)
-        dx, dy, dz = float(directions[n, 0]), float(directions[n, 1]), float(directions[n, 2])
-        x, y, z = dx * tx + dy * ty + dz * tz, dx * bx + dy * by + dz * bz, dx * nx + dy * ny + dz * nz
-        if x * x + y * y + z * z < _NOWHERE:
-            x, y, z = 0.0, 0.0, 1.0
-        found[n, 0], found[n, 1], found[n, 2] = _of_length_1(x, y, z)
-
-
-def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
-    """Return directions (n, 3), turned as unit vectors ``before`` (n, 3) turn straight to ``after``."""
-    cosines = np.einsum("nx,nx->n", before, after)[:, None]
-    axes = np.cross(before, after)
-    along = np.einsum("nx,nx->n", axes, directions)[:, None]
-    made = directions * cosines + np.cross(axes, directions) + axes * along / np.maximum(1.0 + cosines, 1e-6)
-    return np.asarray(made, np.float32)
-
-
-def unit(vectors: Float64s) -> Float64s:
-    """Return vectors (n, 3) of length 1; zeros stay."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
 
 
 class Values(NamedTuple):

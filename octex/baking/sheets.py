@@ -52,7 +52,15 @@ def sheets_of(
     if uv != "atlas":
         try:
             kept = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
-            _check_stretches(texture, kept, names, is_asked_for=uv == "keep")
+            for sheet in kept:
+                if sheet.mesh.uv is None:  # an atlas
+                    continue
+                try:
+                    check_stretches(texture, sheet.mesh, names, _LARGEST)
+                except ModelError as refusal:
+                    if uv != "keep":
+                        raise
+                    warnings.warn(str(refusal), ModelWarning, stacklevel=3)
             return kept
         except ModelError:
             if uv == "keep":
@@ -117,21 +125,6 @@ def _kept(
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
             of_tile = _fitted(texture, tile, layout, size, shown)
             yield Sheet(tile, chosen[there], of_tile, named, numbers[there])
-
-
-def _check_stretches(
-    texture: OctreeTexture, sheets: list[Sheet], names: list[str], *, is_asked_for: bool
-) -> None:
-    """Raise ModelError for squeezed coordinates, or only warn, if it ``is_asked_for`` to keep them."""
-    for sheet in sheets:
-        if sheet.mesh.uv is None:  # an atlas
-            continue
-        try:
-            check_stretches(texture, sheet.mesh, names, _LARGEST)
-        except ModelError as refusal:
-            if not is_asked_for:
-                raise
-            warnings.warn(str(refusal), ModelWarning, stacklevel=2)
 
 
 def _coordinates(surface: Surface, material: Material) -> Corners | None:

@@ -8,12 +8,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
-from octex.baking.maps import unit
+from octex.baking.directions import NOWHERE, frames_of, unit
 from octex.baking.tessellation import edges_of, in_order
 from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
-from octex.source.corners import Corners, Frames, area_vectors
+from octex.source.corners import Corners, area_vectors
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import distinct_rows, welded
@@ -23,8 +23,6 @@ from octex.texture import OctreeTexture, as_texture
 _FINEST = 0.5
 #: ... nor oftener than so.
 _MOST_ROUNDS = 16
-#: Shading normals between two that are opposite have no direction; squared.
-_NOWHERE = 1e-12
 #: Where colours are compared: shares of the corners. On edges first in the middle. The field is a quadratic
 #: spline over the cells: the middle alone tells how far an edge of one of them is off.
 _MIDDLE = (0.5, 0.5)
@@ -122,7 +120,8 @@ def bake_vertices(
     faces = triangles.astype(np.int32)
     frames = None
     if surface.frames is not None:
-        frames = _frames(points, faces)
+        is_known = (points.shading**2) @ np.ones(3) > NOWHERE
+        frames = frames_of(unit(np.where(is_known[:, None], points.shading, points.facing)), faces)
     mode: AlphaMode = "blend" if ALPHA.name in texture.channels else "opaque"
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))}, mode)
     source = MaterialSource(
@@ -153,16 +152,6 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
         if surface.frames is not None:
             shading[triangles[:, corner]] = normals.values[normals.rows[:, corner]]
     return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), places), triangles
-
-
-def _frames(points: _Points, faces: Int32s) -> Frames:
-    """Return the shading normals as unit vectors, and tangents that mean nothing."""
-    known = (points.shading**2) @ np.ones(3) > _NOWHERE
-    normals = unit(np.where(known[:, None], points.shading, points.facing))
-    axes = np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    tangents = np.ones((len(normals), 4), np.float32)
-    tangents[:, :3] = unit(np.cross(normals, axes))
-    return Frames(Corners(normals.astype(np.float32), faces), Corners(tangents, faces))
 
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:

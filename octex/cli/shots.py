@@ -13,11 +13,11 @@ from octex.cli.models import DEFAULT_CHANNEL, only
 from octex.errors import ArgumentError, CameraError, ImageError
 
 if TYPE_CHECKING:
+    from octex.cameras.camera import Camera
+    from octex.cameras.files import Frame
     from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.camera import Camera
-    from octex.view.camera_files import Frame
 
 _LISTED = 5
 #: EXIF orientations above this are of pictures whose rows are stored as columns.
@@ -136,7 +136,7 @@ def _since(options: argparse.Namespace, frame: Frame, size: tuple[int, int]) -> 
 
 def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[str]]:
     """Return pictures with their frames, and the names of pictures that are missing."""
-    from octex.view.camera_files import read_cameras
+    from octex.cameras.files import read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
@@ -179,7 +179,7 @@ def _image_and_frame(path: Path) -> tuple[Path, str | None]:
 
 def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
     """Find a frame by its name; what is raised names the file."""
-    from octex.view.camera_files import find_frame
+    from octex.cameras.files import find_frame
 
     try:
         return find_frame(frames, name)

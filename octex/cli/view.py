@@ -17,11 +17,11 @@ from octex.files import replacing
 
 if TYPE_CHECKING:
     from octex.arrays import Uint8s
+    from octex.cameras.camera import Camera
+    from octex.cameras.files import Frame
     from octex.preview import Bump
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.camera import Camera
-    from octex.view.camera_files import Frame
     from octex.view.environment import Environment
 
 DEFAULT_SIZE = (1024, 1024)
@@ -77,7 +77,7 @@ def view(command: str, options: argparse.Namespace) -> int:
 
 def _frame(options: argparse.Namespace) -> Frame | None:
     """Return the frame that is asked for; None for a camera from the front."""
-    from octex.view.camera_files import read_cameras
+    from octex.cameras.files import read_cameras
 
     if options.camera is None and options.frame is None:
         return None

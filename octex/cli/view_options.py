@@ -12,10 +12,10 @@ from octex.cli.parser import option
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from octex.cameras.camera import Camera
     from octex.preview import Bump
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.camera import Camera
     from octex.view.environment import Environment
 
 VIEW_OPTIONS = (
@@ -69,9 +69,9 @@ def previewing(options: argparse.Namespace, model: Path) -> Draw | None:
     """
     if options.preview is None:
         return None
+    from octex.cameras.files import read_cameras
     from octex.cli.shots import frame_of
     from octex.preview import Viewpoint, viewpoint_among, write_preview
-    from octex.view.camera_files import read_cameras
 
     name, light, bump = options.frame, light_of(options), bump_of(options)
     frame = None if name is None else frame_of(read_cameras(model), name, model)

@@ -1,10 +1,10 @@
-"""Files that are not our own: what other tools read.
+"""Files of other tools.
 
 models      surfaces with images or vertex colours, by the endings of their files
-gltf, obj, usd, threemf  each of them; ply: also a texture as points
+gltf, obj, usd, threemf  each of them, and ply: also a texture as points
 npz         a texture as arrays
-ptex        texels for the polygons of a mesh, both ways
-images      images of materials, and what is bound to vertices, as files have them
-units       units of length that files state
-origins     where positions in float32 are written from
+ptex        texels for the polygons of a mesh, read and written
+images      images of materials, and values at vertices, as files have them
+units       units of length that files can state
+origins     the place that positions in float32 are written from
 """

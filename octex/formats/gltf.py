@@ -15,7 +15,15 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import FileFormat, ImageFormat, Written, encoded_images, image_names, materials_of
+from octex.formats.images import (
+    FileFormat,
+    ImageFormat,
+    Target,
+    Written,
+    encoded_images,
+    image_names,
+    materials_of,
+)
 from octex.formats.origins import origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
@@ -31,22 +39,22 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _DIELECTRIC = 0.04
 
 
-def write_gltf(surface: Surface, path: Path, images: ImageFormat) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
 
-    ``path`` ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
+    The path ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
     posed ones, of a model far from the origin by a translation of its node; normals and tangents are the
-    surface's ``frames``, without which viewers shade it flat. ``images`` is how maps are stored, as
-    ``write_model`` has it.
+    surface's ``frames``, without which viewers shade it flat.
 
     Raises ModelError for a surface whose values glTF's materials cannot say.
     """
+    path, images, _ = target
     if images == "exr":
         raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
-    write = _write_glb if path.suffix.lower() == ".glb" else _write_files
-    return Written(write(content, path), sum(len(data) for data, _ in content.images))
+    write_content = _write_glb if path.suffix.lower() == ".glb" else _write_files
+    return Written(write_content(content, path), sum(len(data) for data, _ in content.images))
 
 
 class _Content:
@@ -189,31 +197,32 @@ class _Content:
             made["alphaMode"] = material.alpha_mode.upper()
         if material.alpha_mode == "mask":
             made["alphaCutoff"] = material.cutoff
-        if "occlusion" in inputs and inputs["occlusion"].texture is not None:
-            made["occlusionTexture"] = self._texture(inputs["occlusion"])
-        if "normal" in inputs and inputs["normal"].texture is not None:
-            made["normalTexture"] = {**self._texture(inputs["normal"]), "scale": inputs["normal"].factor[0]}
+        textures = {
+            name: self._texture(inputs[name])
+            for name in ("occlusion", "normal", "emissive", "specular")
+            if name in inputs and inputs[name].texture is not None
+        }
+        extensions: dict[str, Any] = {}
+        if "occlusion" in textures:
+            made["occlusionTexture"] = textures["occlusion"]
+        if "normal" in textures:
+            made["normalTexture"] = {**textures["normal"], "scale": inputs["normal"].factor[0]}
         if "emissive" in inputs:
-            self._emit(inputs["emissive"], made)
+            strength = max(1.0, *inputs["emissive"].factor)
+            made["emissiveFactor"] = [each / strength for each in inputs["emissive"].factor]
+            if "emissive" in textures:
+                made["emissiveTexture"] = textures["emissive"]
+            if strength > 1.0:
+                extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
         if "specular" in inputs:
-            given = inputs["specular"]
-            specular: dict[str, Any] = {"specularColorFactor": [each / _DIELECTRIC for each in given.factor]}
-            if given.texture is not None:
-                specular["specularColorTexture"] = self._texture(given)
-            made.setdefault("extensions", {})["KHR_materials_specular"] = specular
-            self._extensions.add("KHR_materials_specular")
+            factors = [each / _DIELECTRIC for each in inputs["specular"].factor]
+            extensions["KHR_materials_specular"] = {"specularColorFactor": factors}
+            if "specular" in textures:
+                extensions["KHR_materials_specular"]["specularColorTexture"] = textures["specular"]
+        if extensions:
+            made["extensions"] = extensions
+            self._extensions |= extensions.keys()
         return made
-
-    def _emit(self, given: Input, made: dict[str, Any]) -> None:
-        strength = max(1.0, *given.factor)
-        made["emissiveFactor"] = [each / strength for each in given.factor]
-        if given.texture is not None:
-            made["emissiveTexture"] = self._texture(given)
-        if strength > 1.0:
-            made.setdefault("extensions", {})["KHR_materials_emissive_strength"] = {
-                "emissiveStrength": strength
-            }
-            self._extensions.add("KHR_materials_emissive_strength")
 
     def finish(self, buffer: Mapping[str, Any], place: Callable[[int], dict[str, Any]]) -> bytes:
         """Return the JSON; ``place`` says where the image with a number is."""

@@ -16,6 +16,7 @@ import PIL.Image
 from octex.arrays import Array, Float32s, Uint8s, Uint16s
 from octex.channels import CHANNELS, encode
 from octex.errors import ModelError
+from octex.formats.units import Unit
 from octex.jit import kernel
 from octex.parallel import ordered_map, workers
 from octex.source.images.png import SIGNATURE
@@ -39,6 +40,14 @@ _LEVEL = 3
 _TILE = re.compile(r"[1-9]\d{3}")
 #: Rows of an OpenEXR image that are packed together.
 _EXR_ROWS = 16
+
+
+class Target(NamedTuple):
+    """Where a model is written to, and how."""
+
+    path: Path
+    images: ImageFormat
+    unit: Unit  # the length that 1 stands for
 
 
 class Written(NamedTuple):
@@ -78,6 +87,16 @@ def colors_of_vertices(surface: Surface) -> Float32s | None:
     if colors.rows is not surface.triangles and not np.array_equal(colors.rows, surface.triangles):
         raise ModelError(f"{surface.name}: its colours belong to corners, not to vertices; bake it first")
     return colors.values
+
+
+def needed_colors(surface: Surface, ending: str) -> Float32s:
+    """Return colours of vertices, or raise ModelError: files of this ending hold nothing else."""
+    colors = colors_of_vertices(surface)
+    if colors is None:
+        raise ModelError(
+            f"{surface.name}: {ending} files hold colours at vertices; bake these, or write a .glb"
+        )
+    return colors
 
 
 def codes_of(colors: Float32s) -> Uint8s:

@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 from octex.checks import as_choice, as_path
 from octex.errors import ArgumentError, MissingExtraError
-from octex.formats.gltf import write_gltf
-from octex.formats.images import IMAGE_FORMATS, ImageFormat, Written
-from octex.formats.obj import write_obj
-from octex.formats.ply import write_mesh
-from octex.formats.threemf import write_3mf
+from octex.formats.images import IMAGE_FORMATS, ImageFormat, Target, Written
 from octex.formats.units import METERS, Unit
-from octex.formats.usd import write_usd
 from octex.source.surface import Surface, as_surface
 
-_WRITERS: dict[str, Callable[[Surface, Path, ImageFormat, Unit], Written]] = {
-    ".glb": lambda surface, path, images, _: write_gltf(surface, path, images),
-    ".gltf": lambda surface, path, images, _: write_gltf(surface, path, images),
-    ".obj": lambda surface, path, images, _: write_obj(surface, path, images),
-    ".usdz": write_usd,
-    ".usd": write_usd,
-    ".usda": write_usd,
-    ".usdc": write_usd,
-    ".ply": lambda surface, path, *_: write_mesh(surface, path),
-    ".3mf": lambda surface, path, _, unit: write_3mf(surface, path, unit),
+#: The modules that write models, by the endings of the files. Those of USD and 3MF import optional packages.
+_WRITERS = {
+    ".glb": "gltf",
+    ".gltf": "gltf",
+    ".obj": "obj",
+    **dict.fromkeys((".usdz", ".usd", ".usda", ".usdc"), "usd"),
+    ".ply": "ply",
+    ".3mf": "threemf",
 }
-
-#: What some endings need: a module, its package, and the extra of it.
-_EXTRAS = {
-    ".3mf": ("lib3mf", "lib3mf", "3mf"),
-    **dict.fromkeys((".usdz", ".usd", ".usda", ".usdc"), ("pxr", "usd-core", "usd")),
-}
+#: What some writers need: a module, its package, and the extra of it.
+_EXTRAS = {"threemf": ("lib3mf", "lib3mf", "3mf"), "usd": ("pxr", "usd-core", "usd")}
 
 #: The endings of model files that octex writes.
 WRITTEN_ENDINGS = tuple(_WRITERS)
@@ -42,7 +31,7 @@ WRITTEN_ENDINGS = tuple(_WRITERS)
 
 def check_extra(path: Path) -> None:
     """Raise MissingExtraError if a package is not installed that writes files of this ending."""
-    module, package, extra = _EXTRAS.get(path.suffix.lower(), ("", "", ""))
+    module, package, extra = _EXTRAS.get(_WRITERS.get(path.suffix.lower(), ""), ("", "", ""))
     if module and find_spec(module) is None:
         raise MissingExtraError.needed(f"to write {path.name}", package, extra)
 
@@ -76,4 +65,5 @@ def write_model(
             f"{path.name} must end in {', '.join(WRITTEN_ENDINGS[:-1])} or {WRITTEN_ENDINGS[-1]}"
         )
     check_extra(path)
-    return writer(surface, path, images, unit)
+    written: Written = import_module(f"octex.formats.{writer}").write(surface, Target(path, images, unit))
+    return written

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from octex.arrays import Array
-from octex.errors import ArgumentError, TextureFileError
+from octex.errors import ArgumentError
 from octex.files import replacing
-from octex.formats.ply import leaf_centres
+from octex.formats.ply import leaf_points
 from octex.parallel import Progress, silent
 from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
-from octex.tree.normals import estimate_normals
-from octex.tree.walk import Leaves, walk_leaves
+from octex.tree.walk import Leaves
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
@@ -38,21 +37,17 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     the name of another array, and TextureFileError if the tree is damaged so that it holds fewer leaves than
     it says.
     """
-    progress("write", 0, 1)
-    none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
-    every = [none, *walk_leaves(texture.tree.arrays)]
-    leaves = Leaves(*(np.concatenate(arrays) for arrays in zip(*every, strict=True)))
-    found, told = len(leaves.cells), texture.tree.n_leaves
-    if found != told:
-        raise TextureFileError(f"{path}: not written: the octree is damaged, with {found} of {told} leaves")
-    points = leaf_centres(texture, leaves)
+    blocks = list(leaf_points(texture, path, progress))
+    columns = zip(*(each.leaves for each in blocks), strict=True)
+    leaves = Leaves(*(np.concatenate(column) for column in columns))
+    points = np.concatenate([each.centres for each in blocks])
     codes = texture.tree.arrays.areas[leaves.cells]
     faces = np.ldexp(texture.placement.size, -leaves.depths.astype(np.int32)) ** 2
     arrays: dict[str, Array] = {
         "coords": decode_cells(leaves.codes).astype(np.int32),
         "depths": leaves.depths,
         "points": points,
-        "normals": estimate_normals(texture.tree.arrays, *leaves),
+        "normals": np.concatenate([each.normals for each in blocks]),
         "areas": np.where(codes > 0, AREAS[codes] * faces, 0.0).astype(np.float32),
         "origin": np.array(texture.placement.origin, np.float64),
         "size": np.array(texture.placement.size, np.float64),
@@ -66,4 +61,3 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     arrays |= texture.sample(points, list(texture.channels))
     with replacing(path) as file:
         np.savez(file, allow_pickle=False, **arrays)
-    progress("write", 1, 1)

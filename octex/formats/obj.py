@@ -13,6 +13,7 @@ from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import (
     ImageFormat,
+    Target,
     Written,
     colors_of_vertices,
     file_format,
@@ -36,11 +37,12 @@ _MAPS = {
 }
 
 
-def write_obj(surface: Surface, path: Path, images: ImageFormat) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
 
     Raises ModelError for values above 1, and for materials that read several sets of texture coordinates.
     """
+    path, images, _ = target
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
     names = _names({number: source.materials[number] for number in used})

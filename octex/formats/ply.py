@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float64s
+from octex.arrays import Float32s, Float64s
 from octex.channels import ColorSpace, encode
-from octex.errors import ModelError, TextureFileError
+from octex.errors import TextureFileError
 from octex.files import replacing
-from octex.formats.images import Written, codes_of, colors_of_vertices, normals_of_vertices
+from octex.formats.images import Target, Written, codes_of, needed_colors, normals_of_vertices
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
@@ -41,32 +42,52 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
     before is replaced when everything is written, or not at all: raises OutputError if it cannot be written,
     and TextureFileError if the tree is damaged so that it holds fewer leaves than it says.
     """
-    tree = texture.tree
     vertex = _vertex_type(texture)
+    lines = [
+        "comment octex: a point a leaf of an octree texture",
+        "comment units: those of the model; colours: sRGB",
+    ]
+    with replacing(Path(path)) as file:
+        file.write(_header([*lines, *_element("vertex", texture.tree.n_leaves, vertex)]))
+        for points in leaf_points(texture, path, progress):
+            file.write(_vertices(texture, points, vertex).tobytes())
+
+
+class LeafPoints(NamedTuple):
+    """Leaves of a texture as points of its surface."""
+
+    leaves: Leaves
+    centres: Float64s  # (n, 3)   in rest units
+    normals: Float32s  # (n, 3)   estimated from the tree
+
+
+def leaf_points(texture: OctreeTexture, path: str | Path, progress: Progress) -> Iterator[LeafPoints]:
+    """Yield the leaves of a texture that is written to a path, in blocks, in Morton order.
+
+    Raises TextureFileError at the end if there are fewer than the tree says.
+    """
+    tree, done = texture.tree, 0
     progress("write", 0, tree.n_leaves)
-    written = 0
-    with replacing(path) as file:
-        file.write(_header(texture, vertex))
-        for leaves in walk_leaves(tree.arrays):
-            file.write(_vertices(texture, leaves, vertex).tobytes())
-            written += len(leaves.cells)
-            progress("write", written, tree.n_leaves)
-        if written != tree.n_leaves:
-            raise TextureFileError(
-                f"{path}: not written: the octree is damaged, with {written} of {tree.n_leaves} leaves"
-            )
+    for leaves in walk_leaves(tree.arrays):
+        edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
+        centres = texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
+        yield LeafPoints(leaves, centres, estimate_normals(tree.arrays, *leaves))
+        done += len(leaves.cells)
+        progress("write", done, tree.n_leaves)
+    if done != tree.n_leaves:
+        raise TextureFileError(
+            f"{path}: not written: the octree is damaged, with {done} of {tree.n_leaves} leaves"
+        )
 
 
-def write_mesh(surface: Surface, path: Path) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
 
     ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
     blue alpha`` are sRGB and coverage, 0 … 255. Raises ModelError for a surface whose values come from
     images.
     """
-    colors = colors_of_vertices(surface)
-    if colors is None:
-        raise ModelError(f"{surface.name}: .ply files hold colours at vertices; bake these, or write a .glb")
+    colors = needed_colors(surface, ".ply")
     normals = normals_of_vertices(surface)
     columns = [*surface.vertices.T]
     fields = [(axis, "<f8") for axis in "xyz"]
@@ -80,26 +101,28 @@ def write_mesh(surface: Surface, path: Path) -> Written:
         vertices[name] = column
     faces = np.empty(len(surface.triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3)]))
     faces["count"], faces["vertices"] = 3, surface.triangles
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment octex: vertex colours, sRGB",
-        f"element vertex {len(vertices)}",
-        *_properties(vertices.dtype),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-        "",
-    ]
-    with replacing(path) as file:
-        file.write("\n".join(lines).encode("ascii"))
+    head = _header(
+        [
+            "comment octex: vertex colours, sRGB",
+            *_element("vertex", len(vertices), vertices.dtype),
+            f"element face {len(faces)}",
+            "property list uchar int vertex_indices",
+        ]
+    )
+    with replacing(target.path) as file:
+        file.write(head)
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
-    return Written([path], 0)
+    return Written([target.path], 0)
 
 
-def _properties(vertex: np.dtype[np.void]) -> list[str]:
-    return [f"property {_PLY_TYPES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
+def _header(lines: Sequence[str]) -> bytes:
+    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode("ascii")
+
+
+def _element(name: str, count: int, form: np.dtype[np.void]) -> list[str]:
+    fields = [f"property {_PLY_TYPES[form[field].str[1:]]} {field}" for field in form.names or ()]
+    return [f"element {name} {count}", *fields]
 
 
 def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
@@ -113,32 +136,13 @@ def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _header(texture: OctreeTexture, vertex: np.dtype[np.void]) -> bytes:
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment octex: a point a leaf of an octree texture",
-        "comment units: those of the model; colours: sRGB",
-        f"element vertex {texture.tree.n_leaves}",
-    ]
-    return "\n".join([*lines, *_properties(vertex), "end_header", ""]).encode("ascii")
-
-
-def leaf_centres(texture: OctreeTexture, leaves: Leaves) -> Float64s:
-    """Return the centres of leaves (n, 3), in rest units."""
-    edges = np.ldexp(1.0, -leaves.depths.astype(np.int32))[:, None]
-    return texture.placement.to_rest((decode_cells(leaves.codes) + 0.5) * edges)
-
-
-def _vertices(texture: OctreeTexture, leaves: Leaves, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:
-    vertices = np.empty(len(leaves.cells), vertex)
-    centres = leaf_centres(texture, leaves)
-    normals = estimate_normals(texture.tree.arrays, *leaves)
+def _vertices(texture: OctreeTexture, points: LeafPoints, vertex: np.dtype[np.void]) -> npt.NDArray[np.void]:
+    vertices = np.empty(len(points.centres), vertex)
     for axis, name in enumerate("xyz"):
-        vertices[name] = centres[:, axis]
-        vertices[f"n{name}"] = normals[:, axis]
+        vertices[name] = points.centres[:, axis]
+        vertices[f"n{name}"] = points.normals[:, axis]
     shown = [name for name in _SHOWN if name in texture.channels]
-    for name, values in texture.sample(centres, shown).items():
+    for name, values in texture.sample(points.centres, shown).items():
         space: ColorSpace = "data" if texture.channels[name].format.space == "data" else "srgb"
         codes = encode(values, "uint8", space)
         for component, field in enumerate(_SHOWN[name]):

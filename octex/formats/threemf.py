@@ -7,12 +7,13 @@ import locale
 from pathlib import Path
 from typing import Any
 
+import lib3mf
 import numpy as np
 
 from octex.arrays import Array
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import Written, codes_of, colors_of_vertices
+from octex.formats.images import Target, Written, codes_of, needed_colors
 from octex.formats.origins import origin_of
 from octex.formats.units import Unit
 from octex.source.surface import Surface
@@ -24,21 +25,16 @@ _UNITS: dict[Unit, str] = {
 }  # fmt: skip
 
 
-def write_3mf(surface: Surface, path: Path, unit: Unit) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a 3MF mesh with a colour group.
 
-    Positions are the posed ones, in float32, of a model far from the origin by the item's transform; ``unit``
-    is what 1 stands for. Vertices at one place are one, so that what is closed is closed for slicers too;
-    triangles that this leaves without area are left out. Each corner has a colour of the group, sRGB with
-    alpha, of 8 bits.
+    Positions are the posed ones, in float32, of a model far from the origin by the item's transform. Vertices
+    at one place are one, so that what is closed is closed for slicers too; triangles that this leaves without
+    area are left out. Each corner has a colour of the group, sRGB with alpha, of 8 bits.
 
     Raises ModelError for a surface whose values come from images.
     """
-    import lib3mf
-
-    colors = colors_of_vertices(surface)
-    if colors is None:
-        raise ModelError(f"{surface.name}: .3mf files hold colours at vertices; bake these, or write a .glb")
+    colors = needed_colors(surface, ".3mf")
     origin = origin_of(surface.vertices)
     points = (surface.vertices - origin).astype(np.float32)
     places = welded(points)
@@ -51,7 +47,7 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> Written:
     codes, numbers = np.unique(codes_of(colors).view(np.uint32), return_inverse=True)
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()
-    model.SetUnit(getattr(lib3mf.ModelUnit, _UNITS[unit]))
+    model.SetUnit(getattr(lib3mf.ModelUnit, _UNITS[target.unit]))
     group = model.AddColorGroup()
     distinct = codes.view(np.uint8).reshape(-1, 4).tolist()
     added = [group.AddColor(wrapper.RGBAToColor(*each)) for each in distinct]
@@ -71,9 +67,9 @@ def write_3mf(surface: Surface, path: Path, unit: Unit) -> Written:
             model.QueryWriter("3mf").WriteToFile(str(made))
         finally:  # the library leaves the process with another, whose texts are ASCII
             locale.setlocale(locale.LC_ALL, before)
-        with replacing(path) as file:
+        with replacing(target.path) as file:
             file.write(made.read_bytes())
-    return Written([path], 0)
+    return Written([target.path], 0)
 
 
 def _items(kind: Any, rows: Array) -> Any:

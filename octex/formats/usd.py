@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import ImageFormat, Written, encoded_images, image_names, materials_of
+from octex.formats.images import Target, Written, encoded_images, image_names, materials_of
 from octex.formats.origins import origin_of
-from octex.formats.units import METERS, Unit
+from octex.formats.units import METERS
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
 from octex.source.surface import Surface
 
+_TYPES = Sdf.ValueTypeNames
 _WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
 #: What UsdPreviewSurface calls channels; and in what space their images are.
 _INPUTS = {
@@ -41,10 +43,10 @@ _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpac
 _MATERIALS = "/model/materials"
 
 
-def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> Written:
+def write(surface: Surface, target: Target) -> Written:
     """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
 
-    The stage's up axis is y, as in glTF, and ``unit`` is what 1 stands for. A model far from the origin is
+    The stage's up axis is y, as in glTF, A model far from the origin is
     translated. Texture coordinates are the primvar ``st``, normals stand at corners, and triangles are seen
     from both sides if a material says so.
     Vertex colours are ``displayColor`` and ``displayOpacity``, which the material reads.
@@ -52,8 +54,7 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
     UsdPreviewSurface has either metals or specular colours: these are written where nothing is metallic.
     Raises ModelError for values that it cannot say.
     """
-    from pxr import Sdf, Usd, UsdGeom, UsdUtils
-
+    path, images, unit = target
     if images == "webp":
         raise ModelError(f"{path.name}: USD holds no webp images; write png, jpeg or exr")
     source = materials_of(surface)
@@ -98,8 +99,6 @@ def write_usd(surface: Surface, path: Path, images: ImageFormat, unit: Unit) -> 
 
 def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
     """Define the mesh, with what is bound to its corners."""
-    from pxr import Sdf, UsdGeom, Vt
-
     mesh = UsdGeom.Mesh.Define(stage, _free_path(stage, "/model", Path(surface.name).stem))
     origin = origin_of(surface.vertices)
     if origin.any():
@@ -118,10 +117,9 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
         mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals)))
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     primvars = UsdGeom.PrimvarsAPI(mesh)
-    types = Sdf.ValueTypeNames
     for slot, corners in enumerate(source.coordinates):
         up = np.stack([corners.values[:, 0], 1.0 - corners.values[:, 1]], axis=1)
-        st = primvars.CreatePrimvar(_set_name(slot), types.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+        st = primvars.CreatePrimvar(_set_name(slot), _TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
         st.Set(Vt.Vec2fArray.FromNumpy(up))
         st.SetIndices(Vt.IntArray.FromNumpy(corners.rows.reshape(-1)))
     if source.colors is not None:
@@ -138,8 +136,6 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
 
 def _free_path(stage: Any, parent: str, name: str) -> str:
     """Return the path of a prim that is not there yet, below ``parent``, by a name made valid."""
-    from pxr import Tf
-
     # A half of a surrogate pair is no text for OpenUSD.
     path = f"{parent}/{Tf.MakeValidIdentifier(name.encode(errors='replace').decode())}"
     while stage.GetPrimAtPath(path):
@@ -162,8 +158,6 @@ class _Materials:
 
     def bind(self, mesh: Any, material: Any, faces: Any) -> None:
         """Bind a material to a mesh, or to some of its faces."""
-        from pxr import UsdGeom, UsdShade, Vt
-
         prim = mesh.GetPrim()
         if faces is not None:
             indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
@@ -177,9 +171,6 @@ class _Materials:
 
     def material(self, number: int) -> Any:
         """Define the material with a number, under its name."""
-        from pxr import Sdf, UsdShade
-
-        types = Sdf.ValueTypeNames
         material = self._source.materials[number]
         at = _free_path(self._stage, _MATERIALS, material.name or f"material{number}")
         made = UsdShade.Material.Define(self._stage, at)
@@ -190,31 +181,26 @@ class _Materials:
             del inputs["specular"]
         elif "specular" in inputs:
             inputs.pop("metallic", None)
-            surface.CreateInput("useSpecularWorkflow", types.Int).Set(1)
+            surface.CreateInput("useSpecularWorkflow", _TYPES.Int).Set(1)
         if material.alpha_mode == "opaque":
             inputs.pop("alpha", None)
         elif material.alpha_mode == "mask":
-            surface.CreateInput("opacityThreshold", types.Float).Set(material.cutoff)
-            surface.CreateInput("opacityMode", types.Token).Set("presence")
+            surface.CreateInput("opacityThreshold", _TYPES.Float).Set(material.cutoff)
+            surface.CreateInput("opacityMode", _TYPES.Token).Set("presence")
         for name in inputs:
             self._feed(at, surface, name, inputs)
         return made
 
     def _shader(self, at: str, kind: str) -> Any:
-        from pxr import UsdShade
-
         shader = UsdShade.Shader.Define(self._stage, at)
         shader.CreateIdAttr(kind)
         return shader
 
     def _feed(self, at: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
         """Give a material's surface what one channel is made of."""
-        from pxr import Gf, Sdf
-
-        types = Sdf.ValueTypeNames
         word, kind, _ = _INPUTS[name]
         given, is_scalar = inputs[name], kind == "Float"
-        entry = surface.CreateInput(word, getattr(types, kind))
+        entry = surface.CreateInput(word, getattr(_TYPES, kind))
         shader, output = None, "result"
         if name in _OF_VERTICES and self._source.colors is not None:
             if given.texture is not None or set(given.factor) != {1.0}:
@@ -224,7 +210,7 @@ class _Materials:
             shader = self._texture(at, name, inputs)
             output = "rgba"[given.lanes[0]] if is_scalar else "rgb"
         if shader is not None:
-            outlet = shader.CreateOutput(output, types.Float if is_scalar else types.Float3)
+            outlet = shader.CreateOutput(output, _TYPES.Float if is_scalar else _TYPES.Float3)
             entry.ConnectToSource(outlet)
         elif name == "normal":
             entry.Set(Gf.Vec3f(0.0, 0.0, 1.0))
@@ -234,8 +220,6 @@ class _Materials:
 
     def _reader(self, at: str, primvar: str, kind: str) -> Any:
         """Return the shader of a material that reads a primvar."""
-        from pxr import Sdf
-
         key = (at, primvar)
         if key not in self._shaders:
             shader = self._shader(f"{at}/{primvar}", f"UsdPrimvarReader_{kind}")
@@ -245,9 +229,6 @@ class _Materials:
 
     def _texture(self, at: str, name: str, inputs: Mapping[str, Input]) -> Any:
         """Return the shader of a material that reads a channel's image."""
-        from pxr import Gf, Sdf
-
-        types = Sdf.ValueTypeNames
         texture = inputs[name].texture
         assert texture is not None
         scale, bias = _affine(name, inputs)
@@ -256,17 +237,17 @@ class _Materials:
         key = (at, number, space, *texture[1:], scale, bias)
         if key not in self._shaders:
             shader = self._shader(f"{at}/{name}", "UsdUVTexture")
-            shader.CreateInput("file", types.Asset).Set(Sdf.AssetPath(self._places[number]))
-            shader.CreateInput("sourceColorSpace", types.Token).Set(space)
-            shader.CreateInput("wrapS", types.Token).Set(_WRAPS[texture.wrap_u])
-            shader.CreateInput("wrapT", types.Token).Set(_WRAPS[texture.wrap_v])
+            shader.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(self._places[number]))
+            shader.CreateInput("sourceColorSpace", _TYPES.Token).Set(space)
+            shader.CreateInput("wrapS", _TYPES.Token).Set(_WRAPS[texture.wrap_u])
+            shader.CreateInput("wrapT", _TYPES.Token).Set(_WRAPS[texture.wrap_v])
             if scale != (1.0,) * 4:
-                shader.CreateInput("scale", types.Float4).Set(Gf.Vec4f(*scale))
+                shader.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(*scale))
             if any(bias):
-                shader.CreateInput("bias", types.Float4).Set(Gf.Vec4f(*bias))
+                shader.CreateInput("bias", _TYPES.Float4).Set(Gf.Vec4f(*bias))
             reader = self._reader(at, _set_name(texture.slot), "float2")
-            outlet = reader.CreateOutput("result", types.Float2)
-            shader.CreateInput("st", types.Float2).ConnectToSource(outlet)
+            outlet = reader.CreateOutput("result", _TYPES.Float2)
+            shader.CreateInput("st", _TYPES.Float2).ConnectToSource(outlet)
             self._shaders[key] = shader
         return self._shaders[key]
 

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from octex.arrays import Float32s
+from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
 from octex.painting.near import Near
 from octex.painting.pictures import Projection
@@ -20,7 +21,6 @@ from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.placement import Placement
-from octex.view.camera import Camera
 from octex.view.shading import corner_normals
 
 

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, TypedDict, cast, get_args
 
 import numpy as np
 
+from octex.cameras.camera import Camera
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
 from octex.editing.draft import Change
@@ -33,7 +34,6 @@ from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
-from octex.view.camera import Camera
 
 #: What becomes of several pictures that see a place.
 Pictures = Literal["average", "best", "robust"]

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint16s
+from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb
 from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
@@ -30,7 +31,6 @@ from octex.painting.unwrap import Patch
 from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
-from octex.view.camera import Camera
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.cameras.lens import distorted
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Blocks
@@ -20,7 +21,6 @@ from octex.parallel import built_once
 from octex.source.corners import at_corners
 from octex.source.images.cubic import catmull_rom
 from octex.source.surface import Surface
-from octex.view.lens import distorted
 from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,

@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
+from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
@@ -33,7 +34,6 @@ from octex.painting.resuming import Kept, fits, kept_in
 from octex.painting.shots import Shot, in_fixed_order, most_ahead, shot_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.source.surface import Surface, as_surface
-from octex.view.camera import Camera
 
 #: Points of the surface that are looked at. At the coarsest level so many of these are compared; at finer
 #: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
+from octex.cameras.camera import Camera
+from octex.cameras.lens import distort, is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.jit import kernel
 from octex.painting.pictures import Levels, Projection, Window, window_of
 from octex.painting.resuming import Kept, fits
 from octex.parallel import start
-from octex.view.camera import Camera
-from octex.view.lens import distort, is_bent
 from octex.view.visibility import (
     View,
     Visibility,
@@ -41,7 +41,7 @@ class Shot(NamedTuple):
 
     camera: View  # without distortion
     K: Float64s  # (3, 3)   of the picture
-    lens: Float64s  # (14,)   see octex.view.lens.lens_numbers
+    lens: Float64s  # (14,)   see octex.cameras.lens.lens_numbers
     levels: Levels
     seen: Visibility
     margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Integers
+from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
@@ -21,7 +22,6 @@ from octex.nearest.triangles import Triangles
 from octex.painting.conformal import conformal
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
-from octex.view.camera import Camera
 
 #: Triangles that meet those at the centre lie flat enough there if their normals are within so many degrees.
 _FLAT = 25.0

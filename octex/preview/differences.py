@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Bools, Float32s, Float64s, Uint8s
+from octex.cameras.camera import Camera
 from octex.channels import srgb_to_linear
 from octex.compare import (
     PEAKS,
@@ -38,7 +39,6 @@ from octex.preview.pictures import Film, Leaves, film_leaves, film_surface, visi
 from octex.preview.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.view.camera import Camera
 from octex.view.shading import background
 
 # Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s, Floats
-from octex.view.camera import Camera
-from octex.view.camera_files import Frame
+from octex.cameras.camera import Camera
+from octex.cameras.files import Frame
 
 #: From the model toward the camera: from the front (glTF's +z), a little from the right and from above.
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.cameras.camera import Camera
+from octex.cameras.differentials import differential
 from octex.jit import kernel
 from octex.parallel import built_once
-from octex.view.camera import Camera
-from octex.view.differentials import differential
 from octex.view.shading import corner_normals, face_normals
 from octex.view.zbuffer import Buffers, z_buffer
 

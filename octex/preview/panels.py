@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Float32s, Floats, Uint8s
+from octex.cameras.camera import Camera
 from octex.channels import encode, linear_to_srgb
 from octex.errors import ArgumentError
 from octex.files import replacing
@@ -19,7 +20,6 @@ from octex.preview.hits import rest_normals, visible_hits
 from octex.preview.pictures import Leaves, film_surface, render_leaves, visible_level
 from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.tree.octree import distinct
-from octex.view.camera import Camera
 from octex.view.shading import background, face_normals
 
 if TYPE_CHECKING:

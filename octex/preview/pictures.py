@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count, ordered_map, workers
@@ -18,7 +19,6 @@ from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
-from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
 from octex.view.reflection import Material, reflected, tone_mapped
 from octex.view.shading import background

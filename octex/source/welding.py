@@ -70,3 +70,20 @@ def _weld(
                 numbers[row] = numbers[other]
                 break
             place = (place + 1) & (len(table) - 1)
+
+
+def sides_across(starts: Int64s, ends: Int64s) -> Int64s:
+    """Return for each side, from a vertex to another (n,), the side beyond it; −1 for none or several.
+
+    Two sides meet if they alone lie between two vertices, and run in opposite directions.
+    """
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    keys = low * (int(high.max(initial=0)) + 1) + high
+    order = np.argsort(keys, kind="stable")
+    firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    pairs = firsts[np.diff(firsts, append=keys.size) == 2]
+    a, b = order[pairs], order[pairs + 1]
+    is_sound = (starts[a] == ends[b]) & (low[a] < high[a])
+    across = np.full(keys.size, -1, np.int64)
+    across[a[is_sound]], across[b[is_sound]] = b[is_sound], a[is_sound]
+    return across

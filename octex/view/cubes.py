@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int8s, Int32s
+from octex.cameras.camera import Camera
 from octex.jit import kernel
-from octex.view.camera import Camera
 
 
 class CubeBuffers(NamedTuple):

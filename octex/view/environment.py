@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int64s
+from octex.cameras.camera import Camera
 from octex.channels import decode
 from octex.checks import as_number, as_reals
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import Texels
-from octex.view.camera import Camera
 
 #: The widest picture that is kept: 0.35° a texel.
 _WIDEST = 1024

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
+from octex.cameras.camera import Camera
 from octex.jit import kernel
 from octex.source.welding import welded
-from octex.view.camera import Camera
 
 # In camera axes: x right, y down, z away from the camera.
 _KEY_FROM, _KEY = (-0.45, -0.65, -0.61), 0.52

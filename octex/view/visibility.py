@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
+from octex.cameras.camera import Camera
 from octex.jit import inlined, kernel
-from octex.view.camera import Camera
 from octex.view.zbuffer import z_buffer
 
 #: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...

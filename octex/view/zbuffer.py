@@ -8,7 +8,6 @@ pixel: the edge functions of triangles up to 4096 pixels across are then exact i
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
+from octex.cameras.camera import Camera
 from octex.checks import as_points
 from octex.errors import ArgumentError
 from octex.jit import kernel, part
 from octex.parallel import cpu_count, ordered_map, sharing
-from octex.view.camera import Camera
 
 Index = int | np.integer[Any]
 
@@ -83,7 +82,14 @@ def z_buffer(
     shape = camera.height, camera.width
     found = Buffers(np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64))
     corners = np.ascontiguousarray(corners, np.int32)
-    draw = partial(_draw_band, screen, snapped, outside, corners, same, behind, found)
+
+    def draw(ends: tuple[int, int]) -> None:
+        rows = slice(*ends)
+        triangle, barycentric, depth = found.triangle[rows], found.barycentric[rows], found.depth[rows]
+        triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
+        before = behind.triangle[rows], behind.depth[rows]
+        _draw(screen, snapped, outside, corners, same, ends[0], *before, triangle, barycentric, depth)
+
     if executor is None:
         draw((0, camera.height))
         return found
@@ -93,26 +99,6 @@ def z_buffer(
         for _ in ordered_map(pool, draw, list(pairwise(ends))):
             pass
     return found
-
-
-def _draw_band(
-    screen: Float64s,
-    snapped: Bools,
-    outside: Uint8s,
-    triangles: Int32s,
-    same_depth: float,
-    behind: Buffers,
-    found: Buffers,
-    rows: tuple[int, int],
-) -> None:
-    """Fill in what the pixels of some rows see."""
-    band = slice(*rows)
-    triangle, barycentric, depth = found.triangle[band], found.barycentric[band], found.depth[band]
-    triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
-    _draw(
-        screen, snapped, outside, triangles, same_depth, rows[0], behind.triangle[band], behind.depth[band],
-        triangle, barycentric, depth,
-    )  # fmt: skip
 
 
 @kernel

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
-from octex.view.camera import Camera
 
 
 def _rotation(seed):

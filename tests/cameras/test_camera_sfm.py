@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from octex.cameras.files import read_cameras
 from octex.errors import CameraError
-from octex.view.camera_files import read_cameras
 from tests.cameras.test_camera_files import POINTS, bent_by_brown, quaternion, refusal, sees, view, write_json
 
 BROWN = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 2e-3, "p2": -1e-3}

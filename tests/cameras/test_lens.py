@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
-from octex.view.camera import Camera
 from octex.view.visibility import straight
 from tests.oracles.naive_lens import through
 

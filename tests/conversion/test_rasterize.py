@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex import jit
+from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
 from octex.parallel import pool_of
-from octex.view.camera import Camera
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
 from tests.oracles import naive_view

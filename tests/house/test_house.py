@@ -45,6 +45,7 @@ ROWS = [
     {"editing"},
     {"source"},
     {"conversion"},
+    {"cameras"},
     {"view"},
     {"painting"},
     {"processing"},
@@ -58,8 +59,14 @@ ROWS = [
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "conversion", "view", "painting"}
-FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
+MADE = {"source", "conversion", "cameras", "view", "painting"}
+FORBIDDEN = {
+    "source": STORED,
+    "cameras": STORED,
+    "view": STORED,
+    "editing": MADE,
+    "processing": MADE - {"source"},
+}
 #: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
 NEW_IN_NUMPY_2 = {
     "acos", "acosh", "asin", "asinh", "astype", "atan", "atan2", "atanh", "bitwise_count", "bitwise_invert",

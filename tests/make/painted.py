@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from octex.cameras.camera import Camera
 from octex.channels import linear_to_srgb
 from octex.preview.hits import rest_normals, visible_hits
 from octex.preview.shaders import Shader, source_shader
 from octex.source.surface import Surface
-from octex.view.camera import Camera
 
 Array = npt.NDArray[Any]
 

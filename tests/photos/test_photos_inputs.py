@@ -10,6 +10,7 @@ import numpy.typing as npt
 import PIL.Image
 import pytest
 
+from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.cli.paint import main
 from octex.errors import ArgumentError
@@ -18,7 +19,6 @@ from octex.painting.sharpened import sharpened
 from octex.source.images.decode import orientation_of, turned
 from octex.source.images.png import SIGNATURE
 from octex.texture import open_texture
-from octex.view.camera import Camera
 from tests.make.painted import above
 
 Array = npt.NDArray[Any]

@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 import octex
+from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, OutputError
 from octex.preview import (
@@ -28,7 +29,6 @@ from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.view.camera import Camera
 from octex.view.shading import background, light
 
 # A square that faces +z, its lower left corner in the origin.

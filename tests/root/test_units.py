@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import octex
+from octex.cameras.camera import Camera
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.view.camera import Camera
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import arrays_of

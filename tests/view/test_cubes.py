@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.view.camera import Camera
+from octex.cameras.camera import Camera
 from octex.view.cubes import rasterize_cubes
 from tests.oracles import naive_view
 from tests.view.test_shading import CUBE, TRIANGLES

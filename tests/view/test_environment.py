@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import octex
+from octex.cameras.camera import Camera
 from octex.channels import encode
 from octex.errors import ArgumentError, ImageError
 from octex.preview import Bump, draw_preview, render, render_leaves, source_shader, texture_shader
 from octex.preview.pictures import lit
 from octex.preview.shaders import Appearance
-from octex.view.camera import Camera
 from octex.view.environment import Environment
 from octex.view.reflection import Material, reflectances, reflected, tone_mapped
 from tests.oracles import naive_light

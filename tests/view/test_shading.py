@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from octex.view.camera import Camera
+from octex.cameras.camera import Camera
 from octex.view.shading import background, corner_normals, corner_normals_of, face_normals, light
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.

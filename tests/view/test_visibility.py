@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.painting.pictures import Projection
 from octex.painting.projected import Projected, shading_of, stretches_of, terms_of
@@ -16,7 +17,6 @@ from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from octex.view.camera import Camera
 from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
 from tests.make.painted import above, ball, one_color, picture_of, plain, square, together
 from tests.make.solids import cube

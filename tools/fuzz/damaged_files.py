@@ -44,6 +44,7 @@ import numpy as np
 from damage import Archive, Arrays, Render
 
 import octex
+from octex.cameras.files import read_cameras
 from octex.conversion.voxels import convert_voxels
 from octex.errors import OctexError
 from octex.parallel import at_most
@@ -51,7 +52,6 @@ from octex.source.surface import Surface
 from octex.source.voxels import Voxels
 from octex.texture import FILTERS, OctreeTexture
 from octex.tree.octree import Octree
-from octex.view.camera_files import read_cameras
 
 MEMORY = 2 << 30
 SECONDS = 60

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Int8s, Int32s, Int64s
+from octex.arrays import Float32s, Float64s, Int8s, Int32s, Int64s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, ColorSpace, encode
 from octex.checks import as_choice, as_flag, as_names, as_path, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -20,6 +20,7 @@ from octex.formats.ptex.patches import Patches, faces_of, patches_of, place, str
 from octex.formats.ptex.source import CHANNELS_KEY
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Progress, as_progress, workers
+from octex.source.corners import area_vectors
 from octex.source.subdivided import subdivide
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -88,24 +89,25 @@ def write_ptex(
     )
     log2 = _sizes(texture, surface, patches, lengths, texels)
     faces = faces_of(surface, patches, log2)
-    spaces: list[ColorSpace] = []
-    for name in names:
-        space = texture.channels[name].format.space
-        spaces.append("linear" if space == "srgb" and kind.startswith("float") else space)
+    forms = [texture.channels[name].format for name in names]
+    ends = np.cumsum([form.components for form in forms])
+    is_float = kind.startswith("float")
+    spaces: list[ColorSpace] = [
+        "linear" if form.space == "srgb" and is_float else form.space for form in forms
+    ]
+    notes = [(form.name, form.components, space) for form, space in zip(forms, spaces, strict=True)]
     with workers(threads, executor) as pool:
         samples = _Samples(surface, patches, faces)
-        forms = [texture.channels[name].format for name in names]
         wanted = _looked_up(texture, samples, names, pool, report)
-        values = _encoded(_fitted(wanted, samples, forms, report), forms, kind, spaces)
-        notes = [(form.name, form.components, space) for form, space in zip(forms, spaces, strict=True)]
-        alpha = None
-        if ALPHA.name in names:
-            before = names[: names.index(ALPHA.name)]
-            alpha = sum(form.components for form in forms[: len(before)])
+        columns = np.split(_fitted(wanted, samples, forms, report), ends[:-1], axis=1)
+        codes = [encode(column, kind, space) for column, space in zip(columns, spaces, strict=True)]
         contents = Contents(
-            MESH_TYPES[TRIANGLE if patches.is_triangle else QUAD], faces, values, alpha,
+            MESH_TYPES[TRIANGLE if patches.is_triangle else QUAD],
+            faces,
+            np.concatenate(codes, axis=1),
+            int(ends[names.index(ALPHA.name)]) - 1 if ALPHA.name in names else None,
             metadata={CHANNELS_KEY: json.dumps(notes)},
-        )  # fmt: skip
+        )
         write_contents(contents, path, pool)
     report("write", len(log2), len(log2))
 
@@ -258,13 +260,10 @@ def _looked_up(
         rest = surface.rest_at(triangles[there], barycentric[there])
         edges = (lengths[faces[there]] / np.exp2(log2[faces[there]])).prod(axis=1) ** 0.5 / each**0.5
         widths = np.where(edges > _WIDE * _cell_edges(texture, rest), edges, 0.0)
-        corners = surface.rest[surface.triangles[triangles[there]]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = area_vectors(surface.rest[surface.triangles[triangles[there]]])
         found = texture.sample(rest, list(names), normals=normals, width=widths, executor=executor)
-        column = 0
-        for name, width in zip(names, components, strict=True):
-            values[begin * each + there, column : column + width] = found[name].reshape(len(there), -1)
-            column += width
+        columns = [found[name].reshape(len(there), -1) for name in names]
+        values[begin * each + there] = np.concatenate(columns, axis=1)
     return values.reshape(count, each, -1)
 
 
@@ -297,19 +296,6 @@ def _fitted(
             lack = lack.reshape(part.shape) * weights[begin : begin + _TOGETHER]
             texels[begin : begin + _TOGETHER] += lack.sum(axis=1) / totals[begin : begin + _TOGETHER]
     return texels
-
-
-def _encoded(
-    texels: Float32s, forms: Sequence[ChannelFormat], kind: str, spaces: Sequence[ColorSpace]
-) -> Array:
-    """Return texels (n, components) as a file has them."""
-    made: Array = np.empty(texels.shape, kind)
-    column = 0
-    for form, space in zip(forms, spaces, strict=True):
-        part = slice(column, column + form.components)
-        made[:, part] = encode(texels[:, part], kind, space)
-        column += form.components
-    return made
 
 
 def _at(patches: Patches, log2: Int8s, within: Int64s, shares: Float64s) -> Float64s:

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int8s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Int8s, Int32s, Int64s, Uint8s, Uint32s
 
 MAGIC = b"Ptex"
 VERSION, MINOR_VERSION = 1, 4
@@ -124,6 +124,11 @@ def unpacked_faces(info: np.ndarray) -> Faces:
         info["edges"][:, None] >> np.arange(0, 8, 2, dtype=np.uint8) & np.uint8(3),
         info["flags"] & IS_SUBFACE != 0,
     )
+
+
+def sizes_of(words: Uint32s) -> tuple[Int64s, Uint32s]:
+    """Return the sizes and the encodings of blocks (n,), of which a file has a word each."""
+    return (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64), words >> np.uint32(BLOCK_BITS)
 
 
 def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:

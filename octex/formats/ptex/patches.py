@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int8s, Int32s, Int64s, Uint8s
+from octex.arrays import Float64s, Int8s, Int32s, Int64s, Uint8s
 from octex.errors import ModelError
 from octex.formats.ptex.layout import MESH_TYPES, QUAD, TRIANGLE, Faces
 from octex.jit import inlined, kernel
 from octex.source.corners import Polygons
 from octex.source.mesh import Mesh
-from octex.source.welding import first_equal
+from octex.source.welding import first_equal, sides_across
 
 
 class Patches(NamedTuple):
@@ -26,6 +26,7 @@ class Patches(NamedTuple):
     first_corners: Int64s  # (polygons + 1,)
     corners: Int32s  # (corners,)      vertices
     plane: Float64s  # (corners, 2)    where they are on the polygon's plane
+    quads: Float64s  # (faces, 4, 2)   where the corners of faces are on that plane
     first_faces: Int64s  # (polygons + 1,)
     owners: Int32s  # (faces,)         the polygon of each face
     polygons: Int32s  # (triangles,)   the polygon of each triangle
@@ -67,13 +68,16 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
     numbers, cut = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
     order = np.argsort(numbers, kind="stable").astype(np.int32)
     first_cut = np.searchsorted(numbers[order], np.arange(len(sizes) + 1))
+    plane = _planes(mesh.rest[vertices], first_corners)
+    owners = np.repeat(np.arange(len(sizes), dtype=np.int32), per)
     return Patches(
         is_triangle,
         first_corners,
         vertices,
-        _planes(mesh.rest[vertices], first_corners),
+        plane,
+        _at_corners(plane, first_corners, first_faces, owners),
         first_faces,
-        np.repeat(np.arange(len(sizes), dtype=np.int32), per),
+        owners,
         numbers,
         np.ascontiguousarray(cut),
         first_cut,
@@ -81,32 +85,47 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
     )
 
 
-@kernel
-def _planes(positions: Float64s, first: Int64s) -> Float64s:
+def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, owners: Int32s) -> Float64s:
+    """Return values (faces, 4, k) at the corners of faces, of values at the corners of polygons (corners, k).
+
+    A triangle's fourth corner is its third. Zeros for polygons without triangles.
+    """
+    sizes, within = np.diff(first_corners), np.arange(len(owners)) - first_faces[owners]
+    polygons = np.repeat(np.arange(len(sizes)), sizes)
+    sums = np.stack([np.bincount(polygons, column, len(sizes)) for column in values.T], axis=1)
+    found = np.zeros((len(owners), 4, values.shape[1]))
+    is_whole = (np.diff(first_faces) == 1)[owners] & (sizes > 0)[owners]
+    begin, size = first_corners[owners[is_whole]], sizes[owners[is_whole]]
+    for corner in range(4):
+        found[is_whole, corner] = values[begin + np.minimum(corner, size - 1)]
+    parts = np.flatnonzero(np.diff(first_faces)[owners] > 1)
+    begin, size, own = first_corners[owners[parts]], sizes[owners[parts]], within[parts]
+    here = values[begin + own]
+    found[parts, 0], found[parts, 2] = here, sums[owners[parts]] / size[:, None]
+    for corner, step in ((1, 1), (3, size - 1)):
+        found[parts, corner] = 0.5 * (here + values[begin + (own + step) % size])
+    return found
+
+
+def _sides(first_corners: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    """Return the polygon of each corner (n,), its number there, and the number of the corner after it."""
+    sizes = np.diff(first_corners)
+    polygons = np.repeat(np.arange(len(sizes)), sizes)
+    within = np.arange(len(polygons)) - first_corners[polygons]
+    return polygons, within, (within + 1) % sizes[polygons]
+
+
+def _planes(positions: Float64s, first_corners: Int64s) -> Float64s:
     """Return where corners lie on the planes of their polygons (n, 2)."""
-    plane = np.empty((positions.shape[0], 2))
-    for polygon in range(first.size - 1):
-        begin, end = first[polygon], first[polygon + 1]
-        x = y = z = 0.0
-        for i in range(begin, end):
-            j = i + 1 if i + 1 < end else begin
-            x += (positions[i, 1] - positions[j, 1]) * (
-                positions[i, 2] + positions[j, 2] - 2 * positions[begin, 2]
-            )
-            y += (positions[i, 2] - positions[j, 2]) * (
-                positions[i, 0] + positions[j, 0] - 2 * positions[begin, 0]
-            )
-            z += (positions[i, 0] - positions[j, 0]) * (
-                positions[i, 1] + positions[j, 1] - 2 * positions[begin, 1]
-            )
-        axis = 2
-        if abs(x) >= abs(y) and abs(x) >= abs(z):
-            axis = 0
-        elif abs(y) >= abs(z):
-            axis = 1
-        for i in range(begin, end):
-            plane[i, 0], plane[i, 1] = positions[i, (axis + 1) % 3], positions[i, (axis + 2) % 3]
-    return plane
+    polygons, _, after = _sides(first_corners)
+    first = first_corners[polygons]
+    steps = positions - positions[first + after]
+    sums = positions + positions[first + after] - 2 * positions[first]
+    products = steps[:, [1, 2, 0]] * sums[:, [2, 0, 1]]
+    count = len(first_corners) - 1
+    areas = np.abs(np.stack([np.bincount(polygons, each, count) for each in products.T], axis=1))
+    axis = np.argmax(areas, axis=1)[polygons, None]
+    return np.take_along_axis(positions, (axis + np.array([1, 2])) % 3, axis=1)
 
 
 def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
@@ -116,49 +135,24 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     the same way, is a border: no neighbour turns it over.
     """
     place = first_equal(mesh.rest)[patches.corners]
-    first, sizes = patches.first_corners, np.diff(patches.first_corners)
-    corners = np.arange(len(place))
-    polygon = np.repeat(np.arange(len(sizes)), sizes)
-    within = corners - first[polygon]
-    after = first[polygon] + (within + 1) % sizes[polygon]
-    a, b = place, place[after]
-    key = np.minimum(a, b) << 32 | np.maximum(a, b)
-    order = np.argsort(key, kind="stable")
-    ranked = key[order]
-    starts = np.flatnonzero(np.concatenate([[True], ranked[1:] != ranked[:-1]]))
-    lengths = np.diff(np.append(starts, len(ranked)))
-    pairs = starts[lengths == 2]
-    one, two = order[pairs], order[pairs + 1]
-    is_sound = (a[one] == b[two]) & (a[one] != b[one])
-    one, two = one[is_sound], two[is_sound]
-    across = np.full(len(place), -1, np.int64)
-    across[one], across[two] = two, one
-
-    is_whole = sizes == 4
-    if patches.is_triangle:
-        is_whole = np.ones_like(is_whole)
+    polygon, within, after = _sides(patches.first_corners)
+    base = patches.first_faces[polygon]
+    across = sides_across(place, place[patches.first_corners[polygon] + after])
+    whole = np.diff(patches.first_faces)[polygon] == 1
     neighbors = np.full((patches.n_faces, 4), -1, np.int32)
     edges = np.zeros((patches.n_faces, 4), np.uint8)
-    base = patches.first_faces[polygon]
-    whole = is_whole[polygon]
-    # What another polygon meets first along an edge, going the other way: the face, or the subface there.
-    met_face = np.where(whole, base, base + (within + 1) % sizes[polygon])
-    met_edge = np.where(whole, within, 3)
-    crossed = np.flatnonzero(across >= 0)
-    there = across[crossed]
-    own = whole[crossed]
-    face, edge = base[crossed[own]], within[crossed[own]]
-    neighbors[face, edge], edges[face, edge] = met_face[there[own]], met_edge[there[own]]
-    # Of an edge of another polygon the first half is edge 0 of a subface, the second edge 3 of the next.
-    halves, there = crossed[~own], there[~own]
-    start = base[halves] + within[halves]
-    end = base[halves] + (within[halves] + 1) % sizes[polygon[halves]]
-    neighbors[start, 0], edges[start, 0] = met_face[there], met_edge[there]
-    neighbors[end, 3] = np.where(whole[there], base[there], base[there] + within[there])
-    edges[end, 3] = np.where(whole[there], within[there], 0)
-    inside = np.flatnonzero(~whole)
-    here = base[inside] + within[inside]
-    following = base[inside] + (within[inside] + 1) % sizes[polygon[inside]]
+    # The face and its edge along the first half of a polygon's side, and along the second.
+    halves = (
+        (np.where(whole, base, base + within), np.where(whole, within, 0)),
+        (np.where(whole, base, base + after), np.where(whole, within, 3)),
+    )
+    here = np.flatnonzero(across >= 0)
+    there = across[here]
+    for half in (1, 0):  # a face along a whole side meets the first half beyond it, which is written last
+        (face, edge), (other, beyond) = halves[half], halves[1 - half]
+        neighbors[face[here], edge[here]] = other[there]
+        edges[face[here], edge[here]] = beyond[there]
+    here, following = (base + within)[~whole], (base + after)[~whole]
     neighbors[here, 1], edges[here, 1] = following, 2
     neighbors[following, 2], edges[following, 2] = here, 1
     return neighbors, edges
@@ -166,14 +160,8 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
 
 def faces_of(mesh: Mesh, patches: Patches, log2: Int8s) -> Faces:
     """Return the faces of a mesh with so many texels (faces, 2), as powers of two."""
-    return Faces(log2, *neighbors_of(mesh, patches), subfaces_of(patches))
-
-
-def subfaces_of(patches: Patches) -> Bools:
-    """Say which faces are parts of polygons (faces,)."""
-    per = np.diff(patches.first_faces)
-    subfaces: Bools = (per > 1)[patches.owners]
-    return subfaces
+    subfaces = (np.diff(patches.first_faces) > 1)[patches.owners]
+    return Faces(log2, *neighbors_of(mesh, patches), subfaces)
 
 
 def check_fit(mesh: Mesh, patches: Patches, faces: Faces, name: str) -> None:
@@ -193,35 +181,12 @@ def check_fit(mesh: Mesh, patches: Patches, faces: Faces, name: str) -> None:
 
 
 @inlined
-def _corner(patches: Patches, polygon: int, face: int, corner: int) -> tuple[float, float]:
-    """Return where a corner of a face is on its polygon's plane."""
-    begin, end = patches.first_corners[polygon], patches.first_corners[polygon + 1]
-    size = end - begin
-    if patches.first_faces[polygon + 1] - patches.first_faces[polygon] == 1:
-        at = begin + corner
-        return patches.plane[at, 0], patches.plane[at, 1]
-    own = begin + face - patches.first_faces[polygon]
-    x, y = patches.plane[own, 0], patches.plane[own, 1]
-    if corner == 0:
-        return x, y
-    if corner == 2:
-        x = y = 0.0
-        for i in range(begin, end):
-            x += patches.plane[i, 0]
-            y += patches.plane[i, 1]
-        return x / size, y / size
-    step = 1 if corner == 1 else size - 1
-    other = begin + (own - begin + step) % size
-    return 0.5 * (x + patches.plane[other, 0]), 0.5 * (y + patches.plane[other, 1])
-
-
-@inlined
-def _inverse(patches: Patches, polygon: int, face: int, x: float, y: float) -> tuple[float, float]:
+def _inverse(patches: Patches, face: int, x: float, y: float) -> tuple[float, float]:
     """Return (u, v) of a point on the plane of a quad: what bilinear interpolation makes it of."""
-    ax, ay = _corner(patches, polygon, face, 0)
-    bx, by = _corner(patches, polygon, face, 1)
-    cx, cy = _corner(patches, polygon, face, 2)
-    dx, dy = _corner(patches, polygon, face, 3)
+    ax, ay = patches.quads[face, 0, 0], patches.quads[face, 0, 1]
+    bx, by = patches.quads[face, 1, 0], patches.quads[face, 1, 1]
+    cx, cy = patches.quads[face, 2, 0], patches.quads[face, 2, 1]
+    dx, dy = patches.quads[face, 3, 0], patches.quads[face, 3, 1]
     ex, ey, fx, fy = bx - ax, by - ay, dx - ax, dy - ay
     gx, gy, hx, hy = ax - bx + cx - dx, ay - by + cy - dy, x - ax, y - ay
     # h = u·e + v·f + u·v·g: without u that is a quadratic in v.
@@ -267,7 +232,7 @@ def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tup
     y = p * patches.plane[a, 1] + q * patches.plane[b, 1] + r * patches.plane[c, 1]
     found, best_u, best_v, least = face, 0.5, 0.5, np.inf
     for each in range(face, patches.first_faces[polygon + 1]):
-        u, v = _inverse(patches, polygon, each, x, y)
+        u, v = _inverse(patches, each, x, y)
         outside = max(max(-u, u - 1.0), max(-v, v - 1.0))
         if outside < least:
             found, best_u, best_v, least = each, u, v, outside
@@ -277,11 +242,11 @@ def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tup
 
 
 @inlined
-def _bilinear(patches: Patches, polygon: int, face: int, u: float, v: float) -> tuple[float, float]:
-    ax, ay = _corner(patches, polygon, face, 0)
-    bx, by = _corner(patches, polygon, face, 1)
-    cx, cy = _corner(patches, polygon, face, 2)
-    dx, dy = _corner(patches, polygon, face, 3)
+def _bilinear(patches: Patches, face: int, u: float, v: float) -> tuple[float, float]:
+    ax, ay = patches.quads[face, 0, 0], patches.quads[face, 0, 1]
+    bx, by = patches.quads[face, 1, 0], patches.quads[face, 1, 1]
+    cx, cy = patches.quads[face, 2, 0], patches.quads[face, 2, 1]
+    dx, dy = patches.quads[face, 3, 0], patches.quads[face, 3, 1]
     s, t = 1.0 - u, 1.0 - v
     return (
         s * t * ax + u * t * bx + u * v * cx + s * v * dx,
@@ -314,7 +279,7 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
         best = -np.inf
         x = y = 0.0
         if patches.first_cut[polygon] < patches.first_cut[polygon + 1]:
-            x, y = _bilinear(patches, polygon, face, u, v)
+            x, y = _bilinear(patches, face, u, v)
         for at in range(patches.first_cut[polygon], patches.first_cut[polygon + 1]):
             triangle = patches.triangles[at]
             a, b, c = (
@@ -341,42 +306,15 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
                 barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = p / total, q / total, r / total
 
 
-@kernel
 def stretches(patches: Patches, positions: Float64s) -> Float64s:
     """Return the greatest lengths (faces, 2) of a face's derivatives along u and v, of vertices (n, 3).
 
-    A face is bilinear: those are along its edges.
+    A face is bilinear: those are along its edges. A triangle has its longest edge, both ways.
     """
-    found = np.zeros((patches.owners.size, 2))
-    here = np.empty((4, 3))
-    for face in range(patches.owners.size):
-        polygon = int(patches.owners[face])
-        begin, end = patches.first_corners[polygon], patches.first_corners[polygon + 1]
-        size = end - begin
-        if size == 0:
-            continue
-        is_whole = patches.first_faces[polygon + 1] - patches.first_faces[polygon] == 1
-        own = face - patches.first_faces[polygon]
-        for axis in range(3):
-            if is_whole:
-                for corner in range(4):
-                    here[corner, axis] = positions[patches.corners[begin + min(corner, size - 1)], axis]
-                continue
-            middle = 0.0
-            for i in range(begin, end):
-                middle += positions[patches.corners[i], axis]
-            at = positions[patches.corners[begin + own], axis]
-            here[0, axis], here[2, axis] = at, middle / size
-            here[1, axis] = 0.5 * (at + positions[patches.corners[begin + (own + 1) % size], axis])
-            here[3, axis] = 0.5 * (at + positions[patches.corners[begin + (own + size - 1) % size], axis])
-        a = b = c = d = 0.0
-        for axis in range(3):
-            a += (here[1, axis] - here[0, axis]) ** 2
-            b += (here[2, axis] - here[3, axis]) ** 2
-            c += (here[3, axis] - here[0, axis]) ** 2
-            d += (here[2, axis] - here[1, axis]) ** 2
-        if patches.is_triangle:  # as wide as its longest edge, both ways
-            found[face] = np.sqrt(max(a, max(c, d)))
-        else:
-            found[face, 0], found[face, 1] = np.sqrt(max(a, b)), np.sqrt(max(c, d))
-    return found
+    first_corners, first_faces, owners = patches.first_corners, patches.first_faces, patches.owners
+    corners = _at_corners(positions[patches.corners], first_corners, first_faces, owners)
+    steps = (corners[:, [1, 2, 3, 2]] - corners[:, [0, 3, 0, 1]]) ** 2
+    lengths = np.sqrt(steps[..., 0] + steps[..., 1] + steps[..., 2])
+    if patches.is_triangle:
+        return np.repeat(lengths.max(axis=1, keepdims=True), 2, axis=1)
+    return np.asarray(lengths.reshape(-1, 2, 2).max(axis=2))

@@ -15,34 +15,8 @@ from octex.arrays import Array, Bools, Int8s, Int64s, Uint32s
 from octex.checks import as_path, as_whole, locked
 from octex.errors import ModelError
 from octex.files import open_file
-from octex.formats.ptex.layout import (
-    BARRIER,
-    BLOCK_BITS,
-    BORDER_MODES,
-    CONSTANT,
-    DIFFERENCED,
-    DTYPES,
-    EDGE_FILTERS,
-    EDIT_FACE,
-    EDIT_METADATA,
-    EXTENDED_HEADER,
-    FACE_INFO,
-    HAS_EDITS,
-    HEADER,
-    IS_CONSTANT,
-    LEVEL_INFO,
-    LONGEST_LOG2,
-    MAGIC,
-    MESH_TYPES,
-    METADATA_TYPES,
-    QUAD,
-    TILED,
-    TRIANGLE,
-    VERSION,
-    Faces,
-    reduced_order,
-    unpacked_faces,
-)
+from octex.formats.ptex import layout
+from octex.formats.ptex.layout import Faces
 from octex.formats.ptex.reduction import halved, premultiplied
 
 #: A byte of a zlib stream stands for so many at most.
@@ -112,17 +86,18 @@ class PtexFile:
 
     def _open(self) -> None:
         self._size = self._file.seek(0, os.SEEK_END)
-        header = self._record(HEADER, 0)
-        if header["magic"] != MAGIC:
+        header = self._record(layout.HEADER, 0)
+        if header["magic"] != layout.MAGIC:
             raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
-        if header["version"] != VERSION:
+        if header["version"] != layout.VERSION:
             raise ModelError(
-                f"{self.path.name} is of Ptex version {header['version']}; octex reads {VERSION}"
+                f"{self.path.name} is of Ptex version {header['version']}; octex reads {layout.VERSION}"
             )
-        if header["mesh_type"] >= len(MESH_TYPES) or header["data_type"] >= len(DTYPES):
+        if header["mesh_type"] >= len(layout.MESH_TYPES) or header["data_type"] >= len(layout.DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
-        self.mesh_type = MESH_TYPES[header["mesh_type"]]
-        self.dtype = np.dtype(DTYPES[header["data_type"]])
+        self.mesh_type = layout.MESH_TYPES[header["mesh_type"]]
+        self._is_triangle = self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
+        self.dtype = np.dtype(layout.DTYPES[header["data_type"]])
         self._stored = self.dtype.newbyteorder("<")
         self.n_channels, self.n_faces = int(header["channels"]), int(header["faces"])
         self.n_levels = int(header["levels"])
@@ -131,20 +106,20 @@ class PtexFile:
         self.alpha_channel = alpha if 0 <= alpha < self.n_channels else None
         if not self.n_channels or not self.n_faces or not self.n_levels:
             raise self._refusal("it has no channels, no faces or no levels")
-        if header["level_info"] != self.n_levels * LEVEL_INFO.itemsize:
+        if header["level_info"] != self.n_levels * layout.LEVEL_INFO.itemsize:
             raise self._refusal("its levels' sizes take another number of bytes than there are levels")
         self._pixel = self.n_channels * self.dtype.itemsize
         length = int(header["extended_header"])
-        bytes_of = np.zeros(EXTENDED_HEADER.itemsize, np.uint8)
-        taken = min(length, EXTENDED_HEADER.itemsize)
-        bytes_of[:taken] = np.frombuffer(self._read(HEADER.itemsize, taken), np.uint8)
-        extended = bytes_of.view(EXTENDED_HEADER)[0]
+        known = layout.EXTENDED_HEADER.itemsize
+        data = self._read(layout.HEADER.itemsize, min(length, known)).ljust(known, b"\0")
+        extended = np.frombuffer(data, layout.EXTENDED_HEADER)[0]
         u, v, edges = (int(extended[name]) for name in ("u_border", "v_border", "edge_filter"))
-        if max(u, v) >= len(BORDER_MODES) or edges >= len(EDGE_FILTERS):
+        if max(u, v) >= len(layout.BORDER_MODES) or edges >= len(layout.EDGE_FILTERS):
             raise self._refusal("an unknown border mode or edge filter")
-        self.border_modes, self.edge_filter = (BORDER_MODES[u], BORDER_MODES[v]), EDGE_FILTERS[edges]
+        self.border_modes = layout.BORDER_MODES[u], layout.BORDER_MODES[v]
+        self.edge_filter = layout.EDGE_FILTERS[edges]
 
-        at = HEADER.itemsize + length
+        at = layout.HEADER.itemsize + length
         sizes = {name: int(header[name]) for name in ("face_info", "constants", "level_info", "level_data")}
         places = {}
         for name, size in sizes.items():
@@ -152,7 +127,7 @@ class PtexFile:
             at += size
         has_metadata = header["metadata_zipped"] > 0 or extended["large_zipped"] > 0
         self._metadata_at = at, int(header["metadata_zipped"]), int(header["metadata"])
-        barred = at + self._metadata_at[1] + BARRIER
+        barred = at + self._metadata_at[1] + layout.BARRIER
         self._large_at = barred, int(extended["large_zipped"]), int(extended["large"])
         self._large_end = barred + self._large_at[1] + int(extended["large_data"])
         if max(at, self._large_end if has_metadata else 0) > self._size:
@@ -160,19 +135,18 @@ class PtexFile:
         self._constants_at = places["constants"]
         self._levels = self._placed_levels(*places["level_info"], *places["level_data"])
         self._info = np.frombuffer(
-            self._inflated(*places["face_info"], self.n_faces * FACE_INFO.itemsize), FACE_INFO
+            self._inflated(*places["face_info"], self.n_faces * layout.FACE_INFO.itemsize), layout.FACE_INFO
         ).copy()
         self._read_edits(extended, at if not has_metadata else self._large_end)
         self._check_faces()
-        log2, neighbors, across, subfaces = unpacked_faces(self._info)
+        log2, neighbors, across, subfaces = layout.unpacked_faces(self._info)
         self.faces = Faces(locked(log2), locked(neighbors), locked(across), locked(subfaces))
-        self.is_constant: Bools = locked(self._info["flags"] & IS_CONSTANT != 0)
-        self._order: dict[int, Int64s] = {}
-        self._headers: dict[int, tuple[Uint32s, Int64s]] = {}
+        self.is_constant: Bools = locked(self._info["flags"] & layout.IS_CONSTANT != 0)
+        self._headers: dict[int, tuple[Int64s, Int64s, Uint32s]] = {}
 
     def _placed_levels(self, at: int, size: int, first: int, room: int) -> list[tuple[int, int, int, int]]:
         """Return where each level begins, its bytes, those of its header, and its faces."""
-        info = np.frombuffer(self._read(at, size), LEVEL_INFO)
+        info = np.frombuffer(self._read(at, size), layout.LEVEL_INFO)
         if info[0]["faces"] != self.n_faces or (info["faces"] > self.n_faces).any():
             raise self._refusal("its levels have another number of faces than it has")
         placed, end = [], first + room
@@ -203,17 +177,17 @@ class PtexFile:
             begin, place = place + 5, place + 5 + size
             if place > len(data):
                 raise self._refusal("an edit ends early")
-            if kind == EDIT_FACE:
-                start = begin + 4 + FACE_INFO.itemsize
+            if kind == layout.EDIT_FACE:
+                start = begin + 4 + layout.FACE_INFO.itemsize
                 if start + 4 + self._pixel > place:
                     raise self._refusal("an edit of a face is too short")
                 face = int.from_bytes(data[begin : begin + 4], "little")
                 if face >= self.n_faces:
                     raise self._refusal(f"an edit of face {face}; it has {self.n_faces}")
-                self._info[face] = np.frombuffer(data[begin + 4 : start], FACE_INFO)[0]
-                self._info[face]["flags"] |= HAS_EDITS
+                self._info[face] = np.frombuffer(data[begin + 4 : start], layout.FACE_INFO)[0]
+                self._info[face]["flags"] |= layout.HAS_EDITS
                 self._edited[face] = at + start, at + place
-            elif kind == EDIT_METADATA:
+            elif kind == layout.EDIT_METADATA:
                 if size < 8:
                     raise self._refusal("an edit of metadata is too short")
                 zipped = int.from_bytes(data[begin : begin + 4], "little")
@@ -225,10 +199,10 @@ class PtexFile:
     def _check_faces(self) -> None:
         info = self._info
         u, v, neighbors = info["u_log2"], info["v_log2"], info["neighbors"]
-        sides = 4 if self.mesh_type == MESH_TYPES[QUAD] else 3
-        if min(u.min(), v.min()) < 0 or max(u.max(), v.max()) > LONGEST_LOG2:
-            raise self._refusal(f"a face's side is not of 1 to 2^{LONGEST_LOG2} texels")
-        if self.mesh_type == MESH_TYPES[TRIANGLE] and (u != v).any():
+        sides = 3 if self._is_triangle else 4
+        if min(u.min(), v.min()) < 0 or max(u.max(), v.max()) > layout.LONGEST_LOG2:
+            raise self._refusal(f"a face's side is not of 1 to 2^{layout.LONGEST_LOG2} texels")
+        if self._is_triangle and (u != v).any():
             raise self._refusal("a triangle has another number of texels along u than along v")
         if (neighbors[:, :sides] < -1).any() or (neighbors[:, :sides] >= self.n_faces).any():
             raise self._refusal(f"a face has a neighbour that is not among the {self.n_faces}")
@@ -260,52 +234,44 @@ class PtexFile:
             return np.broadcast_to(pixel, (1 << v - level, 1 << u - level, self.n_channels))
         if face in self._edited:
             at, end = self._edited[face]
-            word = int.from_bytes(self._read(at, 4), "little")
-            size = word & (1 << BLOCK_BITS) - 1
+            words = np.frombuffer(self._read(at, 4), "<u4")
+            size, encoding = (int(each[0]) for each in layout.sizes_of(words))
             begin = at + 4 + self._pixel
             if begin + size > end:
                 raise self._refusal("an edit of a face is too short")
-            whole = self._block(begin, size, word >> BLOCK_BITS, u, v)
-            return self._halved(whole, level, is_multiplied=False)
-        number = face
+            return self._halved(self._block(begin, size, encoding, u, v), level, is_multiplied=False)
         for stored in range(min(level, self.n_levels - 1), -1, -1):
-            if stored:
-                number = int(self._numbers[face])
+            number = int(self._numbers[face]) if stored else face
             if number < self._levels[stored][3] and (stored == 0 or min(u, v) > stored):
-                words, begins = self._level(stored)
-                word = int(words[number])
-                size, encoding = word & (1 << BLOCK_BITS) - 1, word >> BLOCK_BITS
+                begin, size, encoding = (int(each[number]) for each in self._level(stored))
                 if stored == 0 or size:
-                    found = self._block(int(begins[number]), size, encoding, u - stored, v - stored)
+                    found = self._block(begin, size, encoding, u - stored, v - stored)
                     return self._halved(found, level - stored, is_multiplied=stored > 0)
-            number = face
         raise self._refusal(f"face {face} is not in it")
 
     def _halved(self, texels: Array, times: int, *, is_multiplied: bool) -> Array:
         if times and not is_multiplied and self.alpha_channel is not None:
             texels = premultiplied(texels, self.alpha_channel)
         for _ in range(times):
-            texels = halved(texels[None], self.mesh_type == MESH_TYPES[TRIANGLE])[0]
+            texels = halved(texels[None], self._is_triangle)[0]
         return texels
 
     @cached_property
     def _numbers(self) -> Int64s:
         """The number (n_faces,) of each face in the levels above 0."""
-        order, _ = reduced_order(self.faces.log2, self.is_constant)
+        order, _ = layout.reduced_order(self.faces.log2, self.is_constant)
         numbers = np.empty_like(order)
         numbers[order] = np.arange(len(order))
         return numbers
 
-    def _level(self, level: int) -> tuple[Uint32s, Int64s]:
-        """Return the words of a level's blocks, and where these begin."""
+    def _level(self, level: int) -> tuple[Int64s, Int64s, Uint32s]:
+        """Return where the blocks of a level begin, their sizes and their encodings."""
         if level not in self._headers:
             at, length, header, faces = self._levels[level]
-            words = np.frombuffer(self._inflated(at, header, 4 * faces), "<u4")
-            sizes = (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64)
-            ends = np.cumsum(sizes)
-            if header + int(ends[-1] if faces else 0) > length:
+            sizes, encodings = layout.sizes_of(np.frombuffer(self._inflated(at, header, 4 * faces), "<u4"))
+            if header + int(sizes.sum()) > length:
                 raise self._refusal("the blocks of a level are larger than it")
-            self._headers[level] = words, at + header + ends - sizes
+            self._headers[level] = at + header + np.cumsum(sizes) - sizes, sizes, encodings
         return self._headers[level]
 
     def _block(self, at: int, size: int, encoding: int, u: int, v: int) -> Array:
@@ -314,20 +280,20 @@ class PtexFile:
 
     def _decoded(self, data: bytes, encoding: int, u: int, v: int, *, is_tile: bool) -> Array:
         shape = 1 << v, 1 << u, self.n_channels
-        if encoding == CONSTANT:
+        if encoding == layout.CONSTANT:
             if len(data) != self._pixel:
                 raise self._refusal("a pixel takes another number of bytes than its channels")
             pixel = np.frombuffer(data, self._stored).astype(self.dtype)
             return np.broadcast_to(pixel, shape)
-        if encoding == TILED:
+        if encoding == layout.TILED:
             if is_tile:
                 raise self._refusal("a tile of tiles")
             return self._from_tiles(data, u, v)
-        if encoding == DIFFERENCED and self.dtype.kind != "u":
+        if encoding == layout.DIFFERENCED and self.dtype.kind != "u":
             raise self._refusal("differences of numbers that are not whole")
         plane = self._unzipped(data, self._pixel << u + v)
         values: Array = np.frombuffer(plane, self._stored)
-        if encoding == DIFFERENCED:
+        if encoding == layout.DIFFERENCED:
             values = np.cumsum(values, dtype=self.dtype)
         planar = values.astype(self.dtype, copy=False).reshape(self.n_channels, *shape[:2])
         return np.moveaxis(planar, 0, 2)
@@ -340,13 +306,12 @@ class PtexFile:
         if not (0 <= tile_u <= u and 0 <= tile_v <= v) or 6 + header > len(data):
             raise self._refusal("its tiles do not fit a face")
         across, count = 1 << u - tile_u, 1 << u - tile_u + v - tile_v
-        words = np.frombuffer(self._unzipped(data[6 : 6 + header], 4 * count), "<u4")
-        sizes = (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64)
-        encodings = words >> np.uint32(BLOCK_BITS)
+        words = self._unzipped(data[6 : 6 + header], 4 * count)
+        sizes, encodings = layout.sizes_of(np.frombuffer(words, "<u4"))
         begins = 6 + header + np.cumsum(sizes) - sizes
         if begins[-1] + sizes[-1] > len(data):
             raise self._refusal("a face of tiles ends early")
-        zipped = encodings != CONSTANT
+        zipped = encodings != layout.CONSTANT
         if (sizes[zipped] * _MOST_PER_BYTE + _ROOM < self._pixel << tile_u + tile_v).any():
             raise self._refusal("a tile is too short for its texels")
         whole = np.empty((1 << v, 1 << u, self.n_channels), self.dtype)
@@ -393,10 +358,10 @@ class PtexFile:
                     raise self._refusal("large metadata ends early")
                 value = self._inflated(values_at, zipped, size)
                 values_at += zipped
-            if place > len(data) or kind >= len(METADATA_TYPES):
+            if place > len(data) or kind >= len(layout.METADATA_TYPES):
                 raise self._refusal("an entry of the metadata ends early or is of an unknown type")
             name = key.split(b"\0", 1)[0].decode("utf-8", "replace")
-            found[name] = self._value(METADATA_TYPES[kind], value)
+            found[name] = self._value(layout.METADATA_TYPES[kind], value)
 
     def _value(self, kind: str, value: bytes) -> str | Array:
         if kind == "S":

@@ -15,31 +15,8 @@ import numpy as np
 from octex.arrays import Array, Bools, Float64s, Int8s, Int64s, Uint32s
 from octex.channels import ONE
 from octex.files import replacing
-from octex.formats.ptex.layout import (
-    BARRIER,
-    BLOCK_BITS,
-    BORDER_MODES,
-    CONSTANT,
-    DIFFERENCED,
-    DTYPES,
-    EDGE_FILTERS,
-    EXTENDED_HEADER,
-    HEADER,
-    LEVEL_INFO,
-    MAGIC,
-    MESH_TYPES,
-    METADATA_TYPES,
-    MINOR_VERSION,
-    MOST_SMALL_METADATA,
-    TILED,
-    TRIANGLE,
-    VERSION,
-    ZIPPED,
-    Faces,
-    packed_faces,
-    reduced_order,
-    tile_log2,
-)
+from octex.formats.ptex import layout
+from octex.formats.ptex.layout import Faces
 from octex.formats.ptex.reduction import colors, halved, multiply, stored
 from octex.parallel import ordered_map, start
 
@@ -58,21 +35,11 @@ class Contents(NamedTuple):
 
     mesh_type: str
     faces: Faces
-    texels: Array  # (texels, channels)   of DTYPES; face after face, each in rows from v = 0 up
+    texels: Array  # (texels, channels)   of layout.DTYPES; face after face, each in rows from v = 0 up
     alpha_channel: int | None = None
     border_modes: tuple[str, str] = ("clamp", "clamp")
     edge_filter: str = "none"
     metadata: Mapping[str, str | Array] = {}
-
-
-class _Level(NamedTuple):
-    """The faces of a level, in its order."""
-
-    words: Uint32s  # (n,)   size and encoding of each block
-    blocks: list[bytes]
-
-    def parts(self) -> list[bytes]:
-        return [zlib.compress(self.words.astype("<u4").tobytes(), 9), *self.blocks]
 
 
 def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
@@ -84,13 +51,12 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """
     faces, texels = contents.faces, contents.texels
     is_constant = _constant(texels, faces.counts)
-    packing = start(executor, zlib.compress, packed_faces(faces, is_constant).tobytes(), 9)
+    packing = start(executor, zlib.compress, layout.packed_faces(faces, is_constant).tobytes(), 9)
     levels, constants = _levels(contents, is_constant, executor)
-    parts = [level.parts() for level in levels]
-    info = np.zeros(len(levels), LEVEL_INFO)
-    info["header"] = [len(each[0]) for each in parts]
-    info["bytes"] = [sum(map(len, each)) for each in parts]
-    info["faces"] = [len(level.words) for level in levels]
+    info = np.zeros(len(levels), layout.LEVEL_INFO)
+    info["header"] = [len(level[0]) for level in levels]
+    info["bytes"] = [sum(map(len, level)) for level in levels]
+    info["faces"] = [len(level) - 1 for level in levels]
     packed = packing.result()
     averages = zlib.compress(constants.tobytes(), 9)
     small, large = _metadata(contents.metadata)
@@ -99,38 +65,42 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     heads = b"".join(head for head, _ in large)
     zipped_heads = zlib.compress(heads) if heads else b""
 
-    header = np.zeros(1, HEADER)
-    header["magic"], header["version"], header["minor_version"] = MAGIC, VERSION, MINOR_VERSION
-    header["mesh_type"] = MESH_TYPES.index(contents.mesh_type)
-    header["data_type"] = DTYPES.index(texels.dtype.name)
+    header = np.zeros(1, layout.HEADER)
+    header["magic"], header["version"], header["minor_version"] = (
+        layout.MAGIC,
+        layout.VERSION,
+        layout.MINOR_VERSION,
+    )
+    header["mesh_type"] = layout.MESH_TYPES.index(contents.mesh_type)
+    header["data_type"] = layout.DTYPES.index(texels.dtype.name)
     header["alpha_channel"] = -1 if contents.alpha_channel is None else contents.alpha_channel
     header["channels"], header["levels"], header["faces"] = texels.shape[1], len(levels), len(faces.log2)
-    header["extended_header"] = EXTENDED_HEADER.itemsize
+    header["extended_header"] = layout.EXTENDED_HEADER.itemsize
     header["face_info"], header["constants"], header["level_info"] = len(packed), len(averages), info.nbytes
     header["level_data"] = info["bytes"].sum()
     header["metadata_zipped"], header["metadata"] = len(zipped), len(entries)
-    extended = np.zeros(1, EXTENDED_HEADER)
-    extended["u_border"], extended["v_border"] = map(BORDER_MODES.index, contents.border_modes)
-    extended["edge_filter"] = EDGE_FILTERS.index(contents.edge_filter)
+    extended = np.zeros(1, layout.EXTENDED_HEADER)
+    extended["u_border"], extended["v_border"] = map(layout.BORDER_MODES.index, contents.border_modes)
+    extended["edge_filter"] = layout.EDGE_FILTERS.index(contents.edge_filter)
     extended["large_zipped"], extended["large"] = len(zipped_heads), len(heads)
     extended["large_data"] = sum(len(value) for _, value in large)
     before = [header.tobytes(), extended.tobytes(), packed, averages, info.tobytes()]
-    after = [zipped, bytes(BARRIER), zipped_heads, *(value for _, value in large)]
+    after = [zipped, bytes(layout.BARRIER), zipped_heads, *(value for _, value in large)]
     length = sum(map(len, [*before, *after])) + int(info["bytes"].sum())
     extended["edits_at"] = length
     before[1] = extended.tobytes()
     with replacing(path) as file:
         file.writelines(before)
-        for each in parts:
-            file.writelines(each)
+        for level in levels:
+            file.writelines(level)
         file.writelines(after)
 
 
-def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[_Level], Array]:
-    """Return all levels, and the average of each face (n, channels)."""
+def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[list[bytes]], Array]:
+    """Return all levels, a header and blocks each, and the average of each face (n, channels)."""
     faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
-    dtype, is_triangle = texels.dtype, contents.mesh_type == MESH_TYPES[TRIANGLE]
-    order, counts = reduced_order(faces.log2, is_constant)
+    dtype, is_triangle = texels.dtype, contents.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
+    order, counts = layout.reduced_order(faces.log2, is_constant)
     sums = np.zeros((len(faces.log2), texels.shape[1]))
     firsts = np.cumsum(faces.counts) - faces.counts
     sums[is_constant] = texels[firsts[is_constant]]
@@ -154,7 +124,8 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
             words[level][numbers] = group_words
             for number, block in zip(numbers.tolist(), group_blocks, strict=True):
                 blocks[level][number] = block
-    made = [_Level(word, block) for word, block in zip(words, blocks, strict=True)]
+    heads = [zlib.compress(each.astype("<u4").tobytes(), 9) for each in words]
+    made = [[head, *level] for head, level in zip(heads, blocks, strict=True)]
     return made, stored(sums, dtype).astype(dtype.newbyteorder("<"))
 
 
@@ -204,7 +175,7 @@ def _encoded(values: Array) -> tuple[Uint32s, list[bytes]]:
     count, v, u, channels = values.shape
     pixel = channels * values.dtype.itemsize
     log2 = u.bit_length() - 1, v.bit_length() - 1
-    tile = tile_log2(*log2, pixel)
+    tile = layout.tile_log2(*log2, pixel)
     if tile == log2:
         return _blocks(values)
     words, blocks = np.empty(count, np.uint32), []
@@ -215,7 +186,7 @@ def _encoded(values: Array) -> tuple[Uint32s, list[bytes]]:
         header = zlib.compress(tile_words.astype("<u4").tobytes())
         prefix = np.array(tile, np.int8).tobytes() + len(header).to_bytes(4, "little")
         blocks.append(b"".join([prefix, header, *tile_blocks]))
-        words[number] = len(blocks[-1]) | TILED << BLOCK_BITS
+        words[number] = len(blocks[-1]) | layout.TILED << layout.BLOCK_BITS
     return words, blocks
 
 
@@ -226,7 +197,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
     little = values.dtype.newbyteorder("<")
     size = planar.shape[1] * values.dtype.itemsize
     kept = planar.astype(little, copy=False).view(np.uint8)
-    encodings = np.full(count, ZIPPED, np.uint32)
+    encodings = np.full(count, layout.ZIPPED, np.uint32)
     blocks: list[bytes]
     if values.dtype.kind == "u":
         steps = np.empty_like(planar)
@@ -236,7 +207,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
         if size < _TRIED:
             is_other = _promise(other) <= _promise(kept) + _UNSURE
             chosen = np.where(is_other[:, None], other, kept).tobytes()
-            encodings[is_other] = DIFFERENCED
+            encodings[is_other] = layout.DIFFERENCED
             blocks = [zlib.compress(chosen[at : at + size], 6, 9) for at in range(0, len(chosen), size)]
         else:
             blocks = []
@@ -244,15 +215,15 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
                 plain, differenced = zlib.compress(row.tobytes()), zlib.compress(steps_of_row.tobytes())
                 blocks.append(min(differenced, plain, key=len))
                 if len(differenced) <= len(plain):
-                    encodings[number] = DIFFERENCED
+                    encodings[number] = layout.DIFFERENCED
     else:
         blocks = [zlib.compress(row.tobytes()) for row in kept]
     whole = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1, values.shape[3] * little.itemsize)
     for number in np.flatnonzero((whole == whole[:, :1]).all(axis=(1, 2))).tolist():
         blocks[number] = whole[number, 0].tobytes()
-        encodings[number] = CONSTANT
+        encodings[number] = layout.CONSTANT
     sizes = np.array([len(block) for block in blocks], np.uint32)
-    return sizes | encodings << np.uint32(BLOCK_BITS), blocks
+    return sizes | encodings << np.uint32(layout.BLOCK_BITS), blocks
 
 
 def _promise(rows: Array) -> Int64s:
@@ -288,27 +259,13 @@ def _metadata(given: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple
             kind, data = 0, value.encode() + b"\0"
         else:
             form = value.dtype.newbyteorder("<")
-            kind = METADATA_TYPES.index("|i1".replace("|", "<") if form.itemsize == 1 else form.str)
+            kind = layout.METADATA_TYPES.index("|i1".replace("|", "<") if form.itemsize == 1 else form.str)
             data = value.astype(form).tobytes()
         key = name.encode() + b"\0"
         head = bytes([len(key)]) + key + bytes([kind]) + len(data).to_bytes(4, "little")
-        if len(data) > MOST_SMALL_METADATA:
+        if len(data) > layout.MOST_SMALL_METADATA:
             zipped = zlib.compress(data)
             large.append((head + len(zipped).to_bytes(4, "little"), zipped))
         else:
             small.append(head + data)
     return small, large
-
-
-def check_metadata(given: Mapping[str, str | Array]) -> None:
-    """Raise ValueError, which says why, for metadata that no file can hold."""
-    for name, value in given.items():
-        if not 1 <= len(name.encode()) <= 254:
-            raise ValueError(f"metadata's name {name!r} is not of 1 to 254 bytes")
-        known = isinstance(value, str) or (
-            isinstance(value, np.ndarray)
-            and value.dtype.newbyteorder("<").str.replace("|", "<") in METADATA_TYPES[1:]
-            and value.size > 0
-        )
-        if not known:
-            raise ValueError(f"metadata {name!r} must be text or an array of whole numbers or floats")

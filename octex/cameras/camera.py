@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s
+from octex.cameras.differentials import differentials
+from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 from octex.checks import (
     as_choice,
     as_number,
@@ -26,8 +28,6 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError
-from octex.view.differentials import differentials
-from octex.view.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
 
 #: What a pose matrix means.
 #: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
@@ -127,7 +127,7 @@ class Camera:
         if K is None:
             x, y = np.broadcast_to(as_reals(cast(float, focal), "focal", (), (2,)), 2).tolist()
             middle = _as_center(center, width, height)
-            K = _intrinsics(as_positive(x, "focal"), as_positive(y, "focal"), middle)
+            K = intrinsics(as_positive(x, "focal"), as_positive(y, "focal"), *middle)
         return cls(
             width,
             height,
@@ -151,7 +151,7 @@ class Camera:
         """Make a camera with parallel rays: a length of 1 is ``pixels_per_unit`` pixels. See ``pinhole``."""
         width, height = _as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
-        K = _intrinsics(scale, scale, _as_center(center, width, height))
+        K = intrinsics(scale, scale, *_as_center(center, width, height))
         return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "orthographic")
 
     @classmethod
@@ -198,7 +198,7 @@ class Camera:
         view = np.eye(4)
         view[:3, :3] = rotation
         view[:3, 3] = -eye
-        return cls(width, height, _intrinsics(focal, focal, (width / 2, height / 2)), view, "pinhole")
+        return cls(width, height, intrinsics(focal, focal, width / 2, height / 2), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
         """Return the camera with the picture enlarged ``times`` about its middle.
@@ -206,10 +206,9 @@ class Camera:
         Raises ArgumentError for a number that is not above zero.
         """
         times = as_positive(times, "times")
-        middle = self.width / 2, self.height / 2
-        K = self.K.copy()
+        K, middle = self.K.copy(), np.array([self.width, self.height]) / 2
         K[:2, :2] *= times
-        K[:2, 2] = [centre + times * (at - centre) for at, centre in zip(K[:2, 2], middle, strict=True)]
+        K[:2, 2] = middle + times * (K[:2, 2] - middle)
         return replace(self, K=K)
 
     @property
@@ -239,7 +238,7 @@ class Camera:
 
     @property
     def lens(self) -> Float64s:
-        """The distortion as compiled kernels read it: `octex.view.lens.lens_numbers`."""
+        """The distortion as kernels read it: `octex.cameras.lens.lens_numbers`."""
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
@@ -308,9 +307,9 @@ class Camera:
 
     @property
     def eye(self) -> Float64s:
-        """Its position, its axis, and the steps of a pixel to the right and down at depth 1 (4, 3).
+        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3).
 
-        As compiled kernels read them: `octex.view.differentials`.
+        As kernels read them: `octex.cameras.differentials`.
         """
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation
@@ -337,8 +336,9 @@ class Camera:
         return replace(self, width=width, height=height, K=K)
 
 
-def _intrinsics(focal_x: float, focal_y: float, center: tuple[float, float]) -> Float64s:
-    return np.array([[focal_x, 0.0, center[0]], [0.0, focal_y, center[1]], [0.0, 0.0, 1.0]])
+def intrinsics(focal_x: float, focal_y: float, center_x: float, center_y: float) -> Float64s:
+    """Return the matrix of focal lengths and a centre, in pixels."""
+    return np.array([[focal_x, 0.0, center_x], [0.0, focal_y, center_y], [0.0, 0.0, 1.0]])
 
 
 def _as_size(size: tuple[int, int]) -> tuple[int, int]:

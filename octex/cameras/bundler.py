@@ -7,65 +7,49 @@ s = x² + y², are pixels from the middle of the picture. Pictures' names stand 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from octex.arrays import Float64s
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.frames import Frame, Optics, centred, is_file, picture_path, rigid, view_of
 from octex.files import read_bytes
-from octex.view.camera_records import (
-    BrokenError,
-    Frame,
-    Lens,
-    beside,
-    intrinsics_of,
-    is_file,
-    number_of,
-    view_of_pose,
-    within,
-)
 
-#: What a file starts with.
 MARK = b"# Bundle file"
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-#: A camera's numbers.
-_FIELDS = "f", "k1", "k2", *"R" * 9, *"t" * 3
+#: How many numbers a camera has.
+_WIDTH = 15
 
 
-def read_bundler(path: Path, content: bytes) -> list[Frame]:
+def read(path: Path, content: bytes) -> list[Frame]:
     """Read the cameras that have a focal length; the others are not placed."""
     words = content.decode("utf-8", errors="replace").partition("\n")[2].split()
-    count = number_of(words[0] if words else None, "the number of cameras")
-    width = len(_FIELDS)
-    if not (0 <= 2 + width * count <= len(words) and count.is_integer()):
+    what = "the number of cameras"
+    count = Record({what: words[0] if words else None}, are_texts=True).number(what)
+    if not (0 <= 2 + _WIDTH * count <= len(words) and count.is_integer()):
         raise BrokenError(f"the number of cameras, {count:g}, is more than the file has room for")
     names = _names(path)
     if names and len(names) != count:
         raise BrokenError(f"its list names {len(names)} pictures for {count:g} cameras; export both again")
     frames = []
     for number in range(int(count)):
-        name = names[number] if names else str(number)
         with within(f"camera {number}"):
-            given = words[2 + width * number :][:width]
-            focal, k1, k2, *pose = (number_of(*each) for each in zip(given, _FIELDS, strict=True))
+            f, k1, k2, *pose = words[2 + _WIDTH * number : 2 + _WIDTH * (number + 1)]
+            fields = {"f": f, "k1": k1, "k2": k2, "R": pose[:9], "t": pose[9:]}
+            record = Record(fields, are_texts=True)
+            focal, *bends = (record.number(field) for field in ("f", "k1", "k2"))
+            rotation, shift = record.numbers("R", 9), record.numbers("t", 3)
             if focal == 0.0:
                 continue
             if focal < 0.0:
                 raise BrokenError(f"f must be above zero, not {focal:g}")
-            view = np.eye(4)
-            view[:3, :3], view[:3, 3] = np.reshape(pose[:9], (3, 3)), pose[9:]
-            view = view_of_pose(_TO_OPENCV @ view, "opencv")
-        image = beside(path, name) if names else None
-        lens, bends = _lens(focal), (k1, k2, 0.0, 0.0)
-        frames.append(Frame(name, image, None, path, lens, view, distortion=bends, is_named=bool(names)))
+            view = view_of(_TO_OPENCV @ rigid(rotation.reshape(3, 3), shift))
+        name = names[number] if names else str(number)
+        optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
+        image = picture_path(path, name) if names else None
+        frames.append(Frame(name, path, optics, view, image, is_named=bool(names)))
     return frames
-
-
-def _lens(focal: float) -> Lens:
-    def lens(width: int, height: int) -> Float64s:
-        return intrinsics_of(focal, focal, width / 2, height / 2)
-
-    return lens
 
 
 def _names(path: Path) -> list[str]:

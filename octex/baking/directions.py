@@ -1,0 +1,78 @@
+"""Directions of a surface: unit vectors, normals with tangents, and directions relative to these."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from octex.arrays import Float32s, Float64s, Int32s
+from octex.jit import inlined, kernel
+from octex.source.corners import Corners, Frames
+from octex.source.vectors import Vector, between, cross_product, dot_product, length_of, minus, row_of, times
+
+#: Directions shorter than this point nowhere; squared.
+NOWHERE = 1e-12
+
+
+def unit(vectors: Float64s) -> Float64s:
+    """Return vectors (n, 3) of length 1; zeros stay."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
+
+
+def across(normals: Float64s) -> Float64s:
+    """Return unit vectors (n, 3) at right angles to normals (n, 3)."""
+    return unit(np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))))
+
+
+def frames_of(normals: Float64s, rows: Int32s) -> Frames:
+    """Return unit normals (n, 3), by corner, as frames; their tangents mean nothing."""
+    tangents = np.ones((len(normals), 4), np.float32)
+    tangents[:, :3] = across(normals)
+    return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))
+
+
+def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
+    """Return directions (n, 3), turned as unit vectors ``before`` (n, 3) turn straight to ``after``."""
+    cosines = np.einsum("nx,nx->n", before, after)[:, None]
+    axes = np.cross(before, after)
+    along = np.einsum("nx,nx->n", axes, directions)[:, None]
+    made = directions * cosines + np.cross(axes, directions) + axes * along / np.maximum(1.0 + cosines, 1e-6)
+    return np.asarray(made, np.float32)
+
+
+def in_tangent_space(
+    directions: Float32s, frames: Frames, triangles: Int32s, barycentric: Float64s
+) -> Float32s:
+    """Return directions at rest (n, 3) in the frames of points of triangles (n,), of length 1.
+
+    x is along the tangent, y along the bitangent, z along the normal (MikkTSpace's conventions).
+    """
+    found = np.empty((triangles.size, 3), np.float32)
+    _turn_in(directions, *frames.normals, *frames.tangents, triangles, barycentric, found)
+    return found
+
+
+@inlined
+def _unit(a: Vector) -> Vector:
+    length = length_of(a)
+    return times(a, 1.0 / length if length > 0.0 else 0.0)
+
+
+@kernel
+def _turn_in(
+    directions: Float32s, normals: Float32s, normal_rows: Int32s, tangents: Float32s, tangent_rows: Int32s,
+    triangles: Int32s, barycentric: Float64s, found: Float32s,
+) -> None:  # fmt: skip
+    for n in range(triangles.size):
+        triangle, shares = int(triangles[n]), row_of(barycentric, n)
+        normal = _unit(between(normals, normal_rows, triangle, shares))
+        tangent = between(tangents, tangent_rows, triangle, shares)
+        tangent = _unit(minus(tangent, times(normal, dot_product(normal, tangent))))
+        hand = 1.0 if tangents[tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
+        direction = row_of(directions, n)
+        x = dot_product(direction, tangent)
+        y = dot_product(direction, times(cross_product(normal, tangent), hand))
+        z = dot_product(direction, normal)
+        if x * x + y * y + z * z < NOWHERE:
+            x, y, z = 0.0, 0.0, 1.0
+        found[n, 0], found[n, 1], found[n, 2] = _unit((x, y, z))

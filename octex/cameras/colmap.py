@@ -1,0 +1,178 @@
+"""Cameras of COLMAP's models, as text and binary."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from octex.arrays import Float64s
+from octex.cameras.camera import intrinsics
+from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
+from octex.cameras.frames import Frame, Optics, is_file, rigid, rotation_of, view_of
+from octex.cameras.lens import DistortionModel
+from octex.errors import CameraError
+from octex.files import read_bytes
+
+
+class _Model(NamedTuple):
+    """The numbers of one of COLMAP's models: focal lengths, then a centre, then the distortion."""
+
+    focals: int
+    distortion: int
+    lens: DistortionModel = "opencv"
+
+
+#: COLMAP's models in the order of their numbers.
+_MODELS = {
+    "SIMPLE_PINHOLE": _Model(1, 0),
+    "PINHOLE": _Model(2, 0),
+    "SIMPLE_RADIAL": _Model(1, 1),
+    "RADIAL": _Model(1, 2),
+    "OPENCV": _Model(2, 4),
+    "OPENCV_FISHEYE": _Model(2, 4, "fisheye"),
+    "FULL_OPENCV": _Model(2, 8),
+    "FOV": _Model(2, 1, "fov"),
+    "SIMPLE_RADIAL_FISHEYE": _Model(1, 1, "fisheye"),
+    "RADIAL_FISHEYE": _Model(1, 2, "fisheye"),
+    "THIN_PRISM_FISHEYE": _Model(2, 8, "fisheye"),
+}
+#: How many numbers a distortion has at least; COLMAP leaves out the last ones.
+_LEAST: dict[DistortionModel, int] = {"opencv": 4, "fisheye": 4, "fov": 1}
+_CAMERA, _IMAGE = "CAMERA_ID MODEL WIDTH HEIGHT", "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+
+
+def find(path: Path) -> tuple[Path, str] | None:
+    """Return the folder of a COLMAP model and the ending of its files; None for files of other kinds."""
+    if path.name in {f"{stem}{ending}" for stem in ("cameras", "images") for ending in (".bin", ".txt")}:
+        return path.parent, path.suffix
+    if not path.is_dir():
+        return None
+    for folder in (path, path / "sparse" / "0", path / "sparse"):
+        for ending in (".bin", ".txt"):
+            if all(is_file(folder / f"{stem}{ending}") for stem in ("cameras", "images")):
+                return folder, ending
+    raise CameraError(
+        f"{path}: has no COLMAP model; choose a folder with cameras.bin and images.bin, or cameras.txt and "
+        "images.txt, or a file of cameras"
+    )
+
+
+def read(folder: Path, ending: str) -> list[Frame]:
+    """Read the cameras and images of a folder whose files have an ending."""
+    cameras, images = folder / f"cameras{ending}", folder / f"images{ending}"
+    of_cameras, of_images = (_cameras_binary, _images_binary) if ending == ".bin" else (_cameras, _images)
+    with reading(cameras):
+        optics = dict(of_cameras(read_bytes(cameras)))
+    with reading(images):
+        frames = []
+        for name, pose, camera in list(of_images(read_bytes(images))):
+            with within(f"frame {name!r}"):
+                if camera not in optics:
+                    raise BrokenError(f"camera {camera} does not stand in {cameras.name}")
+                view = rigid(rotation_of(pose[:4], "quaternion"), pose[4:])
+                frames.append(Frame(name, images, optics[camera], view_of(view)))
+        return frames
+
+
+def _optics(model: str, record: Record) -> Optics:
+    focals, count, lens = _MODELS[model]
+    size = record.size()
+    values = record.numbers("parameters", focals + 2 + count).tolist()
+    focal_x, focal_y = values[0], values[focals - 1]
+    center_x, center_y, *rest = values[focals:]
+    if not (focal_x > 0.0 and focal_y > 0.0):
+        raise BrokenError(f"focal lengths must be above zero, not {focal_x:g} and {focal_y:g}")
+    rest += [0.0] * (_LEAST[lens] - count)
+    return Optics(size, intrinsics(focal_x, focal_y, center_x, center_y), tuple(rest), lens)
+
+
+def _parameters_of(model: str) -> int:
+    if model not in _MODELS:
+        raise BrokenError(
+            f"model {reprlib.repr(model)} is not known; undistort the pictures to one of {', '.join(_MODELS)}"
+        )
+    return _MODELS[model].focals + 2 + _MODELS[model].distortion
+
+
+def _cameras_binary(content: bytes) -> Iterator[tuple[int, Optics]]:
+    data = Bytes(content)
+    with within("the number of cameras"):
+        (count,) = data.take("Q")
+    for number in range(count):
+        with within(f"camera {number + 1} of {count}"):
+            key, model, width, height = data.take("iiQQ")
+            name = list(_MODELS)[model] if 0 <= model < len(_MODELS) else f"number {model}"
+            parameters = list(data.take(f"{_parameters_of(name)}d"))
+            yield key, _optics(name, Record({"width": width, "height": height, "parameters": parameters}))
+
+
+def _images_binary(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
+    data = Bytes(content)
+    with within("the number of images"):
+        (count,) = data.take("Q")
+    for number in range(count):
+        with within(f"image {number + 1} of {count}"):
+            _, *pose, camera = data.take("i7di")
+            name = data.text()
+            data.piece(24 * data.take("Q")[0])
+            yield name, _pose(name, pose), camera
+
+
+def _pose(name: str, numbers: list[Any]) -> Float64s:
+    """Return the quaternion and the translation of an image (7,)."""
+    field = "quaternion and translation"
+    with within(f"frame {name!r}"):
+        return Record({field: numbers}, are_texts=True).numbers(field, 7)
+
+
+def _lines(content: bytes) -> Iterator[tuple[int, str]]:
+    """Yield a text's lines but for comments, and their numbers from 1."""
+    for number, line in enumerate(content.decode("utf-8-sig").split("\n"), 1):
+        if not line.startswith("#"):
+            yield number, line.strip()
+
+
+def _cameras(content: bytes) -> Iterator[tuple[int, Optics]]:
+    for number, line in _lines(content):
+        if not line:
+            continue
+        with within(f"line {number}"):
+            key, model, width, height, *parameters = _columns(line, _CAMERA)
+            count = _parameters_of(model)
+            if len(parameters) != count:
+                raise BrokenError(f"{model} must have {count} parameters, not {len(parameters)}")
+            record = Record({"width": width, "height": height, "parameters": parameters}, are_texts=True)
+            yield _int(key, "CAMERA_ID"), _optics(model, record)
+
+
+def _images(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
+    lines = _lines(content)
+    for number, line in lines:
+        if not line:
+            continue
+        with within(f"line {number}"):
+            _, *numbers, camera, name = _columns(line, _IMAGE, 9)
+            pose, key = _pose(name, numbers), _int(camera, "CAMERA_ID")
+        points, text = next(lines, (0, ""))
+        if len(text.split()) % 3:
+            raise BrokenError(
+                f"line {points}: must be the points of frame {name!r}, in threes; each image must have "
+                "two lines, of which the second may be empty"
+            )
+        yield name, pose, key
+
+
+def _columns(line: str, names: str, most: int = -1) -> list[str]:
+    columns = line.split(maxsplit=most)
+    if len(columns) < len(names.split()):
+        raise BrokenError(f"must have the columns {names}, not only {len(columns)} of them")
+    return columns
+
+
+def _int(text: str, field: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise BrokenError(f"{field} must be a whole number, not {reprlib.repr(text)}") from None

@@ -1,0 +1,156 @@
+"""Cameras from files that people have, and to a file of our own.
+
+glTF               .gltf, .glb: the cameras of the scene's nodes
+transforms.json    NeRF, instant-ngp, nerfstudio: a JSON object with "frames"
+COLMAP             a folder with cameras and images, .bin or .txt, or one of these files
+Metashape          .xml, exported as Agisoft XML
+OpenMVS            .mvs: a scene
+Meshroom           .sfm: what AliceVision's StructureFromMotion writes as JSON
+OpenSfM            reconstruction.json, of OpenDroneMap too
+OpenMVG            sfm_data.json
+Bundler            .out, with the list of the pictures beside it
+octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
+arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and the others of `octex.cameras.arrays`
+
+The content of a file decides how it is read, not its name (but for COLMAP's files, which go by their names).
+"""
+
+from __future__ import annotations
+
+import codecs
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from octex.cameras import (
+    arrays,
+    bundler,
+    colmap,
+    gltf,
+    meshroom,
+    metashape,
+    openmvg,
+    openmvs,
+    opensfm,
+    own,
+    transforms,
+)
+from octex.cameras.camera import Camera
+from octex.cameras.fields import BrokenError, reading
+from octex.cameras.frames import Frame as Frame
+from octex.cameras.frames import file_name
+from octex.checks import as_entries, as_path
+from octex.errors import ArgumentError, CameraError, OutputError
+from octex.files import read_bytes, replacing
+
+#: The readers by the first bytes of a file ...
+_BY_MARK: dict[bytes, Callable[[Path, bytes], list[Frame]]] = {
+    b"glTF": gltf.read,
+    arrays.MARK: arrays.read,
+    openmvs.MARK: openmvs.read,
+    bundler.MARK: bundler.read,
+}
+#: ... and by fields of a JSON object.
+_BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]] = {
+    (own.MARK,): own.read,
+    ("frames",): transforms.read,
+    ("views", "poses"): meshroom.read,
+    ("views", "extrinsics"): openmvg.read,
+}
+_LISTED = 10
+
+
+def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
+    """Read the cameras of a file, or of a folder with a COLMAP model, in the file's order.
+
+    Raises CameraError for a missing, unknown or damaged file, for one without cameras, and for camera models
+    that octex does not support (equirectangular and others).
+    """
+    path = as_path(path, refusal=CameraError)
+    with reading(path):
+        model = colmap.find(path)
+    if model is not None:
+        frames = colmap.read(*model)
+    else:
+        with reading(path):
+            frames = _read(path, read_bytes(path))
+    if not frames:
+        raise CameraError(f"{path}: has no cameras; choose another file")
+    return frames
+
+
+def _read(path: Path, content: bytes) -> list[Frame]:
+    for mark, read in _BY_MARK.items():
+        if content.startswith(mark):
+            return read(path, content)
+    if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
+        return metashape.read(path, content)
+    try:
+        document = json.loads(content.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise
+    except (ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, json.JSONDecodeError) else "a number or nesting too long"
+        raise BrokenError(f"is not JSON ({reason}), nor another file of cameras; is it damaged?") from None
+    if isinstance(document, list) and document and isinstance(document[0], dict) and "shots" in document[0]:
+        return opensfm.read(path, document)
+    if not isinstance(document, dict):
+        raise BrokenError("is no file of cameras: its JSON must be an object; choose another file")
+    for fields, read_fields in _BY_FIELDS.items():
+        if all(field in document for field in fields):
+            return read_fields(path, document)
+    if "asset" in document:
+        return gltf.read(path, content)
+    raise BrokenError(
+        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
+        ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
+        "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
+    )
+
+
+def find_frame(frames: Sequence[Frame], name: str) -> Frame:
+    """Return the frame of that name; else of the same file name in whatever folder; else of the same stem.
+
+    Raises CameraError listing names if there is none, or more than one.
+    """
+    keys: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
+    for key in keys:
+        alike = [frame for frame in frames if key(frame.name) == key(name)]
+        if len(alike) == 1:
+            return alike[0]
+        if alike:
+            raise CameraError(
+                f"frame {name!r} may be {len(alike)} frames: {_listing(alike)}; give the whole name"
+            )
+    raise CameraError(f"there is no frame {name!r}; there are: {_listing(frames)}")
+
+
+def _listing(frames: Iterable[Frame]) -> str:
+    """Return the frames' names as a message lists them: some, and how many more."""
+    names = [repr(frame.name) for frame in frames]
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (", ".join(names[:_LISTED]) or "none") + more
+
+
+def write_cameras(
+    path: str | os.PathLike[str], cameras: Mapping[str, Camera], views: Mapping[str, bytes] | None = None
+) -> None:
+    """Write cameras, by name, to a JSON file from which ``read_cameras`` reads the same bits.
+
+    ``views`` are the PNG bytes of the views that octex drew, by the same names; ``Frame.view`` has them.
+
+    The file is replaced completely or not at all. Raises OutputError if it cannot be written.
+    """
+    path = as_path(path, refusal=OutputError)
+    for name, camera in as_entries(cameras, "cameras").items():
+        if not isinstance(camera, Camera):
+            raise ArgumentError(f"camera {name!r} must be an octex.Camera, not {camera!r}")
+    seen = {} if views is None else as_entries(views, "views")
+    for name, view in seen.items():
+        if name not in cameras or not isinstance(view, bytes):
+            raise ArgumentError(f"view {name!r} must be the bytes of a PNG file, for one of the cameras")
+    content = own.written(cameras, seen)
+    with replacing(path) as file:
+        file.write(content)

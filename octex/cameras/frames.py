@@ -1,0 +1,130 @@
+"""Frames: the cameras of a file, each with its picture's name, and the parts that they are made of."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, Projection, intrinsics
+from octex.cameras.fields import BrokenError
+from octex.cameras.lens import DistortionModel
+from octex.errors import ArgumentError, CameraError
+from octex.files import referred
+from octex.source.models.gltf_file import rotation_matrix
+
+
+class Optics(NamedTuple):
+    """The lens and the picture size that frames of one camera share."""
+
+    size: tuple[int, int] | None  # (width, height), if the file says
+    K: Float64s | Callable[[int, int], Float64s]  # (3, 3) intrinsics, or these by width and height
+    distortion: Distortion = NO_DISTORTION
+    model: DistortionModel = "opencv"
+    projection: Projection = "pinhole"
+
+
+class Frame(NamedTuple):
+    """A camera of a file; ``camera`` makes it."""
+
+    name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
+    file: Path
+    optics: Optics
+    world_to_camera: Float64s  # (4, 4), as Camera's
+    # The picture's path, if the file says; the picture may be missing. An absolute path becomes its name next
+    # to the file.
+    image: Path | None = None
+    view: bytes | None = None  # the PNG file that this camera drew, in octex's own files
+    is_named: bool = True  # False where the file has no names: ``name`` is then the camera's number, from 0
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """The picture's (width, height), if the file says."""
+        return self.optics.size
+
+    def camera(self, size: tuple[int, int] | None = None) -> Camera:
+        """Make the camera for a picture of ``size`` (width, height); default: the file's size.
+
+        Where both are known, ``size`` may be that of the picture made smaller or larger. Raises CameraError
+        if neither is known, and for a picture of another shape.
+        """
+        frame = f"frame {self.name!r} of {self.file}"
+        if size is None and self.size is None:
+            raise CameraError(f"{frame} does not say how large its picture is; give the size or the picture")
+        width, height = self.size or size or (0, 0)
+        if size is not None and not self.fits(size):
+            raise CameraError(
+                f"{frame} is for {width}×{height} pixels, the picture has {size[0]}×{size[1]}, another "
+                "shape; give the picture that the camera was made for"
+            )
+        _, K, distortion, model, projection = self.optics
+        try:
+            camera = Camera.pinhole(
+                (width, height),
+                pose=self.world_to_camera,
+                convention="opencv",
+                K=K(width, height) if callable(K) else K,
+                distortion=distortion,
+                distortion_model=model,
+            )
+        except (BrokenError, ArgumentError) as error:
+            raise CameraError(f"{frame}: {error}") from None
+        camera = replace(camera, projection=projection, world_to_camera=self.world_to_camera)
+        return camera if size is None else camera.resized(size)
+
+    def fits(self, size: tuple[int, int]) -> bool:
+        """Say whether a picture of ``size`` (width, height) has the file's shape, but for rounding."""
+        width, height = size
+        return self.size is None or abs(width * self.size[1] - height * self.size[0]) <= max(self.size)
+
+
+def file_name(name: str) -> str:
+    """Return the last part of a path, whatever its slashes."""
+    return re.split(r"[/\\]", name)[-1]
+
+
+def picture_path(file: Path, name: str) -> Path:
+    """Return the path of a picture that a file names; an absolute path becomes its name next to the file."""
+    try:
+        return referred(file.parent, name)
+    except OSError:
+        return file.parent / file_name(name)
+
+
+def is_file(path: Path) -> bool:
+    """Say whether a path is a file that can be looked at."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long a name, for example
+        return False
+
+
+def centred(focal: float, width: int, height: int) -> Float64s:
+    """Return the intrinsics of a picture whose centre is in its middle."""
+    return intrinsics(focal, focal, width / 2, height / 2)
+
+
+def rigid(rotation: Float64s, shift: Float64s) -> Float64s:
+    """Return the matrix (4, 4) that rotates, then shifts."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, shift
+    return matrix
+
+
+def rotation_of(quaternion: Float64s, field: str) -> Float64s:
+    """Return the matrix (3, 3) of a quaternion w, x, y, z of any length."""
+    if not quaternion.any():
+        raise BrokenError(f"{field} must not be zero")
+    return rotation_matrix(*quaternion)
+
+
+def view_of(pose: Float64s, convention: Convention = "opencv") -> Float64s:
+    """Return a checked pose as a world-to-camera matrix; one that is that already, to the same bits."""
+    view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
+    exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
+    return pose if exact else view

@@ -1,0 +1,109 @@
+"""Cameras of Agisoft Metashape, as it exports them to .xml (Metashape user manual, appendix "Camera models").
+
+A chunk's cameras stand in the axes of its component, whose transform, or the chunk's, brings them to where
+models are exported in local coordinates.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.frames import Frame, Optics, view_of
+
+#: Coordinates that are not local, by their names in WKT.
+_ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PROJCRS", "COMPOUNDCRS"
+#: Metashape's cameras look along z, and y points down.
+_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def read(path: Path, content: bytes) -> list[Frame]:
+    """Read the cameras of all chunks that are aligned."""
+    if b"<!DOCTYPE" in content:
+        raise BrokenError("has a document type, which no export of Metashape has")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise BrokenError(f"is not XML ({error}); export the cameras again") from None
+    chunks = list(root.iter("chunk"))
+    if root.tag != "document" or not chunks:
+        raise BrokenError("is no file of cameras; export them from Metashape as Agisoft XML")
+    return [frame for chunk in chunks for frame in _frames(path, chunk)]
+
+
+def _frames(path: Path, chunk: Element) -> list[Frame]:
+    sensors = {each.get("id"): each for each in chunk.iter("sensor")}
+    components = {each.get("id"): each for each in chunk.iter("component")}
+    frames = []
+    for camera in chunk.iter("camera"):
+        name = camera.get("label")
+        if camera.find("transform") is None or name is None:
+            continue  # not aligned
+        with within(f"frame {name!r}"):
+            sensor = sensors.get(camera.get("sensor_id"))
+            if sensor is None:
+                raise BrokenError(f"sensor_id {camera.get('sensor_id')!r} names no sensor of the file")
+            pose = _numbers(camera).numbers("transform", 16).reshape(4, 4)
+            for owner in (components.get(camera.get("component_id")), chunk):
+                transform = None if owner is None else owner.find("transform")
+                if transform is not None and len(transform):
+                    if chunk.findtext("reference", "").strip().startswith(_ON_EARTH):
+                        raise BrokenError(
+                            "the chunk's coordinates are on the earth, where models are exported in others "
+                            "than cameras; set its reference to local coordinates, then export both again"
+                        )
+                    with within("the component's transform"):
+                        pose = _placed(_numbers(transform), pose)
+                    break
+            with within("transform"):
+                view = view_of(pose @ _TO_OPENGL, "opengl")
+            with within(f"sensor {sensor.get('label')!r}"):
+                frames.append(Frame(name, path, _optics(sensor), view))
+    return frames
+
+
+def _numbers(element: Element) -> Record:
+    """Return the elements in another as lists of numbers."""
+    return Record({each.tag: (each.text or "").split() for each in reversed(element)}, are_texts=True)
+
+
+def _placed(transform: Record, pose: Float64s) -> Float64s:
+    """Return where a similarity brings a pose (camera to world)."""
+    rotation = transform.numbers("rotation", 9).reshape(3, 3) if "rotation" in transform else np.eye(3)
+    factor = float(transform.numbers("scale", 1)[0]) if "scale" in transform else 1.0
+    placed = pose.copy()
+    placed[:3, :3] = rotation @ pose[:3, :3]
+    placed[:3, 3] = factor * rotation @ pose[:3, 3]
+    if "translation" in transform:
+        placed[:3, 3] += transform.numbers("translation", 3)
+    return placed
+
+
+def _optics(sensor: Element) -> Optics:
+    kind = sensor.get("type", "frame")
+    if kind not in ("frame", "fisheye"):
+        raise BrokenError(f"type {kind!r} is not known; octex knows frame and fisheye")
+    calibrations = {each.get("class", ""): each for each in reversed(sensor.findall("calibration"))}
+    calibration = calibrations.get("adjusted", next(iter(calibrations.values()), None))
+    resolution = sensor.find("resolution")
+    if calibration is None or resolution is None:
+        raise BrokenError("calibration or resolution is missing; align the photos, then export again")
+    width, height = size = Record({"width": "", "height": "", **resolution.attrib}, are_texts=True).size()
+    record = Record({each.tag: each.text or "" for each in reversed(calibration)}, are_texts=True)
+    focal, b1, b2, cx, cy = (record.number(field, 0.0) for field in ("f", "b1", "b2", "cx", "cy"))
+    if not focal > 0.0:
+        raise BrokenError(f"f must be above zero, not {focal:g}")
+    for field in ("p3", "p4", *(["k4"] if kind == "frame" else [])):
+        if record.number(field, 0.0):
+            raise BrokenError(f"{field} must be zero: octex has no such number; undistort the photos")
+    K = np.array([[focal + b1, b2, width / 2 + cx], [0.0, focal, height / 2 + cy], [0.0, 0.0, 1.0]])
+    # Metashape's p1 goes with x², which is OpenCV's second.
+    *numbers, k4 = (record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4"))
+    if kind == "fisheye":
+        return Optics(size, K, (*numbers, k4, 0.0, 0.0), "fisheye")
+    return Optics(size, K, tuple(numbers))

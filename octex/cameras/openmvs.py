@@ -1,0 +1,104 @@
+"""Cameras of OpenMVS's scenes (.mvs), as its Interface.h has them: versions 1 to 7, undistorted pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.cameras.fields import BrokenError, Bytes, Record, within
+from octex.cameras.frames import Frame, Optics, picture_path, rigid, view_of
+
+#: A scene begins with this.
+MARK = b"MVSI"
+_NEWEST = 7
+#: The number of a pose that is missing.
+_NONE = 2**32 - 1
+#: From pixels whose centres are whole numbers.
+_TO_CORNERS = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+
+
+class _Platform(NamedTuple):
+    optics: list[Optics]
+    mounts: list[Float64s]  # (4, 4), of each camera: from the platform's axes
+    poses: list[Float64s]  # (4, 4)
+
+
+def read(path: Path, content: bytes) -> list[Frame]:
+    """Read the cameras of a scene's pictures, those that have poses."""
+    data = Bytes(content)
+    data.piece(len(MARK))
+    version, _ = data.take("II")
+    if not 1 <= version <= _NEWEST:
+        raise BrokenError(f"is of version {version} of OpenMVS's scenes; octex reads 1 to {_NEWEST}")
+    platforms = [_platform(data, version) for _ in _numbered(data, "platform")]
+    frames = []
+    for number in _numbered(data, "image"):
+        with within(f"image {number}"):
+            name = _text(data)
+            if version > 4:
+                _text(data)  # of its mask
+            platform, camera, pose = data.take("III")
+            data.piece(4 if version > 2 else 0)
+            if version > 6:
+                data.piece(12)
+                data.piece(24 * data.take("Q")[0])
+        if pose == _NONE:
+            continue
+        with within(f"frame {name!r}"):
+            if platform >= len(platforms):
+                raise BrokenError(f"platform {platform} does not stand in the file")
+            optics, mounts, poses = platforms[platform]
+            if camera >= len(optics) or pose >= len(poses):
+                raise BrokenError(f"camera {camera} or pose {pose} does not stand in the file")
+            view = view_of(mounts[camera] @ poses[pose])
+            frames.append(Frame(name, path, optics[camera], view, picture_path(path, name)))
+    return frames
+
+
+def _platform(data: Bytes, version: int) -> _Platform:
+    _text(data)
+    platform = _Platform([], [], [])
+    for number in _numbered(data, "camera"):
+        with within(f"camera {number}"):
+            for _ in range(2 if version > 3 else 1):  # its name, and its band's
+                _text(data)
+            width, height = data.take("II")
+            size = Record({"width": width, "height": height}).size() if width or height else None
+            platform.optics.append(_optics(size, data.numbers("K", 3, 3)))
+            platform.mounts.append(_pose(data))
+    for number in _numbered(data, "pose"):
+        with within(f"pose {number}"):
+            platform.poses.append(_pose(data))
+    return platform
+
+
+def _optics(size: tuple[int, int] | None, K: Float64s) -> Optics:
+    if size is not None:
+        return Optics(size, _TO_CORNERS @ K)
+
+    def scaled(width: int, height: int) -> Float64s:
+        """Return the intrinsics of a camera without a size, whose pictures are 1 along the longer side."""
+        longest = max(width, height)
+        return _TO_CORNERS @ np.diag([longest, longest, 1.0]) @ K
+
+    return Optics(None, scaled)
+
+
+def _pose(data: Bytes) -> Float64s:
+    rotation, origin = data.numbers("R", 3, 3), data.numbers("C", 3)
+    return rigid(rotation, -rotation @ origin)
+
+
+def _text(data: Bytes) -> str:
+    return data.piece(*data.take("Q")).decode("utf-8")
+
+
+def _numbered(data: Bytes, what: str) -> range:
+    """Return the numbers of a list's items; each is longer than a byte."""
+    (count,) = data.take("Q")
+    if count > data.left:
+        raise BrokenError(f"the number of {what}s, {count}, is more than the file has room for")
+    return range(count)
