@@ -32,13 +32,13 @@ The rooms, each of which knows only those before it
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures
     baking      textures to images at texture coordinates
-    preview     model and texture side by side; pictures of differences
     formats     files that are not our own
+    drawing     pictures of models and textures: views, light, previews, comparison
     viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands
     docs        the pages of octex help and of the documentation site
 
-Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit, npz,
+Common ground: ahead, arrays, channels, checks, container, errors, files, functions, jit, npz,
 parallel, remote.
 """
 

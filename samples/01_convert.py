@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import octex
-from octex.preview import write_preview
+from octex.drawing import write_preview
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 MODEL = Path(__file__).with_name("droid.glb")

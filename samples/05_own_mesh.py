@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import octex
-from octex.preview import write_preview
+from octex.drawing import write_preview
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 ORANGE, BLUE = np.array([[[0.90, 0.35, 0.06]], [[0.03, 0.10, 0.16]]])  # linear light

@@ -15,7 +15,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
+from octex.drawing import render, source_shader, texture_shader
 from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))

@@ -16,8 +16,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview.pictures import film_surface
-from octex.preview.shaders import Appearance, source_shader
+from octex.drawing.pictures import film_surface
+from octex.drawing.shaders import Appearance, source_shader
 from octex.view.camera import Camera
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 import octex
 from octex.channels import encode
-from octex.preview import render, texture_shader
+from octex.drawing import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))

@@ -14,8 +14,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
-from octex.preview.hits import rest_normals, visible_hits
+from octex.drawing import render, source_shader, texture_shader
+from octex.drawing.hits import rest_normals, visible_hits
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "11"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))

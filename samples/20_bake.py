@@ -14,7 +14,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
+from octex.drawing import render, source_shader, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))

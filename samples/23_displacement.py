@@ -12,7 +12,7 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, texture_shader
+from octex.drawing import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))

@@ -14,8 +14,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, texture_shader
-from octex.view.environment import Environment
+from octex.drawing import render, texture_shader
+from octex.drawing.environment import Environment
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))

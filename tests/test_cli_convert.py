@@ -257,7 +257,7 @@ def test_the_preview_shows_what_was_converted(
 ) -> None:
     shown: list[list[str]] = []
     monkeypatch.setattr(
-        "octex.preview.write_preview",
+        "octex.drawing.write_preview",
         lambda _path, surface, _texture, **_: shown.append([form.name for form in surface.channels]),
     )
     arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
@@ -281,7 +281,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
         drawn.append((path.name, surface is not None))
         assert texture.tree.max_depth == 3
 
-    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    monkeypatch.setattr("octex.drawing.write_preview", write_preview)
     out = result(capsys, model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
     assert out.splitlines()[1] == f"{tmp_path / 'a.png'}: a picture of it"
     out = result(capsys, made, tmp_path / "b.ply", "--depth", 3, "--preview", tmp_path / "b.png", "--json")

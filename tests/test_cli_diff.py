@@ -13,9 +13,9 @@ from PIL import Image
 import octex
 from octex.cli import diff
 from octex.cli.convert import main
-from octex.compare import difference
+from octex.drawing import write_difference
+from octex.drawing.compare import difference
 from octex.errors import ExitCode
-from octex.preview import write_difference
 from octex.source.surface import Surface
 from tests.command import colored_box, refusal, result
 from tests.conftest import needs_jit
@@ -121,7 +121,7 @@ def test_a_picture_is_drawn_and_named(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = partial(write_difference, size=(90, 40), supersample=1)
-    monkeypatch.setattr("octex.preview.write_difference", small)
+    monkeypatch.setattr("octex.drawing.write_difference", small)
     path = tmp_path / "diff.png"
     again = ["--diff", folder / "4.octex", folder / "3.octex", "--preview", path]
     assert result(capsys, *again).endswith(f"\n{path}: a picture of it\n")
@@ -151,7 +151,7 @@ def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked
     octex.convert(model, 4).save(texture)
     assert "alpha" in octex.open(texture).channels
     small = partial(write_difference, size=(300, 110), supersample=1)
-    monkeypatch.setattr("octex.preview.write_difference", small)
+    monkeypatch.setattr("octex.drawing.write_difference", small)
     few = ["--diff", texture, model, "--points", 2000]
     whole = json.loads(result(capsys, *few, "--json"))["channels"]
     shown = ["--channels", "base_color", "--preview", path]

@@ -574,7 +574,7 @@ def test_a_preview_is_drawn_of_what_was_painted(
         drawn.append((names, list(texture.channels)))
         views.append(view)
 
-    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    monkeypatch.setattr("octex.drawing.write_preview", write_preview)
     preview = tmp_path / "preview.png"
     text = result(capsys, *scene.shot, "--out", tmp_path / "a.octex", "--preview", preview)
     assert text.splitlines()[1] == f"{preview}: a picture of it"

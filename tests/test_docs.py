@@ -20,8 +20,8 @@ import octex
 from octex.channels import encode
 from octex.cli.main import main
 from octex.docs import TOPICS, topic
+from octex.drawing import render, source_shader
 from octex.errors import ExitCode
-from octex.preview import render, source_shader
 from tests.conftest import needs_jit
 
 ROOT = Path(__file__).parent.parent

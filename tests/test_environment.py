@@ -5,13 +5,13 @@ import pytest
 
 import octex
 from octex.channels import encode
+from octex.drawing import Bump, draw_preview, render, render_leaves, source_shader, texture_shader
+from octex.drawing.environment import Environment
+from octex.drawing.pictures import lit
+from octex.drawing.reflection import Material, reflectances, reflected, tone_mapped
+from octex.drawing.shaders import Appearance
 from octex.errors import ArgumentError, ImageError
-from octex.preview import Bump, draw_preview, render, render_leaves, source_shader, texture_shader
-from octex.preview.pictures import lit
-from octex.preview.shaders import Appearance
 from octex.view.camera import Camera
-from octex.view.environment import Environment
-from octex.view.reflection import Material, reflectances, reflected, tone_mapped
 from tests import naive_light
 
 WHITE = Environment.of(np.ones((8, 16, 3)))

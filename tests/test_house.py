@@ -50,8 +50,7 @@ ROWS = [
     {"processing"},
     {"baking"},
     {"formats"},
-    {"compare"},
-    {"preview"},
+    {"drawing"},
     {"viewer"},
     {"cli"},
 ]

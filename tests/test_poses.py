@@ -11,8 +11,8 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.cli.main import main
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ArgumentError, ModelError, ModelWarning
-from octex.preview.hits import rest_normals, visible_hits
 from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer

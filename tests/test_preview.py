@@ -8,8 +8,7 @@ from PIL import Image
 
 import octex
 from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
-from octex.errors import ArgumentError, OutputError
-from octex.preview import (
+from octex.drawing import (
     Viewpoint,
     draw_preview,
     panels,
@@ -21,9 +20,10 @@ from octex.preview import (
     viewpoint_among,
     write_preview,
 )
-from octex.preview.directions import best_direction, view_directions
-from octex.preview.hits import Hits
-from octex.preview.shaders import Appearance, Shown
+from octex.drawing.directions import best_direction, view_directions
+from octex.drawing.hits import Hits
+from octex.drawing.shaders import Appearance, Shown
+from octex.errors import ArgumentError, OutputError
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree

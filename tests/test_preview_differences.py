@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 import octex
-from octex.compare import PEAKS, Difference, Differences, Side, difference
+from octex.drawing import draw_difference, write_difference
+from octex.drawing.compare import PEAKS, Difference, Differences, Side, difference
+from octex.drawing.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.errors import OutputError
-from octex.preview import draw_difference, write_difference
-from octex.preview.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
@@ -85,7 +85,7 @@ def test_a_ring_marks_the_maximum_if_it_is_in_sight(
 ) -> None:
     said: list[str] = []
     rings: list[tuple[float, ...]] = []
-    from octex.preview import differences
+    from octex.drawing import differences
 
     keep = differences.captioned
     monkeypatch.setattr(

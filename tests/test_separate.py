@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 import octex
 from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
 from octex.cli.paint import main as paint
-from octex.compare import difference
 from octex.conversion.apart import separate
+from octex.drawing import draw_difference, draw_preview
+from octex.drawing.compare import difference
 from octex.errors import ArgumentError
-from octex.preview import draw_difference, draw_preview
 from octex.source.separation import _packed
 from octex.source.spatial import SpatialSource
 from octex.source.surface import Surface

@@ -11,9 +11,9 @@ import pytest
 
 import octex
 from octex.channels import encode
-from octex.preview import render, texture_shader
+from octex.drawing import render, texture_shader
+from octex.drawing.environment import Environment
 from octex.source.surface import Surface
-from octex.view.environment import Environment
 from octex.viewer import write_page
 from tests.browser import Probe, camera_of, drawn, file_url, opened, started
 from tests.conftest import needs_jit

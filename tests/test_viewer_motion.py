@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import octex
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ModelError
-from octex.preview.hits import rest_normals, visible_hits
 from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page

@@ -27,9 +27,9 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.preview import render, texture_shader
-from octex.preview.hits import Hits
-from octex.preview.shaders import Appearance
+from octex.drawing import render, texture_shader
+from octex.drawing.hits import Hits
+from octex.drawing.shaders import Appearance
 
 WORKER = Path(__file__).with_name("blender_worker.py")
 DROID = Path(__file__).parents[1] / "samples" / "droid.glb"

@@ -18,9 +18,9 @@ from PIL import Image
 
 import octex
 from octex.channels import CHANNELS
-from octex.compare import difference
+from octex.drawing import draw_preview
+from octex.drawing.compare import difference
 from octex.files import replacing
-from octex.preview import draw_preview
 
 ENDINGS = {".glb", ".gltf", ".obj", ".ply", ".off", ".stl"}
 SAMPLES = 100_000

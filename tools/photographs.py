@@ -30,10 +30,10 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
+from octex.drawing import render, texture_shader
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.painting.balance import BALANCES
 from octex.painting.paint import PICTURES
-from octex.preview import render, texture_shader
-from octex.preview.hits import rest_normals, visible_hits
 
 WORKER = Path(__file__).with_name("photographs_worker.py")
 DROID = Path(__file__).parents[1] / "samples" / "droid.glb"

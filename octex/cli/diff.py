@@ -17,7 +17,7 @@ from octex.cli.parser import words_given
 from octex.errors import ArgumentError, ExitCode
 
 if TYPE_CHECKING:
-    from octex.compare import Difference, Differences, Side
+    from octex.drawing.compare import Difference, Differences, Side
 
 
 def diff(command: str, options: argparse.Namespace) -> int:
@@ -35,7 +35,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
             f"{paths[0]} and {paths[1]}: neither is an .octex file; convert one of them first"
         )
 
-    from octex.compare import DEFAULT_POINTS, difference
+    from octex.drawing.compare import DEFAULT_POINTS, difference
 
     with Reporter(command, options.quiet) as progress:
         with progress.stage("read"):
@@ -44,7 +44,7 @@ def diff(command: str, options: argparse.Namespace) -> int:
             a, b, channels=options.channels, points=options.points or DEFAULT_POINTS, progress=progress
         )
         if options.preview is not None:
-            from octex.preview import write_difference
+            from octex.drawing import write_difference
 
             with progress.stage("draw"):
                 write_difference(options.preview, a, b, found, (paths[0].name, paths[1].name))

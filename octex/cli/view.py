@@ -17,12 +17,12 @@ from octex.files import replacing
 
 if TYPE_CHECKING:
     from octex.arrays import Uint8s
-    from octex.preview import Bump
+    from octex.drawing import Bump
+    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
     from octex.view.camera import Camera
     from octex.view.camera_files import Frame
-    from octex.view.environment import Environment
 
 DEFAULT_SIZE = (1024, 1024)
 _DIRECTION = (0.4, 0.3, 1.0)  # to the camera, where none is given
@@ -130,9 +130,9 @@ def drawn(
     import numpy as np
 
     from octex.channels import encode
-    from octex.preview.hits import Hits, rest_normals, visible_hits
-    from octex.preview.pictures import film_surface
-    from octex.preview.shaders import Appearance, Shader, texture_shader
+    from octex.drawing.hits import Hits, rest_normals, visible_hits
+    from octex.drawing.pictures import film_surface
+    from octex.drawing.shaders import Appearance, Shader, texture_shader
 
     def grey(hits: Hits) -> Appearance:
         return Appearance(np.full((len(hits.width), 3), 0.5))

@@ -12,11 +12,11 @@ from octex.cli.parser import option
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from octex.preview import Bump
+    from octex.drawing import Bump
+    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
     from octex.view.camera import Camera
-    from octex.view.environment import Environment
 
 VIEW_OPTIONS = (
     option(
@@ -70,7 +70,7 @@ def previewing(options: argparse.Namespace, model: Path) -> Draw | None:
     if options.preview is None:
         return None
     from octex.cli.shots import frame_of
-    from octex.preview import Viewpoint, viewpoint_among, write_preview
+    from octex.drawing import Viewpoint, viewpoint_among, write_preview
     from octex.view.camera_files import read_cameras
 
     name, light, bump = options.frame, light_of(options), bump_of(options)
@@ -89,7 +89,7 @@ def light_of(options: argparse.Namespace) -> Environment | None:
     """Return the light that --light names; None without. Raises ImageError for a file that is no picture."""
     if options.light is None:
         return None
-    from octex.view.environment import Environment
+    from octex.drawing.environment import Environment
 
     exposure = options.exposure or 0.0
     if options.light == "studio":
@@ -99,7 +99,7 @@ def light_of(options: argparse.Namespace) -> Environment | None:
 
 def bump_of(options: argparse.Namespace) -> Bump | None:
     """Return what bends the normals; None for nothing."""
-    from octex.preview import Bump
+    from octex.drawing import Bump
 
     return None if options.bump is None else Bump(*options.bump)
 

@@ -11,18 +11,18 @@ import PIL.Image
 
 import octex
 from octex.channels import BASE_COLOR
+from octex.drawing import Bump, write_preview
+from octex.drawing.environment import Environment
 from octex.editing.draft import Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
-from octex.preview import Bump, write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.search import Positions
-from octex.view.environment import Environment
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
 _OBJ = """mtllib needle.mtl

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Bools, Float32s, Float64s, Uint8s
 from octex.channels import srgb_to_linear
-from octex.compare import (
+from octex.drawing.compare import (
     PEAKS,
     Difference,
     Differences,
@@ -22,9 +22,8 @@ from octex.compare import (
     placed,
     readers_of,
 )
-from octex.files import replacing
-from octex.preview.hits import Hits, rest_normals, visible_hits
-from octex.preview.panels import (
+from octex.drawing.hits import Hits, rest_normals, visible_hits
+from octex.drawing.panels import (
     Panel,
     caption_height,
     captioned,
@@ -34,8 +33,9 @@ from octex.preview.panels import (
     surface_camera,
     texture_facts,
 )
-from octex.preview.pictures import Film, Leaves, film_leaves, film_surface, visible_level
-from octex.preview.shaders import Appearance, Shader, source_shader, texture_shader
+from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
+from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
+from octex.files import replacing
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera

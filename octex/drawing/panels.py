@@ -12,20 +12,20 @@ from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Float32s, Floats, Uint8s
 from octex.channels import encode, linear_to_srgb
+from octex.drawing.directions import USUAL, Viewpoint, best_direction, view_directions
+from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
+from octex.drawing.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.errors import ArgumentError
 from octex.files import replacing
-from octex.preview.directions import USUAL, Viewpoint, best_direction, view_directions
-from octex.preview.hits import rest_normals, visible_hits
-from octex.preview.pictures import Leaves, film_surface, render_leaves, visible_level
-from octex.preview.shaders import Bump, Shader, Shown, source_shader, texture_shader
 from octex.tree.octree import distinct
 from octex.view.camera import Camera
 from octex.view.shading import background, face_normals
 
 if TYPE_CHECKING:
+    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.environment import Environment
 
 
 def write_preview(

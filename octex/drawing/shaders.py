@@ -11,9 +11,9 @@ import numpy.typing as npt
 from octex.arrays import Float64s, Floats
 from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, SPECULAR, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
-from octex.compare import inside_cells
+from octex.drawing.compare import inside_cells
+from octex.drawing.hits import Hits
 from octex.errors import ArgumentError
-from octex.preview.hits import Hits
 from octex.source.base import by_channel
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Appearance(NamedTuple):
     emitted: Floats | None = None  # (n, 3)   whatever the light
     coverage: Floats | None = None  # (n,)   the rest is what lies behind; None: all covered
     normals: Floats | None = None  # (n, 3)   at rest, to light them by; None: those of the surface
-    metallic: Floats | None = None  # (n,)   as the fields of `octex.view.reflection.Material`
+    metallic: Floats | None = None  # (n,)   as the fields of `octex.drawing.reflection.Material`
     roughness: Floats | None = None  # (n,)
     occlusion: Floats | None = None  # (n,)
     specular: Floats | None = None  # (n, 3)

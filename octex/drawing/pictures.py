@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.drawing.hits import Hits, Seen
+from octex.drawing.reflection import Material, reflected, tone_mapped
+from octex.drawing.shaders import Appearance, Bump, Shader, Shown, bent, field_slopes
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count, ordered_map, workers
-from octex.preview.hits import Hits, Seen
-from octex.preview.shaders import Appearance, Bump, Shader, Shown, bent, field_slopes
 from octex.source.corners import Corners, Frames
 from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
@@ -20,15 +21,14 @@ from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.reflection import Material, reflected, tone_mapped
 from octex.view.shading import background
 from octex.view.shading import light as soft_light
 from octex.view.zbuffer import Buffers, z_buffer
 
 if TYPE_CHECKING:
+    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.environment import Environment
 
 #: Samples are coloured this many at a time, so that a large picture needs little memory.
 _BLOCK = 1 << 18
