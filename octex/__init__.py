@@ -56,6 +56,10 @@ if TYPE_CHECKING:
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
+    from octex.drawing.compare import difference as difference
+    from octex.drawing.environment import Environment as Environment
+    from octex.drawing.panels import write_preview as write_preview
+    from octex.drawing.views import render as render
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
     from octex.formats.ptex.export import write_ptex as write_ptex
@@ -108,6 +112,10 @@ _EXPORTS = {
     "conversion.apart": "separate",
     "conversion.convert": "convert",
     "conversion.sets": "convert_set",
+    "drawing.compare": "difference",
+    "drawing.environment": "Environment",
+    "drawing.panels": "write_preview",
+    "drawing.views": "render",
     "errors": "OctexError",
     "formats.models": "write_model",
     "formats.ptex.export": "write_ptex",

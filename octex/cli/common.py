@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -16,9 +15,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, NoReturn, Self, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import use_shipped_code
+
+if TYPE_CHECKING:
+    from types import SimpleNamespace as Options
+
+    from octex.texture import OctreeTexture
+
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
@@ -140,12 +145,31 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
-def tell(options: argparse.Namespace, made: Mapping[str, Any], *lines: str) -> None:
-    """Print what was made: for --json as an object, else as lines for a person, for --quiet not at all."""
+def tell(options: Options, made: Mapping[str, Any], *lines: str) -> None:
+    """Print results: as a JSON object with --json, else as lines; nothing with --quiet."""
     if options.json:
         say(json.dumps(made))
     elif not options.quiet:
         say("\n".join(lines))
+
+
+def facts(
+    texture: OctreeTexture, path: Path, seconds: float, what: str = ""
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the facts of a texture that was written, for a machine and as a line for a person."""
+    tree, size = texture.tree, path.stat().st_size
+    cell = texture.placement.size / 2**tree.max_depth
+    made = {
+        "output": str(path),
+        "leaves": tree.n_leaves,
+        "nodes": tree.n_nodes,
+        "depth": tree.max_depth,
+        "cell": cell,
+        "bytes": size,
+        "seconds": round(seconds, 3),
+    }
+    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {cell:.4g})"
+    return made, [f"{path}: {what}{cells}, {bytes_text(size)}, {seconds:.1f} s"]
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:

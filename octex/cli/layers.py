@@ -1,8 +1,7 @@
-"""Layers of paint as the options say: projected, merged into a texture, and told of in its metadata."""
+"""Layers of paint: pictures are projected into them, they are merged and recorded in the metadata."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 from collections.abc import Sequence
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter
-from octex.cli.models import DEFAULT_CHANNEL
+from octex.cli.options import DEFAULT_CHANNEL
+from octex.cli.parser import Options
 from octex.cli.shots import Shot
 from octex.errors import ArgumentError
 from octex.files import open_file
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def projected(
-    options: argparse.Namespace,
+    options: Options,
     texture: OctreeTexture | None,
     surface: Surface,
     shots: Sequence[Shot],
@@ -38,16 +38,17 @@ def projected(
         "pictures": options.pictures,
         "balance": options.balance,
         "reference": _reference(options, shots),
-        "back_faces": options.back_faces,
         "executor": executor,
         "progress": progress,
         **_room(options),
     }
-    for name in ("channel", "max_depth", "max_angle", "edge_feather"):
+    for name in ("channel", "max_depth", "edge_feather"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
+    if options.max_angle is not None:
+        settings["max_angle"], settings["back_faces"] = options.max_angle
     given = [_projection(options, shot) for shot in shots]
-    background = None if options.background is None else _background_value(options)
+    background = _background_value(options) if isinstance(options.holes, tuple) else None
     layer = octex.project(surface, given, like=texture, **settings)
     if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
         progress.note(
@@ -73,19 +74,13 @@ def projected(
 
 
 def refined(
-    options: argparse.Namespace,
+    options: Options,
     surface: Surface,
     shots: Sequence[Shot],
     executor: Executor | None,
     progress: Reporter,
 ) -> list[Shot]:
-    """Return pictures with cameras by which they agree best."""
-    names = [shot.name for shot in shots]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None and options.save_cameras is not None:
-        raise ArgumentError(
-            f"--save-cameras: {twice!r} is the camera of several pictures; refine these apart"
-        )
+    """Return pictures with cameras through which they agree best, and write these."""
     cameras = octex.refine_cameras(
         surface,
         [_projection(options, shot) for shot in shots],
@@ -94,85 +89,97 @@ def refined(
         progress=progress,
         **_room(options),
     )
+    # What comes next may take hours, so they are written now.
+    octex.write_cameras(options.refine_cameras, dict(zip(_camera_names(shots), cameras, strict=True)))
     return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
 
 
-def _room(options: argparse.Namespace) -> dict[str, Any]:
-    """Return where pictures lie beyond --memory, and where what is done is kept."""
+def _camera_names(shots: Sequence[Shot]) -> list[str]:
+    """Return a name for the camera of each picture: the frame's, or the picture's where frames repeat."""
+    for names in ([shot.name for shot in shots], [shot.path.name for shot in shots]):
+        if len(set(names)) == len(names):
+            return names
+    raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine these apart")
+
+
+def _room(options: Options) -> dict[str, Any]:
+    """Return the settings of --memory and --resume."""
     room = {} if options.resume is None else {"resume": options.resume}
     if options.memory is not None:
-        room |= {"memory": options.memory, "folder": options.out.absolute().parent}
+        room |= {"memory": options.memory, "folder": options.OUTPUT.absolute().parent}
     return room
 
 
-def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
+def _projection(options: Options, shot: Shot) -> Projection:
     since: Any = shot.since
     if isinstance(since, bytes):
         from octex.source.images.decode import decode_image
 
         where = "of --unwrap" if options.camera is None else f"in {options.camera[0]}"
         since = decode_image(since, f"the view {where}")
+    key = next((each for each in options.mask if isinstance(each, tuple)), None)
     return octex.Projection(
-        shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
+        shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=key
     )
 
 
-def _reference(options: argparse.Namespace, shots: Sequence[Shot]) -> int | None:
-    """Return the number of the picture that stays as light as it is."""
+def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
+    """Return the number of the picture of --reference."""
     if options.reference is None:
         return None
     paths = [shot.path for shot in shots]
-    for found in (
-        [each == options.reference for each in paths],
-        [e.name == options.reference.name for e in paths],
-    ):
-        if sum(found) == 1:
-            return found.index(True)
+    for names, name in ((paths, options.reference), ([path.name for path in paths], options.reference.name)):
+        if names.count(name) == 1:
+            return names.index(name)
     raise ArgumentError(f"--reference {options.reference} is none of the pictures, or several of them")
 
 
-def _background_value(options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the background as the channel has it decoded, linear light for colours."""
+def _background_value(options: Options) -> tuple[float, ...]:
+    """Return the colour of --holes as the channel's decoded value, linear light for colours."""
     import numpy as np
 
     from octex.channels import CHANNELS, decode
     from octex.checks import as_choice
 
     form = CHANNELS[as_choice(options.channel or DEFAULT_CHANNEL, CHANNELS, "channel")]
-    codes: tuple[int, ...] = options.background
+    codes: tuple[int, ...] = options.holes
     if form.space == "direction":
-        raise ArgumentError(f"--background is a colour; {form.name} has directions")
+        raise ArgumentError(f"--holes is a colour; {form.name} has directions")
     if form.components == 1:
         if len(set(codes)) > 1:
-            raise ArgumentError(f"--background gives a colour; {form.name} has one component, give a grey")
+            raise ArgumentError(f"--holes is a colour; {form.name} has one component, give a grey")
         codes = codes[:1]
     return tuple(decode(np.array(codes, np.uint8), form.space).tolist())
 
 
 def channel_of(layer: OctreeTexture) -> str:
-    """Return what a layer paints."""
+    """Return the channel that a layer paints."""
     return next((name for name in layer.channels if name != "alpha"), "alpha")
 
 
 def begun(
-    options: argparse.Namespace,
+    options: Options,
     layer: OctreeTexture,
     surface: Surface,
+    is_layer: bool,
     executor: Executor,
     progress: Reporter,
 ) -> OctreeTexture:
-    """Return a new texture for a layer to be merged into: where pictures saw nothing, it may be filled."""
+    """Return a new texture for a layer to be merged into; its unseen part may be filled."""
     from octex.painting import holes
 
-    mode: Any = "leave" if options.layer else options.holes or "smooth"
+    mode: Any = options.holes if isinstance(options.holes, str) else "smooth"
+    if is_layer:
+        mode = "leave"
     return holes.begun(layer, surface, mode, executor, progress)
 
 
 def merged(
-    options: argparse.Namespace,
+    options: Options,
     texture: OctreeTexture,
     layers: Sequence[OctreeTexture],
     surface: Surface,
+    is_layer: bool,
     executor: Executor | None,
     progress: Reporter,
 ) -> OctreeTexture:
@@ -192,8 +199,8 @@ def merged(
                 progress=progress,
             )
         except ArgumentError as error:
-            if options.layer:
-                raise ArgumentError(f"{options.layer[number]}: {error}") from None
+            if is_layer:
+                raise ArgumentError(f"{options.IMAGE[number]}: {error}") from None
             raise
     if options.coverage and any(layer.tree.n_leaves for layer in layers):
         from octex.painting.holes import with_coverage
@@ -202,10 +209,8 @@ def merged(
     return texture
 
 
-def entries_of(
-    options: argparse.Namespace, files: Sequence[Path], layer: OctreeTexture
-) -> list[dict[str, str | float]]:
-    """Return what provenance says of the paint in files."""
+def entries_of(options: Options, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
+    """Return the provenance of the paint in files."""
     found: list[dict[str, str | float]] = []
     for path in files:
         with open_file(path) as file:
@@ -225,7 +230,7 @@ def entries_of(
 def with_entries(
     texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
 ) -> OctreeTexture:
-    """Append to what a texture's provenance says of paint; a new texture's also names the model."""
+    """Append to the provenance of a texture's paint; that of a new texture also names the model."""
     from octex.texture import OctreeTexture
 
     metadata = dict(texture.metadata)

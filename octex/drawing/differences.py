@@ -35,11 +35,11 @@ from octex.drawing.panels import (
 )
 from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
+from octex.drawing.soft_light import background
 from octex.files import replacing
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera
-from octex.view.shading import background
 
 # Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.
 _SCALE = np.array(

@@ -1,13 +1,14 @@
-"""What a preview consists of: panels side by side, from the side that shows most, with captions."""
+"""Previews: panels side by side, from the side that shows most, with captions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Float32s, Floats, Uint8s
@@ -15,12 +16,13 @@ from octex.channels import encode, linear_to_srgb
 from octex.drawing.directions import USUAL, Viewpoint, best_direction, view_directions
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
-from octex.drawing.shaders import Bump, Shader, Shown, source_shader, texture_shader
+from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
+from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import replacing
 from octex.tree.octree import distinct
 from octex.view.camera import Camera
-from octex.view.shading import background, face_normals
+from octex.view.shading import face_normals
 
 if TYPE_CHECKING:
     from octex.drawing.environment import Environment
@@ -30,66 +32,110 @@ if TYPE_CHECKING:
 
 def write_preview(
     path: str | Path,
-    surface: Surface | None,
-    texture: OctreeTexture | None = None,
+    texture: OctreeTexture | None,
+    surface: Surface | None = None,
+    *,
     size: tuple[int, int] = (1600, 880),
-    supersample: int = 3,
-    view: Viewpoint = USUAL,
+    direction: npt.ArrayLike | None = None,
+    up: npt.ArrayLike = (0.0, 1.0, 0.0),
+    zoom: float = 1.0,
+    channel: str | None = None,
     light: Environment | None = None,
-    bump: Bump | None = None,
+    bump: tuple[str, float] | None = None,
+    supersample: int = 3,
 ) -> None:
-    """Write what ``draw_preview`` draws as a PNG file.
+    """Draw a model next to its octree texture as a PNG file.
 
-    What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
-    cannot be written, and ArgumentError as ``draw_preview`` does.
+    texture        its colours are on the right; None: draw the model alone
+    surface        the model; None: draw the texture's leaves, and the cubes of a coarser level
+    size           (width, height) in pixels
+    direction      (3,) from the model to the camera; None: the side that shows most
+    up             (3,) direction that points up in the picture
+    zoom           enlarges; 1 shows the whole model
+    channel        default: base colour in the light, or else the channel that is most like a colour
+    light          reflected by metal, roughness, occlusion and normal maps; None: soft light on base colour
+    bump           (channel, height): bend the normals as if the surface rose by the channel times height
+    supersample    samples along each side of a pixel
+
+    A file at ``path`` is replaced once the picture is complete. Raises OutputError if the file cannot be
+    written, and ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
+    for an unknown channel.
     """
-    picture = Image.fromarray(
-        draw_preview(surface, texture, size, supersample, view=view, light=light, bump=bump)
+    view = Viewpoint(direction, up, zoom)
+    codes = draw_preview(
+        texture, surface, size, supersample, view=view, channel=channel, light=light, bump=bump
     )
-    with replacing(path) as file:
-        picture.save(file, "PNG")
+    write_png(path, codes)
 
 
 def draw_preview(
-    surface: Surface | None,
-    texture: OctreeTexture | None = None,
+    texture: OctreeTexture | None,
+    surface: Surface | None = None,
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
+    *,
     note: str = "",
     view: Viewpoint = USUAL,
+    channel: str | None = None,
     light: Environment | None = None,
-    bump: Bump | None = None,
+    bump: tuple[str, float] | None = None,
 ) -> Uint8s:
-    """Draw a picture, sRGB codes (height, width, 3), that shows at once whether a texture is right.
+    """Return the picture of ``write_preview`` as sRGB codes (height, width, 3).
 
-    With a surface and a texture: the model coloured by its source and, beside it, by the octree. With a
-    surface alone: the model. With a texture alone: its leaves, and the cubes of a coarser level. Base colour
-    is shown in the light, with what is emitted; without it the channel most like a colour, as it is.
-
-    size           (width, height) in pixels
-    supersample    samples along each side of a pixel
-    note           what else the caption should say of the octree
-    view           from where to look
-    light          from all around, reflected by metal, roughness, occlusion and normal maps; None: soft light
-                   from beside the camera on base colours alone, which look the same from model to model
-    bump           bends the normals, not those of cubes
-
-    Raises ArgumentError for neither a surface nor a texture, if there is no leaf or no channel to show, and
-    for a bump of a channel that is not there.
+    ``note`` is added to the texture's caption.
     """
-    shown = _Showing(size, supersample, note, view, light, bump)
+    room = caption_height(size[1])
     if surface is not None:
+        placed = surface if texture is None else surface.placed_in(texture)
+        channel, looks = shaders_of(texture, placed, channel, light is not None, bump)
+        captions = [source_caption(placed, channel)]
         if texture is not None:
-            surface = surface.placed_in(texture)
-        panels = _model_panels(surface, texture, shown)
+            captions.append(texture_caption(texture, channel, note))
+        panel_size = size[0] // len(looks), size[1]
+        camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
+        films = film_surface(placed, camera, looks, supersample, light)
+        panels = [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
     elif texture is not None:
-        panels = _leaf_panels(texture, shown)
+        channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
+        camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), room, view)
+        level = visible_level(texture, camera, pixels=10.0)
+        draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
+        fine, coarse = draw(bump=bump), draw(level=level, cubes=True)
+        cells = count_text(texture.level(level).tree.n_leaves, "cell")
+        panels = [
+            Panel(fine, *texture_caption(texture, channel, note)),
+            Panel(coarse, f"level {level}", cells),
+        ]
     else:
         raise ArgumentError("a preview needs a surface, or a texture, or both")
-    room = caption_height(size[1])
-    for panel in panels:  # zoomed in, a model reaches below
+    for panel in panels:  # a zoomed model reaches below
         panel.picture[-room:] = background(*panel.picture.shape[:2])[-room:]
     return np.hstack([np.asarray(captioned(panel)) for panel in panels])
+
+
+def shaders_of(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    channel: str | None,
+    materials: bool,
+    bump: tuple[str, float] | None,
+) -> tuple[str, list[Shader]]:
+    """Return the channel to show, which both have, and shaders of the model and of the texture."""
+    formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
+    channel = Shown.of(formats, channel).channel.name
+    own = bump
+    if own is not None and texture is not None and own[0] not in [form.name for form in surface.channels]:
+        own = None  # a model without the channel is drawn smooth next to the texture that has it
+    looks = [source_shader(surface, channel, materials=materials, bump=own)]
+    if texture is not None:
+        looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
+    return channel, looks
+
+
+def write_png(path: str | Path, codes: Uint8s) -> None:
+    """Write sRGB codes (height, width, 3 or 4) as a file, or leave the old one; raises OutputError."""
+    with replacing(path) as file:
+        Image.fromarray(codes).save(file, "PNG")
 
 
 class Panel(NamedTuple):
@@ -100,63 +146,10 @@ class Panel(NamedTuple):
     subtitle: str
 
 
-class _Showing(NamedTuple):
-    """How panels are drawn, as ``draw_preview`` takes it."""
-
-    size: tuple[int, int]
-    supersample: int
-    note: str
-    view: Viewpoint
-    light: Environment | None
-    bump: Bump | None
-
-
-def _model_panels(surface: Surface, texture: OctreeTexture | None, how: _Showing) -> list[Panel]:
-    size = how.size
-    stored = None if texture is None else texture.channels
-    channel = Shown.of(
-        form for form in surface.channels if stored is None or form.name in stored
-    ).channel.name
-    materials = how.light is not None
-    own = how.bump
-    if (
-        own is not None
-        and texture is not None
-        and own.channel not in [form.name for form in surface.channels]
-    ):
-        own = None  # a model without the channel is drawn smooth beside the texture that has it
-    looks = [source_shader(surface, channel, materials=materials, bump=own)]
-    captions = [source_caption(surface, channel)]
-    if texture is not None:
-        looks.append(texture_shader(texture, channel, materials=materials, bump=how.bump))
-        captions.append(texture_caption(texture, channel, how.note))
-    camera = surface_camera(
-        surface,
-        source_shader(surface, channel),
-        (size[0] // len(looks), size[1]),
-        caption_height(size[1]),
-        how.view,
-    )
-    films = film_surface(surface, camera, looks, how.supersample, how.light)
-    return [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
-
-
-def _leaf_panels(texture: OctreeTexture, how: _Showing) -> list[Panel]:
-    channel = Shown.of(stored.format for stored in texture.channels.values()).channel.name
-    width, height = how.size
-    camera = leaf_camera([texture], channel, (width // 2, height), caption_height(height), how.view)
-    level = visible_level(texture, camera, pixels=10.0)
-    samples, light = how.supersample, how.light
-    fine = render_leaves(texture, camera, supersample=samples, light=light, bump=how.bump)
-    coarse = render_leaves(texture, camera, level=level, cubes=True, supersample=samples, light=light)
-    cells = count_text(texture.level(level).tree.n_leaves, "cell")
-    return [Panel(fine, *texture_caption(texture, channel, how.note)), Panel(coarse, f"level {level}", cells)]
-
-
 def surface_camera(
     surface: Surface, look: Shader, size: tuple[int, int], room: int, view: Viewpoint = USUAL
 ) -> Camera:
-    """Make a camera that sees a model, from the side that shows most, above ``room`` for a caption."""
+    """Return a camera that sees a model, by default from the side that shows most, above a caption's room."""
     normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
@@ -171,13 +164,13 @@ def surface_camera(
         directions = view_directions(*face_normals(surface.vertices, surface.triangles))
         return best_direction(directions, points, unlit)
 
-    return replace(view.camera(points, usual, (size[0], size[1] - room)), height=size[1])
+    return view.camera(points, usual, (size[0], size[1] - room), room)
 
 
 def leaf_camera(
     textures: Sequence[OctreeTexture], channel: str, size: tuple[int, int], room: int, view: Viewpoint = USUAL
 ) -> Camera:
-    """Make a camera that sees textures from the side on which the first shows most, as ``surface_camera``."""
+    """Return a camera that sees textures, by default from the side on which the first shows most."""
     # Coarse cells are enough to find out where the model is and from where to look at it.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
     every = [Leaves.of(texture) for texture in coarse]
@@ -196,7 +189,7 @@ def leaf_camera(
     def usual() -> Floats:
         return best_direction(view_directions(first.normals, first.edges**2), points, unlit)
 
-    return replace(view.camera(points, usual, (size[0], size[1] - room)), height=size[1])
+    return view.camera(points, usual, (size[0], size[1] - room), room)
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:

@@ -11,6 +11,8 @@ from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.drawing.hits import Hits, Seen
 from octex.drawing.reflection import Material, reflected, tone_mapped
 from octex.drawing.shaders import Appearance, Bump, Shader, Shown, bent, field_slopes
+from octex.drawing.soft_light import background
+from octex.drawing.soft_light import light as soft_light
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count, ordered_map, workers
@@ -21,8 +23,6 @@ from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.camera import Camera
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.shading import background
-from octex.view.shading import light as soft_light
 from octex.view.zbuffer import Buffers, z_buffer
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _OPAQUE = 2.0**-12
 _EDGE = 0.05
 
 
-def render(
+def render_surface(
     surface: Surface, camera: Camera, look: Shader, supersample: int = 3, light: Environment | None = None
 ) -> Float32s:
     """Picture a surface; return linear light (height, width, 3).

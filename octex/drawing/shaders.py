@@ -47,11 +47,8 @@ _REFLECTION = NORMAL.name, *_SCALARS, SPECULAR.name
 Shader = Callable[[Hits], Appearance]
 
 
-class Bump(NamedTuple):
-    """A channel that bends the normals, as if the surface were displaced by it."""
-
-    channel: str
-    height: float  # of 1, in the model's units
+#: A channel and the height of 1 in it: normals are bent as if the surface were displaced by it.
+Bump = tuple[str, float]
 
 
 class Shown(NamedTuple):
@@ -151,12 +148,12 @@ def source_shader(
                         height.evaluate_all(
                             hits.triangles, hits.barycentric + way * _shares(corners, step), hits.width
                         ),
-                    )[bump.channel]
+                    )[bump[0]]
                 )
                 for way in (-0.5, 0.5)
             ]
             rises.append(ends[1] - ends[0])
-        slopes = bump.height * _gradient(hits, *rises)
+        slopes = bump[1] * _gradient(hits, *rises)
         normals = hits.normals if appearance.normals is None else appearance.normals
         return appearance._replace(normals=bent(normals, slopes))
 
@@ -196,10 +193,10 @@ def texture_shader(
 def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
     """Return the channel that bends normals, or refuse one that is not there or is of directions."""
     known = {form.name: form for form in formats}
-    as_choice(bump.channel, known, "channel to bend normals by")
-    if known[bump.channel].space == "direction":
-        raise ArgumentError(f"{bump.channel} is directions; normals are bent by numbers or colours")
-    return bump.channel
+    as_choice(bump[0], known, "channel to bend normals by")
+    if known[bump[0]].space == "direction":
+        raise ArgumentError(f"{bump[0]} is directions; normals are bent by numbers or colours")
+    return bump[0]
 
 
 def _luminance(values: Floats) -> Float64s:
@@ -229,8 +226,8 @@ def field_slopes(
     texture: OctreeTexture, bump: Bump, points: Floats, normals: Floats, width: npt.ArrayLike | None = None
 ) -> Float64s:
     """Return how the heights of a texture's field change by rest position (n, 3), at points (n, 3)."""
-    _, gradients = texture.sample(points, bump.channel, width=width, normals=normals, gradient=True)
-    return bump.height * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
+    _, gradients = texture.sample(points, bump[0], width=width, normals=normals, gradient=True)
+    return bump[1] * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
 
 
 def bent(normals: Floats, slopes: Float64s) -> Float64s:
