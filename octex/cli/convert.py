@@ -15,7 +15,7 @@ from octex.ahead import ahead
 from octex.cli.common import Reporter, bytes_text, check_outputs, facts, tell
 from octex.cli.inputs import check_model, kind_of, model_files, open_texture, read_model, refuse
 from octex.cli.parser import Options
-from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, TEXTURE_ENDINGS, Address
+from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address
 from octex.errors import ArgumentError, ExitCode, OutputError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _FOR: dict[str, set[str]] = {
     "voxels": _STORED,
 }
 _WHY = {
-    "texture": "needs the model, and this is a texture made from one; octex edit changes textures",
+    "texture": "needs the model, and this is a texture made from one; see octex edit",
     "cloud": "needs a surface, and these are points",
     "voxels": "is not for voxels, which have their own depth",
 }
@@ -51,6 +51,10 @@ def convert(options: Options, program: str) -> int:
 def _check(options: Options) -> None:
     """Refuse options that make no sense together, or for what INPUT is."""
     path, kind = options.INPUT, kind_of(options.INPUT)
+    if path.suffix.lower() == PTEX_ENDING:
+        raise ArgumentError(
+            f"{path}: is texels of a mesh's polygons: convert its mesh with --transfer {path}"
+        )
     check_model(options, path)
     if options.depth is not None and options.cell is not None:
         raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
@@ -58,7 +62,7 @@ def _check(options: Options) -> None:
         refuse(options, ("--separate", "--preview", "--memory"), "has no meaning with --parts")
     if kind != "model":
         anywhere = {"--force", "--threads", "--quiet", "--json"}
-        refuse(options, set(options.words) - _FOR[kind] - anywhere, f"{_WHY[kind]}: {path}")
+        refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)
     if options.depth is not None:
         from octex.checks import as_depth
 

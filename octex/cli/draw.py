@@ -82,6 +82,10 @@ def _check(options: Options, kind: str) -> None:
     if options.unwrap is not None:
         words = "--camera", "--camera-out", "--direction", "--up", "--zoom"
         refuse(options, words, "has no meaning with --unwrap, which says what is seen")
+    elif kind == "paint" and options.camera is None and options.camera_out is None:
+        raise ArgumentError(
+            "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
+        )
     if options.light is None:
         refuse(options, ["--exposure"], "has no meaning without --light")
         if kind == "paint":

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from octex.view.camera_files import Frame
 
 
-def refuse(options: Options, words: Iterable[str], why: str) -> None:
-    """Raise ArgumentError for the first of some options that is on the command line."""
+def refuse(options: Options, words: Iterable[str], why: str, path: Path | Address | None = None) -> None:
+    """Raise ArgumentError for the first of some options that is on the command line, about a file."""
     for word in options.words:
         if word in words:
-            raise ArgumentError(f"{word} {why}")
+            raise ArgumentError(f"{'' if path is None else f'{path}: '}{word} {why}")
 
 
 def is_texture(path: Path | Address) -> bool:

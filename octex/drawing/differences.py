@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +35,6 @@ from octex.drawing.panels import (
 from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.drawing.soft_light import background
-from octex.files import replacing
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.view.camera import Camera
@@ -60,25 +58,6 @@ class _Row(NamedTuple):
     pictures: list[Float32s]
     film: Film  # of the difference (in red) and of where only one side is (in green)
     ring: tuple[float, float] | None  # pixel coordinates of the maximum, if it is in sight
-
-
-def write_difference(
-    path: str | Path,
-    a: Side,
-    b: Side,
-    found: Differences,
-    names: tuple[str, str] = ("A", "B"),
-    size: tuple[int, int] = (1800, 640),
-    supersample: int = 3,
-) -> None:
-    """Write what ``draw_difference`` draws as a PNG file.
-
-    What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
-    cannot be written.
-    """
-    picture = Image.fromarray(draw_difference(a, b, found, names, size, supersample))
-    with replacing(path) as file:
-        picture.save(file, "PNG")
 
 
 def draw_difference(

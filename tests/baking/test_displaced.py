@@ -156,9 +156,8 @@ def test_bake_displaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     octex.convert(model, 4, sources={"base_color": (0.5, 0.5, 0.5)}).save(texture)
     words = ["bake", texture, model, str(tmp_path / "a.ply"), "--quiet"]
     assert main([*words, "--displace", "base_color"]) == 2
-    assert main([*words, "--scale", "1"]) == 2
-    assert "--scale has no meaning without --displace" in capsys.readouterr().err
-    assert main([*words, "--displace", "base_color", "--scale", "-0.5", "--middle", "0.25"]) == 0
+    assert "'base_color' is not CHANNEL=HEIGHT[,MIDDLE]" in capsys.readouterr().err
+    assert main([*words, "--displace", "base_color=-0.5,0.25"]) == 0
     made = octex.load_surface(tmp_path / "a.ply")
     np.testing.assert_allclose(made.vertices[:, 2], -0.125, atol=2e-3)
     assert len(made.triangles) > 200

@@ -20,7 +20,7 @@ import octex
 from octex.channels import encode
 from octex.cli.main import main
 from octex.docs import TOPICS, topic
-from octex.drawing import render, source_shader
+from octex.drawing import render_surface, source_shader
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
 
@@ -74,7 +74,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     names = [f"photos/{n}.png" for n in range(4)]
     for name, camera in zip(names, cameras, strict=True):
-        picture = encode(render(surface, camera, source_shader(surface)), "uint8", "srgb")
+        picture = encode(render_surface(surface, camera, source_shader(surface)), "uint8", "srgb")
         PIL.Image.fromarray(picture).save(folder / name)
     frames = [
         {"file_path": name, "transform_matrix": (np.linalg.inv(whole(camera)) @ AXES).tolist()}

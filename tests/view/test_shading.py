@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from octex.drawing.soft_light import background, light
 from octex.view.camera import Camera
-from octex.view.shading import background, corner_normals, corner_normals_of, face_normals, light
+from octex.view.shading import corner_normals, corner_normals_of, face_normals
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
 CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
