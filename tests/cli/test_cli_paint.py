@@ -237,7 +237,7 @@ def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
     result(capsys, *arguments, OUT, out)
     opened = octex.open(texture)
     opened.save(texture.with_suffix(".octz"))
-    archived = [texture, scene.model.with_suffix(".octz"), *scene.shot[2:]]
+    archived = [texture.with_suffix(".octz"), scene.model, *scene.shot[2:]]
     result(capsys, *archived, OUT, tmp_path / "archived.octex")
     assert (tmp_path / "archived.octex").read_bytes() == out.read_bytes()
     result(capsys, *arguments, OUT, texture, "--force")
@@ -1016,8 +1016,16 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     octex.convert(droid, 7, channels=["base_color"]).save(texture)
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "octex.cli.main", *painting(*arguments)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=600, cwd=ROOT, check=True)
+        command, *words = painting(*arguments)
+        program = ["tools/paint_projection.py"] if command == "paint" else ["-m", "octex.cli.main", command]
+        return subprocess.run(
+            [sys.executable, *program, *words],
+            capture_output=True,
+            text=True,
+            timeout=600,
+            cwd=ROOT,
+            check=True,
+        )
 
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
     run(texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256")
