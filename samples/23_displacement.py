@@ -36,7 +36,7 @@ def main(folder: Path) -> None:
     sources = {"base_color": lambda at: craters(at)[:, None] * (0.95, 0.85, 0.7), "roughness": craters}
     ball = ball.with_sources(sources)
     texture = octex.convert(ball, DEPTH, dtype={"base_color": "uint8", "roughness": "uint16"})
-    moved = octex.displace(ball, texture, "roughness", 0.15, middle=0.5)
+    moved = octex.displace(texture, ball, "roughness", 0.15, middle=0.5)
     camera = octex.Camera.fitted(moved.vertices, (0.3, 0.4, 1.0), size=(WIDTH, WIDTH))
     views = np.hstack([octex.render(texture, each, camera) for each in (ball, moved)])
     folder.mkdir(parents=True, exist_ok=True)

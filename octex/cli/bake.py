@@ -60,7 +60,7 @@ def bake(options: Options, program: str) -> int:
         if options.displace is not None:
             channel, height, middle = options.displace
             with progress.stage("displace"):
-                surface = octex.displace(surface, texture, channel, height, middle=middle)
+                surface = octex.displace(texture, surface, channel, height, middle=middle)
         if at_vertices:
             with progress.stage("divide"):
                 error = 8.0 if options.vertex_error is None else options.vertex_error

@@ -19,8 +19,6 @@ from octex.files import replacing
 if TYPE_CHECKING:
     from octex.arrays import Uint8s
     from octex.drawing import Environment, Viewpoint
-    from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
     from octex.view.camera import Camera
     from octex.view.camera_files import Frame
 
@@ -48,12 +46,8 @@ def draw(options: Options, program: str) -> int:
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
         width, height = _draw(options, kind, program)
     size, seconds = options.OUTPUT.stat().st_size, time.perf_counter() - began
-    made: dict[str, Any] = {
-        "output": str(options.OUTPUT),
-        "size": [width, height],
-        "bytes": size,
-        "seconds": round(seconds, 3),
-    }
+    made = {"output": str(options.OUTPUT), "size": [width, height], "bytes": size}
+    made["seconds"] = round(seconds, 3)
     lines = [f"{options.OUTPUT}: {width}×{height} pixels, {bytes_text(size)}, {seconds:.1f} s"]
     if options.empty_layer is not None:
         made["layer"] = str(options.empty_layer)
@@ -112,22 +106,15 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
             texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
             if texture is not None and options.level is not None and kind != "cells":
                 texture = texture.level(options.level)
-            model: Any = None  # a surface, or another texture
-            if options.MODEL is not None and is_texture(options.MODEL):
-                model = open_texture(options.MODEL)
-            elif options.MODEL is not None:
-                bare = kind == "paint" or (kind == "view" and texture is not None)
-                model = (bare_model if bare else _whole_model)(options.MODEL, options)
+            model = _model(options, kind)
         if texture is None and kind == "paint":
             progress.note("there is no texture: the model is drawn grey, in some light")
         camera: Camera | None = None
         if options.unwrap is not None:
             patch = patch_of(options, model, options.size or _SIZE, progress)
             model, camera = patch.surface, patch.camera
-        else:
-            camera = (
-                None if kind in ("panels", "difference") else _camera(options, kind, texture, model, frame)
-            )
+        elif kind not in ("panels", "difference"):
+            camera = _camera(options, kind, texture, model, frame)
         if camera is not None and camera.is_distorted:
             progress.note(
                 "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
@@ -141,51 +128,39 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
     return codes.shape[1], codes.shape[0]
 
 
-def _whole_model(path: Any, options: Options) -> Surface:
-    return shaped_model(path, options, normals=True)
+def _model(options: Options, kind: str) -> Any:
+    """Read MODEL: a surface, or another texture; None without."""
+    if options.MODEL is None:
+        return None
+    if is_texture(options.MODEL):
+        return open_texture(options.MODEL)
+    if kind == "paint" or (kind == "view" and options.TEXTURE is not None):
+        return bare_model(options.MODEL, options)
+    return shaped_model(options.MODEL, options, normals=True)
 
 
 def _codes(
-    options: Options,
-    kind: str,
-    texture: OctreeTexture | None,
-    model: Any,
-    camera: Camera | None,
-    frame: Frame | None,
+    options: Options, kind: str, texture: Any, model: Any, camera: Camera | None, frame: Frame | None
 ) -> Uint8s:
     """Draw the picture."""
     from octex import drawing
 
     channel, light, bump = options.channel, _light(options), options.bump
-    if kind == "paint":
-        assert camera is not None
-        channel = channel or DEFAULT_CHANNEL
-        shown = texture if texture is None or options.light is not None else only(texture, channel)
-        is_lit = texture is None or options.light is not None
-        return drawing.draw_paintable(shown, model, camera, channel, lit=is_lit, light=light, bump=bump)
+    size = {} if options.size is None else {"size": options.size}
     if kind == "difference":
-        assert texture is not None
-        channels = None if channel is None else [channel]
-        found = octex.difference(texture, model, channels=channels)
+        found = octex.difference(texture, model, channels=None if channel is None else [channel])
         names = options.TEXTURE.name, options.MODEL.name
-        size = {} if options.size is None else {"size": options.size}
         return drawing.draw_difference(texture, model, found, names, **size)
     if kind == "panels":
-        size = {} if options.size is None else {"size": options.size}
-        view = _viewpoint(options, frame)
-        return drawing.draw_preview(
-            texture, model, **size, view=view, channel=channel, light=light, bump=bump
-        )
-    return octex.render(
-        texture,
-        model,
-        camera,
-        channel=channel,
-        level=options.level if kind == "cells" else None,
-        cubes=kind == "cells",
-        light=light,
-        bump=bump,
-    )
+        view, lit = _viewpoint(options, frame), {"light": light, "bump": bump}
+        return drawing.draw_preview(texture, model, **size, view=view, channel=channel, **lit)
+    if kind == "paint":
+        assert camera is not None
+        channel, is_lit = channel or DEFAULT_CHANNEL, texture is None or options.light is not None
+        shown = texture if is_lit else only(texture, channel)
+        return drawing.draw_paintable(shown, model, camera, channel, lit=is_lit, light=light, bump=bump)
+    cells = {"level": options.level, "cubes": True} if kind == "cells" else {}
+    return octex.render(texture, model, camera, channel=channel, light=light, bump=bump, **cells)
 
 
 def _write(options: Options, codes: Uint8s, camera: Camera | None) -> None:
@@ -229,19 +204,19 @@ def _viewpoint(options: Options, frame: Frame | None) -> Viewpoint:
     return Viewpoint(options.direction, options.up or _UP, options.zoom or 1.0, frame)
 
 
-def _camera(
-    options: Options, kind: str, texture: OctreeTexture | None, surface: Surface | None, frame: Frame | None
-) -> Camera:
+def _camera(options: Options, kind: str, texture: Any, model: Any, frame: Frame | None) -> Camera:
     """Return the camera of a frame, or one that sees the whole model."""
+    size = options.size or _SIZE
     if frame is not None:
         camera = frame.camera(options.size or (None if frame.size is not None else _SIZE))
-        return camera if options.zoom is None else camera.zoomed(options.zoom)
-    from octex.drawing import camera_of
+    elif kind == "paint":  # the same for every texture
+        direction, up = options.direction or _DIRECTION, options.up or _UP
+        camera = octex.Camera.fitted(model.vertices, direction, size=size, up=up)
+    else:
+        from octex.drawing import camera_of
 
-    view = _viewpoint(options, None)
-    if kind == "paint":  # the same for every texture
-        view = view._replace(direction=options.direction or _DIRECTION)
-    return camera_of(texture, surface, options.size or _SIZE, view, options.channel)
+        return camera_of(texture, model, size, _viewpoint(options, None), options.channel)
+    return camera if options.zoom is None else camera.zoomed(options.zoom)
 
 
 def _light(options: Options) -> Environment | None:

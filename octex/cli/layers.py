@@ -24,74 +24,119 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 
-def projected(
-    options: Options,
-    texture: OctreeTexture | None,
-    surface: Surface,
-    shots: Sequence[Shot],
-    executor: Executor | None,
-    progress: Reporter,
-) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
-    """Project pictures; return what to merge them into, None for nothing yet, and the layer that they are."""
-    settings: dict[str, Any] = {
-        "fit": not options.no_fit,
-        "pictures": options.pictures,
-        "balance": options.balance,
-        "reference": _reference(options, shots),
-        "executor": executor,
-        "progress": progress,
-        **_room(options),
-    }
-    for name in ("channel", "max_depth", "edge_feather"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
-    if options.max_angle is not None:
-        settings["max_angle"], settings["back_faces"] = options.max_angle
-    given = [_projection(options, shot) for shot in shots]
-    background = _background_value(options) if isinstance(options.holes, tuple) else None
-    layer = octex.project(surface, given, like=texture, **settings)
-    if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
-        progress.note(
-            f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
-            f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
-        )
-    if background is None or not layer.tree.n_leaves:
-        return texture, [layer]
-    depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
-    channel = channel_of(layer)
-    texture = octex.convert(
-        surface,
-        depth,
-        channels=[channel],
-        sources={channel: background},
-        fit=not options.no_fit,
-        executor=executor,
-        progress=progress,
-    )
-    if texture.placement != layer.placement:
+class Painting:
+    """Paints as the options say: projects pictures to a layer, and merges layers into a texture."""
+
+    def __init__(
+        self, options: Options, surface: Surface, executor: Executor | None, progress: Reporter
+    ) -> None:
+        self._options, self._surface, self._progress = options, surface, progress
+        self._running: dict[str, Any] = {"executor": executor, "progress": progress}
+        self._blend = options.blend or "over"
+        self._opacity = 1.0 if options.opacity is None else options.opacity
+        self._room = {} if options.resume is None else {"resume": options.resume}
+        if options.memory is not None:
+            self._room |= {"memory": options.memory, "folder": options.OUTPUT.absolute().parent}
+
+    def projected(
+        self, texture: OctreeTexture | None, shots: Sequence[Shot]
+    ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
+        """Project pictures; return the texture to merge them into, None for a new one, and their layer."""
+        options, surface = self._options, self._surface
+        settings: dict[str, Any] = {
+            "fit": not options.no_fit,
+            "pictures": options.pictures,
+            "balance": options.balance,
+            "reference": self._reference(shots),
+            **self._room,
+            **self._running,
+        }
+        for name in ("channel", "max_depth", "edge_feather"):
+            if getattr(options, name) is not None:
+                settings[name] = getattr(options, name)
+        if options.max_angle is not None:
+            settings["max_angle"], settings["back_faces"] = options.max_angle
+        given = [self._projection(shot) for shot in shots]
+        background = _value_of(options) if isinstance(options.holes, tuple) else None
         layer = octex.project(surface, given, like=texture, **settings)
-    return texture, [layer]
+        if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
+            self._progress.note(
+                f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
+                f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
+            )
+        if background is None or not layer.tree.n_leaves:
+            return texture, [layer]
+        depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
+        wanted = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
+        texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, **self._running)
+        if texture.placement != layer.placement:
+            layer = octex.project(surface, given, like=texture, **settings)
+        return texture, [layer]
 
+    def refined(self, shots: Sequence[Shot]) -> list[Shot]:
+        """Return pictures with cameras through which they agree best, and write these."""
+        pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
+        found = octex.refine_cameras(
+            self._surface, pictures, reference=reference, **self._room, **self._running
+        )
+        # What comes next may take hours, so they are written now.
+        octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
+        return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
 
-def refined(
-    options: Options,
-    surface: Surface,
-    shots: Sequence[Shot],
-    executor: Executor | None,
-    progress: Reporter,
-) -> list[Shot]:
-    """Return pictures with cameras through which they agree best, and write these."""
-    cameras = octex.refine_cameras(
-        surface,
-        [_projection(options, shot) for shot in shots],
-        reference=_reference(options, shots),
-        executor=executor,
-        progress=progress,
-        **_room(options),
-    )
-    # What comes next may take hours, so they are written now.
-    octex.write_cameras(options.refine_cameras, dict(zip(_camera_names(shots), cameras, strict=True)))
-    return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
+    def begun(self, layer: OctreeTexture, has_layers: bool) -> OctreeTexture:
+        """Return a new texture for a layer to be merged into; its unseen part may be filled."""
+        from octex.painting import holes
+
+        mode: Any = self._options.holes if isinstance(self._options.holes, str) else "smooth"
+        return holes.begun(layer, self._surface, "leave" if has_layers else mode, *self._running.values())
+
+    def merged(
+        self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path]
+    ) -> OctreeTexture:
+        """Merge layers, those of ``files`` if any; return the same texture if they paint nothing."""
+        painting = [number for number, layer in enumerate(layers) if layer.tree.n_leaves]
+        blending = {"opacity": self._opacity, "blend": self._blend, **self._running}
+        for number in painting:
+            try:
+                texture = octex.merge(texture, layers[number], self._surface, **blending)
+            except ArgumentError as error:
+                raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
+        if self._options.coverage and painting:
+            from octex.painting.holes import with_coverage
+
+            texture = with_coverage(texture, layers)
+        return texture
+
+    def entries(self, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
+        """Return the provenance of the paint in files."""
+        found: list[dict[str, str | float]] = []
+        for path in files:
+            with open_file(path) as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            entry = {"image": path.name, "sha256": digest, "blend": self._blend, "opacity": self._opacity}
+            found.append({**entry, "channel": channel_of(layer)})
+        return found
+
+    def _projection(self, shot: Shot) -> Projection:
+        since: Any = shot.since
+        if isinstance(since, bytes):
+            from octex.source.images.decode import decode_image
+
+            where = "of --unwrap" if self._options.camera is None else f"in {self._options.camera[0]}"
+            since = decode_image(since, f"the view {where}")
+        key = next((each for each in self._options.mask if isinstance(each, tuple)), None)
+        return octex.Projection(shot.path, shot.camera, shot.mask, blend=self._blend, since=since, key=key)
+
+    def _reference(self, shots: Sequence[Shot]) -> int | None:
+        """Return the number of the picture of --reference."""
+        path = self._options.reference
+        if path is None:
+            return None
+        paths = [shot.path for shot in shots]
+        for names, name in ((paths, path), ([path.name for path in paths], path.name)):
+            if names.count(name) == 1:
+                return names.index(name)
+        raise ArgumentError(f"--reference {path} is none of the pictures, or several of them")
 
 
 def _camera_names(shots: Sequence[Shot]) -> list[str]:
@@ -102,39 +147,7 @@ def _camera_names(shots: Sequence[Shot]) -> list[str]:
     raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine these apart")
 
 
-def _room(options: Options) -> dict[str, Any]:
-    """Return the settings of --memory and --resume."""
-    room = {} if options.resume is None else {"resume": options.resume}
-    if options.memory is not None:
-        room |= {"memory": options.memory, "folder": options.OUTPUT.absolute().parent}
-    return room
-
-
-def _projection(options: Options, shot: Shot) -> Projection:
-    since: Any = shot.since
-    if isinstance(since, bytes):
-        from octex.source.images.decode import decode_image
-
-        where = "of --unwrap" if options.camera is None else f"in {options.camera[0]}"
-        since = decode_image(since, f"the view {where}")
-    key = next((each for each in options.mask if isinstance(each, tuple)), None)
-    return octex.Projection(
-        shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=key
-    )
-
-
-def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
-    """Return the number of the picture of --reference."""
-    if options.reference is None:
-        return None
-    paths = [shot.path for shot in shots]
-    for names, name in ((paths, options.reference), ([path.name for path in paths], options.reference.name)):
-        if names.count(name) == 1:
-            return names.index(name)
-    raise ArgumentError(f"--reference {options.reference} is none of the pictures, or several of them")
-
-
-def _background_value(options: Options) -> tuple[float, ...]:
+def _value_of(options: Options) -> tuple[float, ...]:
     """Return the colour of --holes as the channel's decoded value, linear light for colours."""
     import numpy as np
 
@@ -155,76 +168,6 @@ def _background_value(options: Options) -> tuple[float, ...]:
 def channel_of(layer: OctreeTexture) -> str:
     """Return the channel that a layer paints."""
     return next((name for name in layer.channels if name != "alpha"), "alpha")
-
-
-def begun(
-    options: Options,
-    layer: OctreeTexture,
-    surface: Surface,
-    is_layer: bool,
-    executor: Executor,
-    progress: Reporter,
-) -> OctreeTexture:
-    """Return a new texture for a layer to be merged into; its unseen part may be filled."""
-    from octex.painting import holes
-
-    mode: Any = options.holes if isinstance(options.holes, str) else "smooth"
-    if is_layer:
-        mode = "leave"
-    return holes.begun(layer, surface, mode, executor, progress)
-
-
-def merged(
-    options: Options,
-    texture: OctreeTexture,
-    layers: Sequence[OctreeTexture],
-    surface: Surface,
-    is_layer: bool,
-    executor: Executor | None,
-    progress: Reporter,
-) -> OctreeTexture:
-    """Merge layers; return the very same texture if they paint nothing."""
-    strength = 1.0 if options.opacity is None else options.opacity
-    for number, layer in enumerate(layers):
-        if not layer.tree.n_leaves:
-            continue
-        try:
-            texture = octex.merge(
-                texture,
-                layer,
-                surface,
-                opacity=strength,
-                blend=options.blend or "over",
-                executor=executor,
-                progress=progress,
-            )
-        except ArgumentError as error:
-            if is_layer:
-                raise ArgumentError(f"{options.IMAGE[number]}: {error}") from None
-            raise
-    if options.coverage and any(layer.tree.n_leaves for layer in layers):
-        from octex.painting.holes import with_coverage
-
-        texture = with_coverage(texture, layers)
-    return texture
-
-
-def entries_of(options: Options, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
-    """Return the provenance of the paint in files."""
-    found: list[dict[str, str | float]] = []
-    for path in files:
-        with open_file(path) as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        found.append(
-            {
-                "image": path.name,
-                "sha256": digest,
-                "blend": options.blend or "over",
-                "opacity": 1.0 if options.opacity is None else options.opacity,
-                "channel": channel_of(layer),
-            }
-        )
-    return found
 
 
 def with_entries(

@@ -11,7 +11,7 @@ import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts, fail, identity, tell
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
-from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
+from octex.cli.layers import Painting, channel_of, with_entries
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import NOTHING, flat_shots, images_of, shots_of
@@ -106,19 +106,18 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         if options.unwrap is not None:
             surface, shots = flat_shots(options, whole, texture, progress)
         with workers() as executor:
+            painting = Painting(options, surface, executor, progress)
             if options.refine_cameras is not None:
-                shots = refined(options, surface, shots, executor, progress)
+                shots = painting.refined(shots)
             if has_layers:
                 layers = [open_texture(path) for path in options.IMAGE]
             else:
-                texture, layers = projected(options, texture, surface, shots, executor, progress)
-            base = texture
-            if base is None:
-                base = begun(options, layers[0], surface, has_layers, executor, progress)
-            made = merged(options, base, layers, surface, has_layers, executor, progress)
+                texture, layers = painting.projected(texture, shots)
+            base = painting.begun(layers[0], has_layers) if texture is None else texture
+            made = painting.merged(base, layers, options.IMAGE if has_layers else [])
         if made is base:
             return _nothing_painted(options, program, any(shot.since for shot in shots))
-        entries = entries_of(options, [shot.path for shot in shots] or options.IMAGE, layers[0])
+        entries = painting.entries([shot.path for shot in shots] or options.IMAGE, layers[0])
         made = with_entries(made, surface, entries)
         if options.preview is not None:  # first: without room for it, nothing is left unannounced
             with progress.stage("draw"):

@@ -187,24 +187,34 @@ def file_size(text: str) -> int:
         raise ArgumentError(str(error)) from None
 
 
-def real(text: str) -> float:
-    """Read a finite number."""
-    return _number(text, lambda number: abs(number) < float("inf"), "a finite number")
+def _number(limits: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a reader of a number within limits."""
+
+    def read(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            raise ArgumentError(f"{text!r} is no number") from None
+        if not fits(number):
+            raise ArgumentError(f"{text} is not {limits}")
+        return number
+
+    return read
 
 
-def length(text: str) -> float:
-    """Read a finite length above zero."""
-    return _number(text, lambda number: 0.0 < number < float("inf"), "a finite number above zero")
+_INFINITE = float("inf")
+real = _number("a finite number", lambda number: abs(number) < _INFINITE)
+length = _number("a finite number above zero", lambda number: 0.0 < number < _INFINITE)
+codes = _number("a finite number from 0 on", lambda number: 0.0 <= number < _INFINITE)
+cells_apart = _number("a number of cells from 1 to a million", lambda number: 1.0 <= number <= 1e6)
+opacity = _number("from 0 to 1", lambda number: 0.0 <= number <= 1.0)
+angle = _number("from 0 to 180", lambda number: 0.0 <= number <= 180.0)
+pixels = _number("from 0 to 1000000", lambda number: 0.0 <= number <= 1e6)
 
 
 def edge_length(text: str) -> float | str:
     """Read a length, or "auto"."""
     return text if text == "auto" else length(text)
-
-
-def codes(text: str) -> float:
-    """Read an error in 1/255: finite, 0 or more."""
-    return _number(text, lambda number: 0.0 <= number < float("inf"), "a finite number from 0 on")
 
 
 def whole_codes(text: str) -> int:
@@ -213,26 +223,6 @@ def whole_codes(text: str) -> int:
     if number != int(number):
         raise ArgumentError(f"{text} is not a whole number of codes")
     return int(number)
-
-
-def cells_apart(text: str) -> float:
-    """Read the clearance of parts in cells."""
-    return _number(text, lambda number: 1.0 <= number <= 1e6, "a number of cells from 1 to a million")
-
-
-def opacity(text: str) -> float:
-    """Read a number from 0 to 1."""
-    return _within(text, 1.0)
-
-
-def angle(text: str) -> float:
-    """Read an angle in degrees, from 0 to 180."""
-    return _within(text, 180.0)
-
-
-def pixels(text: str) -> float:
-    """Read a number of pixels, from 0 to a million."""
-    return _within(text, 1e6)
 
 
 def angle_and_sides(text: str) -> tuple[float | None, bool]:
@@ -349,12 +339,42 @@ def subdivision(text: str) -> tuple[int, str]:
     return whole_number(levels), one_of("hull", "limit")(rest) if comma else "hull"
 
 
-def position(text: str) -> tuple[float, ...]:
-    """Read three finite numbers."""
-    numbers = _numbers(text)
-    if len(numbers) != 3:
-        raise ArgumentError(f"{text!r} is not X,Y,Z, like 0,0.5,1")
-    return numbers
+def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[str], tuple[float, ...]]:
+    """Return a reader of finite numbers with commas between."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            numbers = tuple(float(number) for number in text.split(","))
+        except ValueError:
+            raise ArgumentError(f"{text!r} is not numbers with commas between") from None
+        if not all(abs(number) < _INFINITE for number in numbers):
+            raise ArgumentError(f"{text} has numbers that are not finite")
+        if not fits(numbers):
+            raise ArgumentError(f"{text!r} is not {like}")
+        return numbers
+
+    return read
+
+
+position = _numbers("X,Y,Z, like 0,0.5,1", lambda given: len(given) == 3)
+box = _numbers("x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1", lambda given: len(given) == 6)
+grid = _numbers(
+    "x0,y0,z0,x1,y1,z1,EDGE, like -1,-1,-1,1,1,1,0.02", lambda given: len(given) == 7 and given[6] > 0.0
+)
+levels = _numbers(
+    "BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2",
+    lambda given: len(given) in (2, 3) and 0 <= given[0] < given[1] <= 1 and 0 < given[-1] <= 100,
+)
+_sphere = _numbers("X,Y,Z,RADIUS, like 0,0.5,1,0.2", lambda given: len(given) == 4 and given[3] > 0.0)
+_sizes = _numbers(
+    "a size above zero, nor three like 1,1,0.5", lambda given: len(given) in (1, 3) and min(given) > 0.0
+)
+
+
+def sizes(text: str) -> float | tuple[float, ...]:
+    """Read a size, or one for each direction."""
+    given = _sizes(text)
+    return given if len(given) == 3 else given[0]
 
 
 def direction(text: str) -> tuple[float, ...]:
@@ -368,9 +388,7 @@ def direction(text: str) -> tuple[float, ...]:
 def disc(text: str) -> Disc:
     """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z]."""
     place, *settings = text.split(":")
-    numbers = _numbers(place)
-    if len(numbers) != 4 or numbers[3] <= 0.0:
-        raise ArgumentError(f"{place!r} is not X,Y,Z,RADIUS, like 0,0.5,1,0.2")
+    numbers = _sphere(place)
     up = None
     for setting in settings:
         if setting.startswith("up="):
@@ -380,44 +398,12 @@ def disc(text: str) -> Disc:
     return Disc(numbers[:3], numbers[3], up, "conformal" in settings)
 
 
-def sizes(text: str) -> float | tuple[float, ...]:
-    """Read a size, or one for each direction: finite and above zero."""
-    numbers = _numbers(text)
-    if len(numbers) not in (1, 3) or min(numbers) <= 0.0:
-        raise ArgumentError(f"{text!r} is not a size above zero, nor three like 1,1,0.5")
-    return numbers if len(numbers) == 3 else numbers[0]
-
-
-def box(text: str) -> tuple[float, ...]:
-    """Read the lowest and the highest corner of a box."""
-    numbers = _numbers(text)
-    if len(numbers) != 6:
-        raise ArgumentError(f"{text!r} is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1")
-    return numbers
-
-
-def grid(text: str) -> tuple[float, ...]:
-    """Read the lowest and the highest corner of a box, and the length of edges in it."""
-    numbers = _numbers(text)
-    if len(numbers) != 7 or numbers[6] <= 0.0:
-        raise ArgumentError(f"{text!r} is not x0,y0,z0,x1,y1,z1,EDGE, like -1,-1,-1,1,1,1,0.02")
-    return numbers
-
-
-def levels(text: str) -> tuple[float, ...]:
-    """Read the values that become 0 and 1, and a gamma."""
-    numbers = _numbers(text)
-    if len(numbers) not in (2, 3) or not (0 <= numbers[0] < numbers[1] <= 1 and 0 < numbers[-1] <= 100):
-        raise ArgumentError(f"{text!r} is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2")
-    return numbers
-
-
 def file_and_amount(text: str) -> tuple[Path | Address, float]:
     """Read a texture's file and a number from 0 to 1, after the last =."""
     name, equals, number = text.rpartition("=")
     if not (name and equals):
         raise ArgumentError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
-    return texture_file(name), _within(number, 1.0)
+    return texture_file(name), opacity(number)
 
 
 def camera(text: str) -> tuple[Path, str | None]:
@@ -461,27 +447,3 @@ def color(text: str) -> tuple[int, int, int]:
 
 def _is_texture(name: str) -> bool:
     return name.lower().endswith(TEXTURE_ENDINGS)
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(number) for number in text.split(","))
-    except ValueError:
-        raise ArgumentError(f"{text!r} is not numbers with commas between") from None
-    if not all(abs(number) < float("inf") for number in numbers):
-        raise ArgumentError(f"{text} has numbers that are not finite")
-    return numbers
-
-
-def _within(text: str, most: float) -> float:
-    return _number(text, lambda number: 0.0 <= number <= most, f"from 0 to {most:.7g}")
-
-
-def _number(text: str, fits: Callable[[float], bool], limits: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        raise ArgumentError(f"{text!r} is no number") from None
-    if not fits(number):
-        raise ArgumentError(f"{text} is not {limits}")
-    return number

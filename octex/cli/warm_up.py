@@ -240,7 +240,7 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
         octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2), folder / "baked.glb"
     )
     octex.bake_vertices(texture, surface, subdivide="auto")
-    octex.displace(surface, texture, "base_color", 0.01)
+    octex.displace(texture, surface, "base_color", 0.01)
 
 
 def _ptex(folder: Path) -> None:

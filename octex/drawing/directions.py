@@ -32,14 +32,25 @@ class Viewpoint(NamedTuple):
     frame: Frame | None = None  # a camera of a file, instead of a direction
 
     def camera(
-        self, points: Floats, usual: Callable[[], Floats], size: tuple[int, int], room: int = 0
+        self,
+        points: Floats,
+        parts: Callable[[], tuple[Floats, Floats]],
+        unlit: Callable[[Camera], Floats],
+        size: tuple[int, int],
+        room: int,
     ) -> Camera:
-        """Return the camera for a picture of points (n, 3), with ``room`` pixels more at its bottom.
+        """Return a camera that sees points (n, 3) above ``room`` pixels at the bottom of its picture.
 
-        ``usual`` finds the side that shows most. A frame of another shape is made as large as it fits.
+        parts    returns normals and areas, as for ``view_directions``, to find the side that shows most
+        unlit    makes a picture without light, as for ``best_direction``
+
+        A frame of another shape is made as large as it fits.
         """
+        size = size[0], size[1] - room
         if self.frame is None:
-            direction = usual() if self.direction is None else self.direction
+            direction = self.direction
+            if direction is None:
+                direction = best_direction(view_directions(*parts()), points, unlit)
             camera = Camera.fitted(points, direction, size=size, up=self.up)
         else:
             if self.frame.size is not None:

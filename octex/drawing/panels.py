@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Float32s, Floats, Uint8s
 from octex.channels import encode, linear_to_srgb
-from octex.drawing.directions import USUAL, Viewpoint, best_direction, view_directions
+from octex.drawing.directions import USUAL, Viewpoint
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
 from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
@@ -147,7 +147,7 @@ class Panel(NamedTuple):
 
 
 def surface_camera(
-    surface: Surface, look: Shader, size: tuple[int, int], room: int, view: Viewpoint = USUAL
+    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
 ) -> Camera:
     """Return a camera that sees a model, by default from the side that shows most, above a caption's room."""
     normals = rest_normals(surface)
@@ -159,19 +159,18 @@ def surface_camera(
         return picture.reshape(camera.height, camera.width, 3)
 
     points = surface.vertices[distinct(surface.triangles.ravel())]
-
-    def usual() -> Floats:
-        directions = view_directions(*face_normals(surface.vertices, surface.triangles))
-        return best_direction(directions, points, unlit)
-
-    return view.camera(points, usual, (size[0], size[1] - room), room)
+    return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
 
 
 def leaf_camera(
-    textures: Sequence[OctreeTexture], channel: str, size: tuple[int, int], room: int, view: Viewpoint = USUAL
+    textures: Sequence[OctreeTexture],
+    channel: str | None,
+    size: tuple[int, int],
+    room: int = 0,
+    view: Viewpoint = USUAL,
 ) -> Camera:
     """Return a camera that sees textures, by default from the side on which the first shows most."""
-    # Coarse cells are enough to find out where the model is and from where to look at it.
+    # Coarse cells are enough to find out where the model is and where to look at it from.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
     every = [Leaves.of(texture) for texture in coarse]
     first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
@@ -185,11 +184,7 @@ def leaf_camera(
     points = np.concatenate(
         [leaves.corners + far for leaves in every for far in (0.0, leaves.edges[:, None])]
     )
-
-    def usual() -> Floats:
-        return best_direction(view_directions(first.normals, first.edges**2), points, unlit)
-
-    return view.camera(points, usual, (size[0], size[1] - room), room)
+    return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
@@ -214,7 +209,7 @@ def named(channel: str) -> str:
 
 
 def count_text(number: int, one: str, many: str = "") -> str:
-    """Return so many of something, in words."""
+    """Return a number with its noun."""
     return f"{number:,} {one if number == 1 else many or one + 's'}"
 
 

@@ -178,8 +178,7 @@ def texture_shader(
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
         if lies_on is not None:
-            finest = texture.placement.size / 2**texture.tree.max_depth
-            values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), finest))] = 0.0
+            values[ALPHA.name][~lies_on(hits.rest)] = 0.0
         appearance = shown.appearance(values)
         if bump is None:
             return appearance

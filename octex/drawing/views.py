@@ -16,7 +16,7 @@ from octex.drawing.directions import Viewpoint
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import leaf_camera, surface_camera, write_png
 from octex.drawing.pictures import film_surface, render_leaves, render_surface
-from octex.drawing.shaders import Appearance, Bump, Shader, Shown, source_shader, texture_shader
+from octex.drawing.shaders import Appearance, Bump, Shader, source_shader, texture_shader
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -95,10 +95,10 @@ def camera_of(
     """Return a camera that sees a model, or without one the leaves of a texture."""
     if surface is not None:
         look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
-        return surface_camera(surface if texture is None else surface.placed_in(texture), look, size, 0, view)
+        placed = surface if texture is None else surface.placed_in(texture)
+        return surface_camera(placed, look, size, view=view)
     assert texture is not None
-    name = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
-    return leaf_camera([texture], name, size, 0, view)
+    return leaf_camera([texture], channel, size, view=view)
 
 
 def draw_paintable(
