@@ -53,7 +53,7 @@ def _check(options: Options) -> None:
     path, kind = options.INPUT, kind_of(options.INPUT)
     if path.suffix.lower() == PTEX_ENDING:
         raise ArgumentError(
-            f"{path}: is texels of a mesh's polygons: convert its mesh with --transfer {path}"
+            f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}"
         )
     check_model(options, path)
     if options.depth is not None and options.cell is not None:

@@ -17,10 +17,10 @@ UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
 #: Every option as help shows it; words behind several spaces explain it.
 _TABLE = """
---depth N             number of levels: the finest cells are 1/2^N of the model's size (default 10)
+--depth N             number of levels: cells are 1/2^N of the model (default 10; view 9; edit all)
 --cell SIZE           width of the finest cells in the model's units, instead of --depth
 --max-error CODES     merge cells as long as no colour changes by more, in 1/255 (try 2)
---detail CHANNEL      coarser cells where this channel is below 1; 'stretch': where the pose stretches less
+--detail CHANNEL      coarser cells where this channel is below 1; stretch: by the pose's stretch
 --no-fit              store plain averages; lookups are less sharp
 --dtype TYPE          stored type: uint8, uint16, float16, float32; or by channel: normal=uint16
 --channels NAMES      names of the channels, like base_color,normal (default: all)
@@ -38,7 +38,7 @@ _TABLE = """
 --source CHANNEL=X    image, .ptx, FILE.py:FUNCTION or number(s) for a channel; may be repeated
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
---transfer FILE       take colours from the nearest surface of a model, from points, or from a .ptx
+--transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
 --radius R            average the points of --transfer within this distance
 --within D[,DEGREES]  leave cells empty whose --transfer is farther, or faces another way
 --filter NAME         filter of images: nearest, bilinear, bicubic, trilinear, ripmap, sat or ewa (default)
@@ -83,18 +83,18 @@ _TABLE = """
 --camera-out JSON     write the camera of the picture, to paint it back
 --empty-layer PNG     also write a transparent picture of the same size, to draw on
 
---uv MODE             UVs: auto (default) keeps the model's unless they overlap; keep; or a new atlas
+--uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
 --texture-size N      width and height of the images (default: as fine as the leaves, up to 8192)
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
---max-distance D      how far the surface of --original may be, in its units (default: any distance)
+--max-distance D      how far the surface of --original may be, in its units (default: any)
 --padding N           texels around each chart (default 8)
 --image-format NAME   png (default), webp, jpeg, jpeg-all, png16 or exr
 --supersample N       average this many lookups along each side of a texel (default 1)
 --vertex-colors       write colours at the vertices, no images; always so in .ply and .3mf
 --max-edge SIZE       divide triangles to edges of this length; auto: until --vertex-error holds
 --vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
---displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,MIDDLE: by 0 at MIDDLE
---unit UNIT           a length of 1 in .3mf and USD: meter (default), centimeter, millimeter, inch, foot
+--displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
+--unit UNIT           a length of 1 in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
 
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)

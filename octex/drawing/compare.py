@@ -31,7 +31,7 @@ from octex.tree.walk import walk_leaves
 DEFAULT_POINTS = 1_000_000
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
-#: What a channel's differences are measured in, by its colour space.
+#: The measure of a channel's differences by its colour space.
 MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "fractions", "direction": "components"}
 _ANGLE = "degrees"
 #: The peak of a measure's PSNR: how far apart ordinary values can be.
@@ -204,7 +204,7 @@ def finest_edge(texture: OctreeTexture) -> float:
 
 
 class Reader:
-    """Reads channels of one side in what they are measured in."""
+    """Reads channels of one side in their measures."""
 
     def __init__(
         self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str
@@ -230,8 +230,7 @@ class Reader:
     def _values(self, points: Points) -> dict[str, Float32s]:
         if isinstance(self._side, OctreeTexture):
             return self._side.sample(points.rest, self._names, self._filter, normalize=False)
-        assert points.triangles is not None
-        assert points.barycentric is not None
+        assert points.triangles is not None and points.barycentric is not None
         widths = np.full(len(points.rest), self._width, np.float32)
         rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
         return by_channel(self._side.channels, rows)
@@ -255,7 +254,7 @@ def placed(a: Side, b: Side) -> tuple[Side, Side]:
 
 
 def in_common(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides with the channels alone that both have; there must be one."""
+    """Return both sides with only the channels that both have, at least one."""
     names = [name for name in formats_of(a) if name in formats_of(b)]
 
     def restricted(side: Side) -> Side:

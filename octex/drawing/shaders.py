@@ -1,4 +1,4 @@
-"""What is shown of a surface: its colours as light falls on them, or one channel as it is."""
+"""Shaders: the colours of a surface in the light, or one channel as it is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Appearance(NamedTuple):
-    """What points look like, in linear light."""
+    """How points look, in linear light."""
 
     reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
     emitted: Floats | None = None  # (n, 3)   whatever the light
@@ -33,8 +33,12 @@ class Appearance(NamedTuple):
     occlusion: Floats | None = None  # (n,)
     specular: Floats | None = None  # (n, 3)
 
+    def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
+        """Return it with its own normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""
+        return self._replace(normals=bent(normals if self.normals is None else self.normals, slopes))
+
     def unlit(self) -> Floats:
-        """Return what is seen in white light (n, 3)."""
+        """Return the light (n, 3) of points in white light."""
         parts = [part for part in (self.reflected, self.emitted) if part is not None]
         return np.asarray(np.clip(sum(parts), 0.0, 1.0))
 
@@ -61,10 +65,10 @@ class Shown(NamedTuple):
     def of(
         cls, formats: Iterable[ChannelFormat], channel: str | None = None, *, materials: bool = False
     ) -> Shown:
-        """Choose ``channel``; or base colour; else the first colour, the first data, the first direction.
+        """Choose ``channel``, by default base colour, else the first colour, the first data or direction.
 
-        Alpha comes with it, and with base colour emitted light, and for ``materials`` all that says how light
-        is reflected. Raises ArgumentError if there is none such.
+        Alpha is read with it; with base colour also emitted light and, for ``materials``, the other channels
+        of materials. Raises ArgumentError for an unknown channel, and if there is none.
         """
         known = {form.name: form for form in formats}
         if not known:
@@ -81,11 +85,11 @@ class Shown(NamedTuple):
 
     @property
     def is_lit(self) -> bool:
-        """Whether the light falls on it."""
+        """Whether it is drawn in the light."""
         return self.channel.name == "base_color"
 
     def appearance(self, values: Mapping[str, Floats]) -> Appearance:
-        """Return what values (n, components) by channel look like.
+        """Return how values (n, components) by channel look.
 
         Data and directions are shown as sRGB values: data as they are, unit vectors as (x + 1) / 2.
         """
@@ -119,13 +123,11 @@ class Shown(NamedTuple):
 def source_shader(
     surface: Surface, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by its source, averaged over what each sample covers.
+    """Show a surface by its source, averaged over the footprint of each sample.
 
-    channel      shown as it is; by default base colour in the light, with what the surface emits, or else the
-                 channel that is most like a colour
-    materials    with all that says how light is reflected: metallic, roughness, occlusion,
-                 specular and normal
-    bump         bends the normals by how a channel changes from a sample to the next
+    channel      default: base colour in the light, with emitted light, or else the channel most like a colour
+    materials    read metallic, roughness, occlusion, specular and normal too
+    bump         bends the normals by the difference of a channel between neighbouring samples
 
     Raises ArgumentError for a channel that is not there.
     """
@@ -153,9 +155,7 @@ def source_shader(
                 for way in (-0.5, 0.5)
             ]
             rises.append(ends[1] - ends[0])
-        slopes = bump[1] * _gradient(hits, *rises)
-        normals = hits.normals if appearance.normals is None else appearance.normals
-        return appearance._replace(normals=bent(normals, slopes))
+        return appearance.bent(hits.normals, bump[1] * _gradient(hits, *rises))
 
     return look
 
@@ -163,11 +163,11 @@ def source_shader(
 def texture_shader(
     texture: OctreeTexture, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
+    """Show a surface by the field of a texture, averaged over each sample's footprint, on the side it sees.
 
-    What is translucent is not shown where the texture has no cell, though coarse averages reach there.
-    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` bends the normals by the field's own
-    gradient. Raises ArgumentError for a channel that is not there.
+    Where the texture has no cell, translucent surface is not shown, though coarse averages reach there.
+    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` uses the field's gradient. Raises
+    ArgumentError for an unknown channel.
     """
     formats = [stored.format for stored in texture.channels.values()]
     shown = Shown.of(formats, channel, materials=materials)
@@ -182,15 +182,13 @@ def texture_shader(
         appearance = shown.appearance(values)
         if bump is None:
             return appearance
-        normals = hits.normals if appearance.normals is None else appearance.normals
-        slopes = field_slopes(texture, bump, hits.rest, hits.normals, hits.width)
-        return appearance._replace(normals=bent(normals, slopes))
+        return appearance.bent(hits.normals, field_slopes(texture, bump, hits.rest, hits.normals, hits.width))
 
     return look
 
 
 def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
-    """Return the channel that bends normals, or refuse one that is not there or is of directions."""
+    """Return the channel that bends normals; refuse an unknown one, and directions."""
     known = {form.name: form for form in formats}
     as_choice(bump[0], known, "channel to bend normals by")
     if known[bump[0]].space == "direction":

@@ -462,11 +462,15 @@ def test_pictures_are_seen_from_where_their_cameras_stand():
     row = [Camera.fitted(points, way, size=(40, 30), up=up) for way in ways]
     units = ways / np.linalg.norm(ways, axis=1, keepdims=True)
     for some, direction in ((row, units.mean(axis=0)), (row[:1], units[0])):
-        made = viewpoint_among(some).camera(points, lambda: np.zeros(3), (40, 30))
+        made = viewpoint_among(some).camera(
+            points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
+        )
         expected = Camera.fitted(points, direction, size=(40, 30), up=up)
         np.testing.assert_allclose(made.world_to_camera, expected.world_to_camera, atol=1e-9)
     around = [Camera.fitted(points, way, size=(40, 30), up=up) for way in (*units[2:], *-units[2:])]
-    made = viewpoint_among(around).camera(points, lambda: np.zeros(3), (40, 30))
+    made = viewpoint_among(around).camera(
+        points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
+    )
     np.testing.assert_allclose(made.world_to_camera, around[0].world_to_camera, atol=1e-9)
 
 
