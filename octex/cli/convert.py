@@ -52,9 +52,7 @@ def _check(options: Options) -> None:
     """Refuse options that make no sense together, or for what INPUT is."""
     path, kind = options.INPUT, kind_of(options.INPUT)
     if path.suffix.lower() == PTEX_ENDING:
-        raise ArgumentError(
-            f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}"
-        )
+        raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
     check_model(options, path)
     if options.depth is not None and options.cell is not None:
         raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")

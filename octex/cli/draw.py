@@ -100,7 +100,7 @@ def _check(options: Options, kind: str) -> None:
 
 def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
     """Write the picture, and the files that belong to it; return its width and height."""
-    frame = _frame(options)
+    frame = _frame(options, kind)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
@@ -179,7 +179,7 @@ def _write(options: Options, codes: Uint8s, camera: Camera | None) -> None:
             file.write(png)
 
 
-def _frame(options: Options) -> Frame | None:
+def _frame(options: Options, kind: str) -> Frame | None:
     """Return the camera of --camera: the only one, the one that is named, or the one of OUTPUT's name."""
     if options.camera is None:
         return None
@@ -190,7 +190,9 @@ def _frame(options: Options) -> Frame | None:
     frame = frames[0]
     if name is not None or len(frames) > 1:
         frame = frame_of(frames, options.OUTPUT.name if name is None else name, file)
-    if frame.size is not None and options.size is not None and not frame.fits(options.size):
+    if frame.size is None or options.size is None or kind == "panels":
+        return frame
+    if not frame.fits(options.size):
         width, height = frame.size
         raise ArgumentError(
             f"--size has not the shape of frame {frame.name!r} of {file}, {width},{height}; leave --size out"

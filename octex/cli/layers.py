@@ -32,7 +32,7 @@ class Painting:
     ) -> None:
         self._options, self._surface, self._progress = options, surface, progress
         self._running: dict[str, Any] = {"executor": executor, "progress": progress}
-        self._blend = options.blend or "over"
+        self._blend: Any = options.blend or "over"
         self._opacity = 1.0 if options.opacity is None else options.opacity
         self._room = {} if options.resume is None else {"resume": options.resume}
         if options.memory is not None:
@@ -67,7 +67,7 @@ class Painting:
         if background is None or not layer.tree.n_leaves:
             return texture, [layer]
         depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
-        wanted = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
+        wanted: dict[str, Any] = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
         texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, **self._running)
         if texture.placement != layer.placement:
             layer = octex.project(surface, given, like=texture, **settings)

@@ -200,7 +200,7 @@ def formats_of(side: Side) -> dict[str, ChannelFormat]:
 
 def finest_edge(texture: OctreeTexture) -> float:
     """Return the edge of a texture's finest cells, in rest units."""
-    return texture.placement.size / 2**texture.tree.max_depth
+    return texture.placement.size / float(2**texture.tree.max_depth)
 
 
 class Reader:

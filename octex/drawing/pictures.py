@@ -302,8 +302,8 @@ def film_leaves(
             if cubes:  # with their edges drawn, so that they can be told apart
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
                 dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))
-                both = (None if part is None else part * dimmed for part in here[:2])
-                here = Appearance(*both, *here[2:])
+                reflected, emitted = (None if part is None else part * dimmed for part in here[:2])
+                here = here._replace(reflected=reflected, emitted=emitted)
             opened.ravel()[samples] = film.add(samples, here)
         if not opened.any():
             break

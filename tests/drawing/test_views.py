@@ -100,7 +100,7 @@ def test_nothing_to_draw_is_refused(texture: octex.OctreeTexture) -> None:
 
 
 def test_the_command_draws_every_kind(
-    surface: Surface, texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path,
+    texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     stored, model, eye = tmp_path / "a.octex", tmp_path / "a.obj", tmp_path / "eye.json"
