@@ -14,19 +14,16 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType, SimpleNamespace, TracebackType
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import use_shipped_code
-
-if TYPE_CHECKING:
-    from types import SimpleNamespace as Options
-
-    from octex.texture import OctreeTexture
-
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
 
 # What numpy and OpenImageIO start besides the threads of octex, which spreads the work itself: none.
 _NO_THREADS = {
@@ -141,7 +138,7 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
-def tell(options: Options, made: Mapping[str, Any], *lines: str) -> None:
+def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None:
     """Print results: as a JSON object with --json, else as lines; nothing with --quiet."""
     if options.json:
         say(json.dumps(made))

@@ -69,7 +69,7 @@ def _check(options: Options) -> None:
 
 
 def check_output_kind(path: Path | Address, output: Path) -> None:
-    """Refuse an output that another command writes, or that has INPUT's own format."""
+    """Refuse an output that another command writes."""
     ending = output.suffix.lower()
     model = "MODEL" if path.suffix.lower() in TEXTURE_ENDINGS else path
     if ending == PAGE_ENDING:
