@@ -37,13 +37,13 @@ The rooms, each of which knows only those before it
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures
     baking      textures to images at texture coordinates
-    preview     model and texture side by side; pictures of differences
     formats     files that are not our own
+    drawing     pictures of models and textures: views, light, previews, comparison
     viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands
     docs        the pages of octex help and of the documentation site
 
-Common ground: ahead, arrays, channels, checks, compare, container, errors, files, functions, jit, npz,
+Common ground: ahead, arrays, channels, checks, container, errors, files, functions, jit, npz,
 parallel, remote.
 """
 
@@ -64,6 +64,10 @@ if TYPE_CHECKING:
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
+    from octex.drawing.compare import difference as difference
+    from octex.drawing.environment import Environment as Environment
+    from octex.drawing.panels import write_preview as write_preview
+    from octex.drawing.views import render as render
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
     from octex.formats.ptex.export import write_ptex as write_ptex
@@ -115,6 +119,10 @@ _EXPORTS = {
     "conversion.apart": "separate",
     "conversion.convert": "convert",
     "conversion.sets": "convert_set",
+    "drawing.compare": "difference",
+    "drawing.environment": "Environment",
+    "drawing.panels": "write_preview",
+    "drawing.views": "render",
     "errors": "OctexError",
     "formats.models": "write_model",
     "formats.ptex.export": "write_ptex",

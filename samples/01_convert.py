@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import octex
-from octex.preview import write_preview
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 MODEL = Path(__file__).with_name("droid.glb")
@@ -22,7 +21,7 @@ def main(folder: Path) -> None:
     surface = octex.load_surface(MODEL)
     texture = octex.convert(surface, depth=DEPTH)  # or cell=0.001, in the model's units
     texture.save(folder / "droid.octex")
-    write_preview(folder / "droid.png", surface, texture)
+    octex.write_preview(folder / "droid.png", texture, surface)
     print(f"{texture.tree.n_leaves:,} leaves, {texture.nbytes:,} bytes")
 
 

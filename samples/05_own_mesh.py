@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 import octex
-from octex.preview import write_preview
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 ORANGE, BLUE = np.array([[[0.90, 0.35, 0.06]], [[0.03, 0.10, 0.16]]])  # linear light
@@ -33,7 +32,7 @@ def main(folder: Path, along: int = 1200, around: int = 90) -> None:
     surface = octex.Surface.from_arrays(vertices, triangles, colors=colors.reshape(-1, 3), name="knot")
     texture = octex.convert(surface, depth=DEPTH)
     folder.mkdir(parents=True, exist_ok=True)
-    write_preview(folder / "knot.png", surface, texture)
+    octex.write_preview(folder / "knot.png", texture, surface)
     print(f"{texture.tree.n_leaves:,} leaves; colours of some points:")
     print(texture.sample(surface.scatter(3).rest).round(2))
 

@@ -14,9 +14,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.cameras.camera import Camera
-from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "800"))
@@ -26,10 +23,10 @@ MODEL = Path(__file__).with_name("droid.glb")
 def main(folder: Path) -> None:
     surface = octex.load_surface(MODEL)
     head = surface.vertices[(surface.vertices[:, 1] > 0.43) & (surface.vertices[:, 1] < 0.64)]
-    camera = Camera.fitted(head, direction=(0.9, 0.22, 1.0), size=(SIZE, SIZE * 9 // 16))
+    camera = octex.Camera.fitted(head, direction=(0.9, 0.22, 1.0), size=(SIZE, SIZE * 9 // 16))
     texture = octex.convert(surface, depth=DEPTH)
-    looks = [source_shader(surface)] + [texture_shader(texture.level(DEPTH - i)) for i in (0, 1, 2)]
-    pictures = [encode(render(surface, camera, look), "uint8", "srgb") for look in looks]
+    pictures = [octex.render(None, surface, camera)]
+    pictures += [octex.render(texture, surface, camera, level=DEPTH - i) for i in (0, 1, 2)]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])).save(folder / "head.png")
     print(f"{folder / 'head.png'}: by the images, at depth {DEPTH}, {DEPTH - 1} and {DEPTH - 2}")

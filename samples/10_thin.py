@@ -17,8 +17,8 @@ from PIL import Image
 import octex
 from octex.cameras.camera import Camera
 from octex.channels import encode
-from octex.preview.pictures import film_surface
-from octex.preview.shaders import Appearance, source_shader
+from octex.drawing.pictures import film_surface
+from octex.drawing.shaders import Appearance, source_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "240"))

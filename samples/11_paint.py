@@ -13,8 +13,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))
@@ -39,7 +37,7 @@ def main(folder: Path) -> None:
     before = octex.convert(surface, depth=DEPTH)
     after = octex.paint(before, surface, octex.Projection(drawn(SIZE), camera), max_depth=DEPTH + 1)
     views = (other, before), (camera, before), (other, after)
-    codes = [encode(render(surface, at, texture_shader(of)), "uint8", "srgb") for at, of in views]
+    codes = [octex.render(of, surface, at) for at, of in views]
     over = Image.alpha_composite(Image.fromarray(codes[1]).convert("RGBA"), drawn(SIZE)).convert("RGB")
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.hstack([codes[0], np.asarray(over), codes[2]])).save(folder / "paint.png")

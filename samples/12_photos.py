@@ -14,8 +14,8 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
-from octex.preview.hits import rest_normals, visible_hits
+from octex.drawing import source_shader
+from octex.drawing.hits import rest_normals, visible_hits
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "11"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "480"))
@@ -39,8 +39,7 @@ def main(folder: Path) -> None:
     texture = octex.paint(None, surface, pictures, max_depth=DEPTH, balance="full")
     shown = [encode(p[::2, ::2, :3] + (1 - p[::2, ::2, 3:]), "uint8", "srgb") for p in photos]
     view = octex.Camera.fitted(head, (0.5, 0.3, 1), size=(SIZE * 3 // 2, SIZE))
-    looks = texture_shader(texture), source_shader(surface)
-    both = [encode(render(surface, view, look), "uint8", "srgb") for look in looks]
+    both = [octex.render(each, surface, view) for each in (texture, None)]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(shown), np.hstack(both)])).save(folder / "photos.png")
     print(f"{folder / 'photos.png'}: three pictures; painted with them, and the truth; {texture.tree!r}")

@@ -14,8 +14,6 @@ from make_shapes import board, shapes
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "250"))
@@ -28,7 +26,7 @@ def main(folder: Path) -> None:
         image = octex.MappedImage(board(8 if name in ("tin", "ball") else 4), KINDS[name])
         texture = octex.convert(surface, DEPTH, sources={"base_color": image})
         camera = octex.Camera.fitted(surface.vertices, (0.7, -1, 0.8), size=(SIZE, SIZE), up=(0, 0, 1))
-        tiles.append(encode(render(surface, camera, texture_shader(texture)), "uint8", "srgb"))
+        tiles.append(octex.render(texture, surface, camera))
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.hstack(tiles)).save(folder / "no_uvs.png", optimize=True)
     print(f"{folder / 'no_uvs.png'}: {', '.join(KINDS.values())}")

@@ -15,8 +15,6 @@ from make_shapes import shapes
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "260"))
@@ -36,7 +34,7 @@ def main(folder: Path) -> None:
         octex.convert(droid, DEPTH, sources={"base_color": lambda points: marble(7 * points)}),
     ]
     drawn = zip((block, droid, droid), (cameras[0], cameras[1], cameras[1]), textures, strict=True)
-    tiles = [encode(render(surface, at, texture_shader(of)), "uint8", "srgb") for surface, at, of in drawn]
+    tiles = [octex.render(of, surface, at) for surface, at, of in drawn]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.hstack(tiles)).save(folder / "wood.png", optimize=True)
     print(f"{folder / 'wood.png'}: wood and marble")

@@ -14,8 +14,6 @@ from manifold3d import Manifold
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, render_leaves, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "6"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "960")) // 3
@@ -38,11 +36,11 @@ def main(folder: Path) -> None:
     pictures = []
     for cells in (None, 3):
         texture = octex.convert(surface, DEPTH, separate=cells)
-        pictures.append(render(surface.placed_in(texture), camera, texture_shader(texture)))
+        pictures.append(octex.render(texture, surface, camera))
     camera = octex.Camera.fitted(surface.rest_positions(texture), (0.8, 0.55, 1.0), size=(SIZE, SIZE))
-    pictures.append(render_leaves(texture, camera, level=min(DEPTH, 6), cubes=True))
+    pictures.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(encode(np.hstack(pictures), "uint8", "srgb")).save(folder / "parts.png")
+    Image.fromarray(np.hstack(pictures)).save(folder / "parts.png")
     print(f"{folder / 'parts.png'}: as it is, moved apart at rest, and the cells of that; {texture.tree!r}")
 
 

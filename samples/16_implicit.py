@@ -11,8 +11,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, render_leaves, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "560")) // 2
@@ -39,10 +37,10 @@ def main(folder: Path) -> None:
     surface = octex.Surface.from_arrays(shape.vertices, shape.triangles, colors=glaze(shape.vertices))
     texture = octex.convert(surface, DEPTH)
     camera = octex.Camera.fitted(surface.vertices, (0.5, 0.45, 1.0), size=(SIZE, SIZE))
-    pictures = [render(surface, camera, texture_shader(texture))]
-    pictures.append(render_leaves(texture, camera, level=min(DEPTH, 6), cubes=True))
+    pictures = [octex.render(texture, surface, camera)]
+    pictures.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(encode(np.hstack(pictures), "uint8", "srgb")).save(folder / "implicit.png")
+    Image.fromarray(np.hstack(pictures)).save(folder / "implicit.png")
     print(f"{folder / 'implicit.png'}: {surface!r}, off by {np.abs(gyroid(shape.vertices)).max():.0e}")
 
 

@@ -14,8 +14,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "240"))
@@ -37,9 +35,9 @@ def main(folder: Path) -> None:
         "cropped and combined": octex.combine(texture, box),
     }
     camera = octex.Camera.fitted(head, (1.0, 0.3, 0.5), size=(WIDTH, WIDTH))
-    views = [render(surface, camera, texture_shader(each)) for each in made.values()]
+    views = [octex.render(each, surface, camera) for each in made.values()]
     folder.mkdir(parents=True, exist_ok=True)
-    picture = np.hstack([encode(view, "uint8", "srgb") for view in views])
+    picture = np.hstack(views)
     Image.fromarray(picture).save(folder / "processing.png")
     print(f"{folder / 'processing.png'}: {', '.join(made)}")
 

@@ -14,8 +14,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, render_leaves, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "330"))
@@ -37,10 +35,10 @@ def main(folder: Path) -> None:
 
     seen = coarse[model.triangles[is_head]].reshape(-1, 3)
     camera = octex.Camera.fitted(seen, (1, 0.3, 0.5), size=(SIZE, 2 * SIZE // 3))
-    pictures = [render_leaves(alone, camera, level=DEPTH - 1, cubes=True)]
-    pictures += [render(bare, camera, texture_shader(each)) for each in (laid, transferred)]
+    pictures = [octex.render(alone, None, camera, level=DEPTH - 1, cubes=True)]
+    pictures += [octex.render(each, bare, camera) for each in (laid, transferred)]
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(encode(np.hstack(pictures), "uint8", "srgb")).save(folder / "elsewhere.png")
+    Image.fromarray(np.hstack(pictures)).save(folder / "elsewhere.png")
     print(f"{folder / 'elsewhere.png'}: {len(cloud):,} points alone, on another mesh, and a transfer")
 
 

@@ -13,8 +13,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))
@@ -33,10 +31,9 @@ def main(folder: Path) -> None:
     heights = model.vertices[:, 1]
     head = model.vertices[(heights > 0.43) & (heights < 0.66)]
     camera = octex.Camera.fitted(head, (1, 0.3, 0.8), size=(SIZE, SIZE))
-    pictures = [render(model, camera, texture_shader(texture)), render(read, camera, source_shader(read))]
+    pictures = [octex.render(texture, model, camera), octex.render(None, read, camera)]
     atlas = np.array(Image.open(folder / "baked-0.png").resize((SIZE, SIZE), Image.Resampling.BOX))
-    shown = [encode(each, "uint8", "srgb")[..., :3] for each in pictures]
-    Image.fromarray(np.hstack([*shown, atlas])).save(folder / "baked.png")
+    Image.fromarray(np.hstack([*pictures, atlas])).save(folder / "baked.png")
     print(f"{folder / 'baked.glb'}: {(folder / 'baked.glb').stat().st_size / 1e6:.1f} MB, for any viewer")
 
 

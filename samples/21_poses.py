@@ -12,8 +12,6 @@ from make_reed import write_reed
 from PIL import Image, ImageDraw
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "360"))
@@ -41,8 +39,8 @@ def main(folder: Path) -> None:
     draw.circle((x, y), 0.16 * WIDTH, (210, 40, 40, 255))
     draw.circle((x, y), 0.09 * WIDTH, (250, 240, 220, 255))
     painted = octex.paint(texture, bent, octex.Projection(picture, camera))
-    views = np.hstack([render(each, camera, texture_shader(painted)) for each in surfaces])
-    Image.fromarray(encode(views, "uint8", "srgb")).save(folder / "poses.png")
+    views = np.hstack([octex.render(painted, each, camera) for each in surfaces])
+    Image.fromarray(views).save(folder / "poses.png")
     print(f"{folder / 'poses.png'}: painted in one pose, at rest, and in another pose")
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "360"))
@@ -40,9 +38,8 @@ def main(folder: Path) -> None:
     smooth, creased = octex.subdivide(cage, 5), octex.subdivide(cage, 5, creases=sharp)
     texture = octex.convert(cage, DEPTH, sources={"base_color": checks})
     camera = octex.Camera.fitted(cage.vertices, (0.5, 0.45, 1.0), size=(WIDTH, WIDTH))
-    views = [render(each, camera, texture_shader(texture)) for each in (cage, smooth, creased)]
-    codes = [encode(each, "uint8", "srgb") for each in views]
-    Image.fromarray(np.hstack(codes)).save(folder / "subdivision.png")
+    views = [octex.render(texture, each, camera) for each in (cage, smooth, creased)]
+    Image.fromarray(np.hstack(views)).save(folder / "subdivision.png")
     print(f"{folder / 'subdivision.png'}: the cage, its limit surface, and with creases")
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 WIDTH = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))
@@ -38,11 +36,11 @@ def main(folder: Path) -> None:
     sources = {"base_color": lambda at: craters(at)[:, None] * (0.95, 0.85, 0.7), "roughness": craters}
     ball = ball.with_sources(sources)
     texture = octex.convert(ball, DEPTH, dtype={"base_color": "uint8", "roughness": "uint16"})
-    moved = octex.displace(ball, texture, "roughness", 0.15, middle=0.5)
+    moved = octex.displace(texture, ball, "roughness", 0.15, middle=0.5)
     camera = octex.Camera.fitted(moved.vertices, (0.3, 0.4, 1.0), size=(WIDTH, WIDTH))
-    views = np.hstack([render(each, camera, texture_shader(texture)) for each in (ball, moved)])
+    views = np.hstack([octex.render(texture, each, camera) for each in (ball, moved)])
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(encode(views, "uint8", "srgb")).save(folder / "displacement.png")
+    Image.fromarray(views).save(folder / "displacement.png")
     print(f"{folder / 'displacement.png'}: the ball, and displaced to {len(moved.triangles):,} triangles")
 
 

@@ -13,8 +13,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))
@@ -36,13 +34,12 @@ def main(folder: Path) -> None:
     model = octex.load_surface(folder / "house.obj", sources={"base_color": rings})
     texture = octex.convert(model, DEPTH)
     camera = octex.Camera.fitted(model.vertices, (0.9, 0.5, 1), size=(SIZE, SIZE))
-    pictures = [render(model, camera, texture_shader(texture))]
+    pictures = [octex.render(texture, model, camera)]
     for texels in (texture.tree.n_leaves, texture.tree.n_leaves // 16):
         octex.write_ptex(texture, model, folder / "house.ptx", texels=texels)
         read = octex.load_surface(folder / "house.obj", sources=octex.Ptex(folder / "house.ptx").sources)
-        pictures.append(render(read, camera, source_shader(read)))
-    codes = [encode(each, "uint8", "srgb")[..., :3] for each in pictures]
-    Image.fromarray(np.hstack(codes)).save(folder / "ptex.png")
+        pictures.append(octex.render(None, read, camera))
+    Image.fromarray(np.hstack(pictures)).save(folder / "ptex.png")
     print(f"{folder / 'house.ptx'}: 14 faces of six polygons, and the octree texture beside it")
 
 

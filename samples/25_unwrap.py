@@ -13,8 +13,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "9"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))
@@ -25,7 +23,7 @@ def main(folder: Path) -> None:
     model = octex.load_surface(MODEL, channels=["base_color"])
     texture = octex.convert(model, DEPTH)
     patch = octex.unwrap(model, (0.004, 0.529, 0.18), 0.048, up=(0, 0, -1), size=SIZE)  # on its forehead
-    flat = encode(render(patch.surface, patch.camera, texture_shader(texture)), "uint8", "srgb")
+    flat = octex.render(texture, patch.surface, patch.camera)
     drawn = Image.fromarray(flat)
     pen = ImageDraw.Draw(drawn)
     for ring in range(4):
@@ -36,7 +34,7 @@ def main(folder: Path) -> None:
     _, height, depth = model.vertices.T
     head = model.vertices[(height > 0.43) & (height < 0.6) & (depth > 0.1)]
     camera = octex.Camera.fitted(head, (0.3, 1.0, 0.6), size=(SIZE, SIZE))
-    after = encode(render(model, camera, texture_shader(painted)), "uint8", "srgb")
+    after = octex.render(painted, model, camera)
     folder.mkdir(parents=True, exist_ok=True)
     shown = [flat, np.array(drawn), after]
     Image.fromarray(np.hstack([each[..., :3] for each in shown])).save(folder / "unwrap.png")

@@ -14,7 +14,6 @@ from PIL import Image
 
 import octex
 from octex.channels import encode
-from octex.preview import render, source_shader, texture_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "320"))
@@ -43,8 +42,8 @@ refined = octex.refine_cameras(surface, photos, reference=0)
 mended = [replace(photo, camera=camera) for photo, camera in zip(photos, refined, strict=True)]
 painted = octex.paint(None, surface, mended, max_depth=DEPTH, balance="full", reference=0)
 octex.write_model(octex.bake(painted, surface, texture_size=1024), folder / "photographs.glb")
-looks = texture_shader(averaged), texture_shader(painted), source_shader(surface)
-below = [render(surface, octex.Camera.fitted(head, sides[1], size=(SIZE, SIZE)), look) for look in looks]
-shown = np.vstack([np.hstack([photos[n].image[::2, ::2, :3] for n in (0, 1, 3)]), np.hstack(below)])
-Image.fromarray(encode(shown, "uint8", "srgb")).save(folder / "photographs.png")
+camera = octex.Camera.fitted(head, sides[1], size=(SIZE, SIZE))
+below = [octex.render(each, surface, camera) for each in (averaged, painted, None)]
+above = encode(np.hstack([photos[n].image[::2, ::2, :3] for n in (0, 1, 3)]), "uint8", "srgb")
+Image.fromarray(np.vstack([above, np.hstack(below)])).save(folder / "photographs.png")
 print(f"{folder / 'photographs.png'}: three pictures; averaged, painted robustly, and the truth")

@@ -1,4 +1,4 @@
-"""Light from all around, on metal and plastic: one texture under three lights (octex help pictures).
+"""Light from all around, on metal and plastic: one texture under three lights (octex help previews).
 
 Balls from mirror to matte, of gold and of blue plastic.
 
@@ -13,9 +13,6 @@ import numpy as np
 from PIL import Image
 
 import octex
-from octex.channels import encode
-from octex.preview import render, texture_shader
-from octex.view.environment import Environment
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "420"))
@@ -33,10 +30,9 @@ def main(folder: Path) -> None:
     model = octex.Surface.joined([ball(x, y, *kind) for y, kind in enumerate((BLUE, GOLD)) for x in range(5)])
     texture = octex.convert(model, DEPTH)
     camera = octex.Camera.fitted(model.vertices, (0.1, 0.15, 1), size=(2 * SIZE, SIZE))
-    look = texture_shader(texture, materials=True)
     sky = np.broadcast_to(np.linspace(1.6, 0.2, 64)[:, None, None] * [0.5, 0.7, 1.0], (64, 128, 3))
-    lights = [Environment.studio(), Environment.of(sky), Environment.of(np.ones((8, 16)))]
-    pictures = [encode(render(model, camera, look, light=light), "uint8", "srgb") for light in lights]
+    lights = [octex.Environment.studio(), octex.Environment.of(sky), octex.Environment.of(np.ones((8, 16)))]
+    pictures = [octex.render(texture, model, camera, light=light) for light in lights]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack(pictures)).save(folder / "light.png")
     print(f"{folder / 'light.png'}: {len(pictures)} lights on {texture.tree.n_leaves:,} leaves")

@@ -55,13 +55,13 @@ def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture
 def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let commands draw small previews: theirs have 13 million samples."""
-    from octex import preview
+    import octex
 
     def small(*arguments: Any, **options: Any) -> None:
         write(*arguments, **{"size": (320, 176), **options})
 
-    write = preview.write_preview
-    monkeypatch.setattr(preview, "write_preview", small)
+    write = octex.write_preview
+    monkeypatch.setattr(octex, "write_preview", small)
 
 
 @pytest.fixture(scope="session")

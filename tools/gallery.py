@@ -18,9 +18,8 @@ from PIL import Image
 
 import octex
 from octex.channels import CHANNELS
-from octex.compare import difference
+from octex.drawing import draw_preview
 from octex.files import replacing
-from octex.preview import draw_preview
 
 ENDINGS = {".glb", ".gltf", ".obj", ".ply", ".off", ".stl"}
 SAMPLES = 100_000
@@ -64,11 +63,11 @@ def main(arguments: list[str] | None = None) -> int:
         except octex.OctexError as error:
             refused.append(f"{name}: {error}")
             continue
-        quality = difference(surface, texture, points=SAMPLES)[options.channel].psnr
+        quality = octex.difference(texture, surface, points=SAMPLES)[options.channel].psnr
         leaves = f"{texture.tree.n_leaves:,} leaves"
         print(f"{name:60} {leaves:>20} {quality:7.2f} dB", flush=True)
         note = "exact" if quality == np.inf else f"{quality:.1f} dB"
-        tiles.append(draw_preview(surface, texture, TILE, supersample=2, note=note))
+        tiles.append(draw_preview(texture, surface, TILE, supersample=2, note=note))
     for title, names in ((f"with a plain {options.channel}", plain), ("refused", refused)):
         print(f"\n{len(names)} {title}")
         for name in names:

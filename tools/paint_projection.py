@@ -1,14 +1,14 @@
 #!/usr/bin/env python
 """Paint pictures through cameras onto a model: octree-paint, from a checkout.
 
-usage: tools/paint_projection.py MODEL TEXTURE.octex [IMAGE ...] --camera FILE[#NAME] --out NEW.octex
+usage: tools/paint_projection.py [TEXTURE] MODEL OUTPUT.octex [IMAGE ...] --camera FILE[#NAME]
 """
 
 from __future__ import annotations
 
 import sys
 
-from octex.cli.paint import main
+from octex.cli.start import octree_paint
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(octree_paint())

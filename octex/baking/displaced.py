@@ -36,8 +36,8 @@ _MOST_LEVELS = 10
 
 
 def displace(
-    surface: Surface,
     texture: OctreeTexture,
+    surface: Surface,
     channel: str,
     scale: float,
     *,

@@ -1,8 +1,7 @@
-"""What every octex command shares: refusals in one line, exit codes, progress, checks before any work."""
+"""Shared by all commands: errors in one line, exit codes, progress, and checks before any work."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -15,13 +14,16 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, NoReturn, Self, TextIO
+from types import FrameType, SimpleNamespace, TracebackType
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import use_shipped_code
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
 
 # What numpy and OpenImageIO start besides the threads of octex, which spreads the work itself: none.
 _NO_THREADS = {
@@ -47,10 +49,9 @@ def limited(count: int | None) -> Iterator[None]:
 
 
 def run(command: str, body: Callable[[], int]) -> int:
-    """Run the body of a command and return its exit code, whatever happens in it.
+    """Run the body of a command and return its exit code; every failure becomes one line on stderr.
 
-    Every failure becomes one line on stderr. A defect shows its traceback if OCTEX_TRACEBACK is set. Told to
-    end by SIGINT or SIGTERM, it leaves nothing half-written; told twice, it does not wait for its threads.
+    After SIGINT or SIGTERM nothing is left half-written; a second signal does not wait for threads.
     """
     use_shipped_code()
     with _ended_by_signals():
@@ -63,7 +64,7 @@ class _TerminatedError(KeyboardInterrupt):
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into exceptions, the second into the end, where they would end the process."""
+    """Turn the first SIGINT or SIGTERM into an exception; the second ends the process."""
     told = False
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
@@ -118,10 +119,7 @@ def _run(command: str, body: Callable[[], int]) -> int:
 
 
 def say(text: str) -> None:
-    """Print a result on stdout; a reader that has gone away is no error.
-
-    Raises OutputError if stdout cannot be written.
-    """
+    """Print a result on stdout; raises OutputError, except for a reader that has gone away."""
     _write(sys.stdout, text + "\n")
 
 
@@ -140,12 +138,31 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
-def tell(options: argparse.Namespace, made: Mapping[str, Any], *lines: str) -> None:
-    """Print what was made: for --json as an object, else as lines for a person, for --quiet not at all."""
+def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None:
+    """Print results: as a JSON object with --json, else as lines; nothing with --quiet."""
     if options.json:
         say(json.dumps(made))
     elif not options.quiet:
         say("\n".join(lines))
+
+
+def facts(
+    texture: OctreeTexture, path: Path, seconds: float, what: str = ""
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the facts of a texture that was written, for a machine and as a line for a person."""
+    tree, size = texture.tree, path.stat().st_size
+    cell = texture.placement.size / 2**tree.max_depth
+    made = {
+        "output": str(path),
+        "leaves": tree.n_leaves,
+        "nodes": tree.n_nodes,
+        "depth": tree.max_depth,
+        "cell": cell,
+        "bytes": size,
+        "seconds": round(seconds, 3),
+    }
+    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {cell:.4g})"
+    return made, [f"{path}: {what}{cells}, {bytes_text(size)}, {seconds:.1f} s"]
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:
@@ -157,10 +174,10 @@ def fail(command: str, message: str, code: ExitCode) -> ExitCode:
 
 
 class Reporter:
-    """Progress on stderr: a bar with the stage's name on a terminal, else a line for each finished stage.
+    """Progress on stderr: a bar on a terminal, else a line for each finished stage.
 
-    Call it with (stage, done, total); use it as a context so that no bar is left behind. Unless ``announce``
-    is False, it says once if kernels are being compiled. Nothing that happens to stderr stops the work.
+    Call it with (stage, done, total), within its context. It says once if kernels are compiled, unless
+    ``announce`` is False. An error of stderr does not stop the work.
     """
 
     def __init__(self, command: str, quiet: bool = False, announce: bool = True) -> None:
@@ -247,13 +264,13 @@ class Reporter:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Report a stage that tells nothing of its progress."""
+        """Report a stage without progress."""
         self(name, 0, 1)
         yield
         self(name, 1, 1)
 
     def __enter__(self) -> Self:
-        """Listen to the compiler, and to what is said of models."""
+        """Listen to the compiler, and to warnings about models."""
         self._warned.__enter__()
         warnings.simplefilter("always", ModelWarning)
         self._others = warnings.showwarning
@@ -265,7 +282,7 @@ class Reporter:
     def __exit__(
         self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        """End the last stage; after an error without a word about it."""
+        """End the last stage; after an error silently."""
         self._warned.__exit__(kind, _value, _trace)
         if self._listener is not None:
             from numba.core import event
@@ -279,7 +296,7 @@ class Reporter:
 
 
 def _announce_compilation(reporter: Reporter) -> Any:
-    """Have the reporter say it when a kernel is not in numba's cache and is compiled."""
+    """Have the reporter say once that a kernel is not in numba's cache and is compiled."""
     from numba.core import event
 
     class Announcement(event.Listener):  # type: ignore[misc]
@@ -303,11 +320,8 @@ def check_outputs(
 ) -> None:
     """Refuse outputs that cannot or must not be written, before any work is done.
 
-    Each output comes with the file endings that it may have and the word for it on the command line; None is
-    one that is not asked for, or an input that is not given. Raises
-    InputError for an unknown ending, and OutputError for a missing folder, for a folder in the file's place,
-    for a file that stands there already unless ``force`` is given, and for one that is also an input or twice
-    an output.
+    outputs    (path or None, the endings that it may have, its word on the command line)
+    inputs     paths or None; no output may be one of them
     """
     taken = {identity(path): "an input" for path in inputs if path is not None}
     for path, endings, word in outputs:
@@ -335,7 +349,7 @@ def check_outputs(
 
 
 def identity(path: Path) -> tuple[int, int] | Path:
-    """Return what two names of one file share."""
+    """Return the identity of a file, the same for all its names."""
     with suppress(OSError):
         status = path.stat()
         return status.st_dev, status.st_ino
@@ -343,7 +357,7 @@ def identity(path: Path) -> tuple[int, int] | Path:
 
 
 def bytes_text(number: int) -> str:
-    """Return a number of bytes as a person reads it."""
+    """Return a number of bytes for a person."""
     if number < 1000:
         return f"{number} bytes"
     size, units = number / 1000, ["PB", "TB", "GB", "MB", "kB"]

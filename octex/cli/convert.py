@@ -1,32 +1,22 @@
-"""octree-convert: from a textured model to an octree texture, and a look at what one holds."""
+"""octex convert: from a textured model, points or voxels to an octree texture, or to a folder of parts."""
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
+import math
+import os
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.addresses import TEXTURE_ENDINGS, check_texture
-from octex.cli.bake import bake, baking
-from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
-from octex.cli.convert_options import COMMANDS, CONVERT, OUTPUT_ENDINGS, archive_error, check_input, work_of
-from octex.cli.diff import diff
-from octex.cli.inspect import info, validate
-from octex.cli.models import PTEX_ENDING, input_files, kind_of, read_model, settings_of, told_of
-from octex.cli.overlaps import overlaps, separated_as_json, separated_text
-from octex.cli.parser import Parser
-from octex.cli.process import others_of, processed
-from octex.cli.ptex import write_ptex
-from octex.cli.sets import convert_parts
-from octex.cli.view_options import previewing
-from octex.cli.viewer import PAGE_ENDING, write_mesh_page, write_page
-from octex.errors import ExitCode
-from octex.parallel import workers
+from octex.cli.common import Reporter, bytes_text, check_outputs, facts, tell
+from octex.cli.inputs import check_model, kind_of, model_files, open_texture, read_model, refuse
+from octex.cli.parser import Options
+from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address
+from octex.errors import ArgumentError, ExitCode, OutputError
 
 if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
@@ -35,141 +25,210 @@ if TYPE_CHECKING:
     from octex.source.voxels import Voxels
     from octex.texture import OctreeTexture
 
-COMMAND = "octree-convert"
+INDEX = "set.json"  # as octex.texture.folder.INDEX
+OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz"
+_LINES = 10  # so many parts are listed
+_STORED = {"--channels", "--dtype", "--preview"}
+#: The options that a kind of INPUT takes; a model takes all.
+_FOR: dict[str, set[str]] = {
+    "texture": {"--preview"},
+    "cloud": {"--depth", "--cell", *_STORED},
+    "voxels": _STORED,
+}
+_WHY = {
+    "texture": "needs the model, and this is a texture made from one; see octex edit",
+    "cloud": "needs a surface, and these are points",
+    "voxels": "is not for voxels, which have their own depth",
+}
 
 
-def main(arguments: Sequence[str] | None = None, program: str = COMMAND, command: str = "convert") -> int:
-    """Run octree-convert, or one of COMMANDS, and return its exit code (octex.errors.ExitCode)."""
-    return run(program, lambda: _main(arguments, program, command))
+def convert(options: Options, program: str) -> int:
+    """Run octex convert."""
+    _check(options)
+    return _convert_parts(options, program) if options.parts else _convert(options, program)
 
 
-def _main(arguments: Sequence[str] | None, program: str, command: str) -> int:
-    options = Parser(program, CONVERT).parse_args([])
-    vars(options).update(vars(Parser(program, COMMANDS[command]).parsed(arguments)))
-    if command == "edit":
-        check_texture(options.INPUT)
-    options.warm_up |= command == "warm-up"
-    work = work_of(options, program)
-    with limited(options.threads):
-        if work == "--info":
-            return info(options.info, options.json)
-        if work == "--validate":
-            return validate(options.validate, options.json, options.quiet)
-        if work == "--diff":
-            return diff(program, options)
-        if work == "--overlaps":
-            return overlaps(program, options)
-        if work == "--mesh" and options.OUTPUT.suffix.lower() == PTEX_ENDING:
-            return write_ptex(options, program)
-        if work == "--mesh" and options.OUTPUT.suffix.lower() == PAGE_ENDING:
-            return write_mesh_page(options, program)
-        if work == "--mesh":
-            return bake(baking(options, program), program)
-        if work == "--warm-up":
-            return _warm_up(options.quiet, program)
-        return convert_parts(program, options) if options.parts else _convert(options, program)
+def _check(options: Options) -> None:
+    """Refuse options that make no sense together, or for what INPUT is."""
+    path, kind = options.INPUT, kind_of(options.INPUT)
+    if path.suffix.lower() == PTEX_ENDING:
+        raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
+    check_model(options, path)
+    if options.depth is not None and options.cell is not None:
+        raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
+    if options.parts:
+        refuse(options, ("--separate", "--preview", "--memory"), "has no meaning with --parts")
+    if kind != "model":
+        anywhere = {"--force", "--threads", "--quiet", "--json"}
+        refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)
+    if options.depth is not None:
+        from octex.checks import as_depth
+
+        as_depth(options.depth, "--depth")
+    check_output_kind(path, options.OUTPUT)
 
 
-def _convert(options: argparse.Namespace, program: str) -> int:
+def check_output_kind(path: Path | Address, output: Path) -> None:
+    """Refuse an output that another command writes."""
+    ending = output.suffix.lower()
+    model = "MODEL" if path.suffix.lower() in TEXTURE_ENDINGS else path
+    if ending == PAGE_ENDING:
+        raise ArgumentError(f"{output}: a page is written by octex view TEXTURE {model} {output}")
+    if ending in BAKED_ENDINGS and ending not in OUTPUT_ENDINGS:
+        raise ArgumentError(
+            f"{output}: a texture is baked onto its model: octex bake TEXTURE {model} {output}"
+        )
+
+
+def _convert(options: Options, program: str) -> int:
     began = time.perf_counter()
+    path, output = options.INPUT, options.OUTPUT
+    outputs = (output, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
+    check_outputs(outputs, [path, *model_files(options)], force=options.force)
+    kind = kind_of(path)
+    if kind == "texture" and output.suffix.lower() == path.suffix.lower():
+        raise ArgumentError(f"{path}: is an octree texture already; octex edit makes it coarser or smaller")
     found: Overlaps | None = None
-    outputs = (options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
-    inputs = [options.INPUT, *input_files(options), *others_of(options)]
     model: PointCloud | Voxels | Surface
     surface: Surface | None = None
-    check_outputs(outputs, inputs, force=options.force)
-    kind = kind_of(options.INPUT)
-    check_input(options, kind, program)
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
     is_shared = options.threads is None and kind == "model"
     with Reporter(program, options.quiet) as progress, ahead(*stages if is_shared else ()):
-        draw = previewing(options, options.INPUT)
         if kind == "texture":
-            with workers() as executor:
-                texture = processed(options, executor)
+            texture = open_texture(path)
         else:
             with progress.stage("read"):
                 if kind == "cloud":
-                    model = octex.PointCloud.load(options.INPUT)
+                    model = octex.PointCloud.load(path)
                 elif kind == "voxels":
-                    model = octex.Voxels.load(options.INPUT)
+                    model = octex.Voxels.load(path)
                 else:
-                    model = surface = read_model(options.INPUT, options)
+                    model = surface = read_model(path, options)
             if options.separate is not None and surface is not None:
                 with progress.stage("separate"):
-                    surface, found = octex.separate(
+                    model, found = octex.separate(
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
-                    model = surface
-            memory = {} if options.memory is None else {"memory": options.memory, "path": options.OUTPUT}
-            texture = octex.convert(model, **settings_of(options), **memory, progress=progress)
-        if draw is not None:  # first: without room for it, no OUTPUT is left unannounced
+                    surface = model
+            memory = {} if options.memory is None else {"memory": options.memory, "path": output}
+            texture = octex.convert(model, **_settings(options), **memory, progress=progress)
+        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
-                draw(surface, texture)
-        if options.memory is not None:
-            pass  # it is written
-        elif options.OUTPUT.suffix.lower() in TEXTURE_ENDINGS:
-            with progress.stage("write"):
-                texture.save(options.OUTPUT, max_error=archive_error(options, kind))
-        elif options.OUTPUT.suffix.lower() == ".npz":
-            from octex.formats.npz import write_arrays
-
-            write_arrays(texture, options.OUTPUT, progress)
-        elif options.OUTPUT.suffix.lower() == PAGE_ENDING:
-            for note in write_page(texture, surface, options, progress):
-                progress.note(note)
-        else:
-            from octex.formats.ply import write_points
-
-            write_points(texture, options.OUTPUT, progress)
-
-    _tell_what_was_made(options, texture, found, time.perf_counter() - began, is_new=surface is not None)
-    return ExitCode.DONE
-
-
-def _tell_what_was_made(
-    options: argparse.Namespace,
-    texture: OctreeTexture,
-    found: Overlaps | None,
-    seconds: float,
-    *,
-    is_new: bool,
-) -> None:
-    tree = texture.tree
-    made = told_of(texture, options.OUTPUT, seconds)
-    made["cell"] = texture.placement.size / 2**tree.max_depth
-    empty = json.loads(texture.metadata["convert"]).get("empty", 0) if is_new else 0
-    if empty:
-        made["empty"] = empty
+                octex.write_preview(options.preview, texture, surface)
+        if options.memory is None:
+            write_texture(texture, output, progress)
+    made, lines = facts(texture, output, time.perf_counter() - began)
+    if surface is not None:
+        _tell_of_empty_cells(options, texture, made, lines)
     if options.preview is not None:
         made["preview"] = str(options.preview)
-    if found is not None:
-        made["separated"] = separated_as_json(texture, found)
-    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {made['cell']:.4g})"
-    lines = [f"{options.OUTPUT}: {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
-    if empty:
-        # With leaves of several sizes, finest cells are no part of their number.
-        is_even = options.max_error is None and options.detail is None
-        share = f" ({100 * empty / (empty + tree.n_leaves):.3g} %)" if is_even else ""
-        why = "is near enough" if options.max_angle is None else "is near enough and faces as they do"
-        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
-    if options.preview is not None:
         lines.append(f"{options.preview}: a picture of it")
     if found is not None:
-        lines += separated_text(texture, found)
+        made["separated"] = {**overlaps_as_json(found), "moved": _moved(texture)}
+        lines += _separated_text(texture, found)
     tell(options, made, *lines)
-
-
-def _warm_up(quiet: bool, program: str) -> int:
-    from octex.cli.warm_up import warm_up
-
-    began = time.perf_counter()
-    with Reporter(program, quiet, announce=False) as progress, ahead("warm-up"):
-        warm_up(progress)
-    if not quiet:
-        say(f"compiled and cached in {time.perf_counter() - began:.1f} s")
     return ExitCode.DONE
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
+    """Write a texture in the format of the ending; stored integers of .octz may change by ``loss``."""
+    ending = path.suffix.lower()
+    if ending in TEXTURE_ENDINGS:
+        with progress.stage("write"):
+            texture.save(path, max_error=loss)
+    elif ending == ".npz":
+        from octex.formats.npz import write_arrays
+
+        write_arrays(texture, path, progress)
+    else:
+        from octex.formats.ply import write_points
+
+        write_points(texture, path, progress)
+
+
+def _settings(options: Options) -> dict[str, Any]:
+    """Return the settings of a conversion, as ``octex.convert`` takes them."""
+    names = "depth", "cell", "channels", "dtype", "max_error", "detail"
+    return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
+
+
+def _tell_of_empty_cells(
+    options: Options, texture: OctreeTexture, made: dict[str, Any], lines: list[str]
+) -> None:
+    empty = json.loads(texture.metadata["convert"]).get("empty", 0)
+    if not empty:
+        return
+    made["empty"] = empty
+    # With leaves of several sizes, finest cells are no part of their number.
+    is_even = options.max_error is None and options.detail is None
+    share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
+    faces = (options.within or (None, None))[1] is not None
+    why = "is near enough and faces as they do" if faces else "is near enough"
+    lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
+
+
+def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
+    """Return overlapping parts for a machine; a gap beyond the margin, and an unknown volume, are null."""
+    pairs = [pair._asdict() for pair in found.pairs]
+    for pair in pairs:
+        pair["gap"] = pair["gap"] if math.isfinite(pair["gap"]) else None
+    return {"parts": found.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in found.unchecked]}
+
+
+def _separated_text(texture: OctreeTexture, found: Overlaps) -> Iterator[str]:
+    """Yield lines that say which parts were moved, how far, and what could not be checked."""
+    moved = _moved(texture)
+    if moved:
+        yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
+        for part, offset in list(moved.items())[:_LINES]:
+            yield f"  part {part} by {', '.join(f'{step:.6g}' for step in offset)}"
+        if len(moved) > _LINES:
+            yield f"  and {len(moved) - _LINES:,} more; --json lists them"
+    elif found.n_parts > 1:
+        yield f"{found.n_parts:,} parts, none too near to another: none is moved"
+    else:
+        yield "one part alone: nothing to move apart; where it runs through itself it stays as it is"
+    if found.unchecked:
+        yield (
+            f"{len(found.unchecked):,} of them are no solids: only their surfaces were checked, not their "
+            "inside; octex overlaps lists them"
+        )
+
+
+def _moved(texture: OctreeTexture) -> dict[str, list[float]]:
+    moved: dict[str, list[float]] = json.loads(texture.metadata.get("separation", '{"moved": {}}'))["moved"]
+    return moved
+
+
+def _convert_parts(options: Options, program: str) -> int:
+    began = time.perf_counter()
+    folder = options.OUTPUT
+    _check_folder(folder, force=options.force)
+    with Reporter(program, options.quiet) as progress:
+        with progress.stage("read"):
+            surface = read_model(options.INPUT, options)
+        made = octex.convert_set(surface, **_settings(options), progress=progress)
+        with progress.stage("write"):
+            made.save(folder)
+    seconds = time.perf_counter() - began
+    leaves, size = sum(texture.tree.n_leaves for texture in made.values()), made.info()["bytes"]
+    told = {"output": str(folder), "parts": len(made), "leaves": leaves, "bytes": size}
+    count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
+    line = f"{folder}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s"
+    tell(options, {**told, "seconds": round(seconds, 3)}, line)
+    return ExitCode.DONE
+
+
+def _check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder that cannot or must not be written, before any work is done."""
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
+    if folder.suffix.lower() in OUTPUT_ENDINGS:
+        raise ArgumentError(f"{folder}: --parts writes a folder; give OUTPUT no ending")
+    if not folder.parent.is_dir():
+        raise OutputError(f"{folder}: there is no folder {folder.parent}; make it first")
+    if (folder / INDEX).exists() and not force:
+        raise OutputError(f"{folder}: holds a texture set already; --force replaces it")
+    place = folder if folder.exists() else folder.parent
+    if not os.access(place, os.W_OK):
+        raise OutputError(f"{folder}: the folder {place} cannot be written")

@@ -1,29 +1,90 @@
-"""octree-convert --info and --validate: a look at what a file or a folder holds, and whether it is sound."""
+"""octex info, validate, diff and overlaps: what a texture holds, whether it is sound, and how it compares."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.addresses import Address
-from octex.cli.common import say
-from octex.cli.sets import INDEX, set_text
+from octex.cli.common import Reporter, say, tell
+from octex.cli.convert import INDEX, overlaps_as_json
+from octex.cli.inputs import check_model, is_texture, open_texture, read_model, refuse
+from octex.cli.parser import Options
+from octex.cli.values import Address
 from octex.errors import ExitCode, TextureFileError
 from octex.files import open_file
 
 if TYPE_CHECKING:
+    from octex.drawing.compare import Difference, Differences, Side
     from octex.texture import OctreeTexture, TextureSet
 
 
-def info(path: Path | Address, as_json: bool) -> int:
-    """Say what a texture, or a set, holds."""
-    information = _opened(path).info()
-    lines = set_text if "parts" in information else _readable
-    say(json.dumps(information) if as_json else "\n".join(lines(information)))
+def info(options: Options, _program: str) -> int:
+    """Run octex info."""
+    information = _opened(options.TEXTURE).info()
+    lines = _set_text if "parts" in information else _texture_text
+    say(json.dumps(information) if options.json else "\n".join(lines(information)))
+    return ExitCode.DONE
+
+
+def validate(options: Options, _program: str) -> int:
+    """Run octex validate."""
+    path = options.TEXTURE
+    if isinstance(path, Address):  # a file that cannot be read is not broken
+        from octex.remote import RemoteFile
+
+        RemoteFile(str(path))
+    else:
+        with open_file(path / INDEX if path.is_dir() else path):
+            pass
+    broken = None
+    try:
+        _opened(path).validate()
+    except TextureFileError as error:
+        broken = str(error)
+    told = {"file": str(path), "valid": broken is None, "broken": broken}
+    tell(options, told, broken or "valid")
+    return ExitCode.DONE if broken is None else ExitCode.INVALID
+
+
+def overlaps(options: Options, program: str) -> int:
+    """Run octex overlaps."""
+    path = options.MODEL
+    with Reporter(program, options.quiet) as progress:
+        with progress.stage("read"):
+            surface = octex.load_surface(path, options.rest, channels=["alpha"], sources={"alpha": 1.0})
+        with progress.stage("compare"):
+            found = surface.overlapping_parts(options.margin or 0.0)
+    tell(options, {"model": str(path), "margin": found.margin, **overlaps_as_json(found)}, f"{path}: {found}")
+    return ExitCode.DONE
+
+
+def diff(options: Options, program: str) -> int:
+    """Run octex diff."""
+    paths = options.TEXTURE, options.OTHER
+    if is_texture(options.OTHER):
+        words = "--points", "--source", "--rest", "--subdiv"
+        refuse(options, words, f"needs a model, but {paths[0]} and {paths[1]} are textures")
+    else:
+        check_model(options, options.OTHER)
+    with Reporter(program, options.quiet) as progress:
+        with progress.stage("read"):
+            texture = open_texture(options.TEXTURE)
+            # Light is multiplied by alpha, so a model's alpha is needed if the texture has one.
+            extra = ["alpha"] if "alpha" in texture.channels else []
+            other: Side
+            if is_texture(options.OTHER):
+                other = open_texture(options.OTHER)
+            else:
+                other = read_model(options.OTHER, options, extra)
+        points = {} if options.points is None else {"points": options.points}
+        found = octex.difference(texture, other, channels=options.channels, **points, progress=progress)
+    told = {"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}
+    tell(options, told, *_readable(paths, (texture, other), found))
     return ExitCode.DONE
 
 
@@ -31,7 +92,7 @@ def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
     return octex.TextureSet.open(path) if path.is_dir() else octex.open(str(path))
 
 
-def _readable(information: dict[str, Any]) -> Iterator[str]:
+def _texture_text(information: dict[str, Any]) -> Iterator[str]:
     """Yield the lines of a texture's information for a person."""
     placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
     yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
@@ -80,22 +141,97 @@ def triple(numbers: Sequence[float]) -> str:
     return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
 
 
-def validate(path: Path | Address, as_json: bool, quiet: bool) -> int:
-    """Say whether a texture, or each of a set, is sound, or what is broken."""
-    if isinstance(path, Address):  # what cannot be read is not broken
-        from octex.remote import RemoteFile
+def _set_text(information: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of a set's information for a person."""
+    parts = information["parts"]
+    width = max(len("part"), *map(len, parts))
+    yield f"{'part':{width}} {'depth':>5} {'finest cell':>12} {'leaves':>15} {'nodes':>15} {'bytes':>15}"
+    for name, part in parts.items():
+        yield (
+            f"{name:{width}} {part['depth']:5} {part['finest_cell']:12.6g} {part['leaves']:15,} "
+            f"{part['nodes']:15,} {part['bytes']['total']:15,}"
+        )
+    leaves, nodes = (sum(part[each] for part in parts.values()) for each in ("leaves", "nodes"))
+    yield f"{'all':{width}} {'':5} {'':12} {leaves:15,} {nodes:15,} {information['bytes']:15,}"
 
-        RemoteFile(str(path))
+
+def as_json(found: Differences) -> dict[str, Any]:
+    """Return differences for a machine; what is not finite becomes null."""
+    return {
+        "points": found.points,
+        "width": found.width,
+        "channels": {name: _as_json(result) for name, result in found.items()},
+        "unmatched": dict(zip("ab", map(list, found.unmatched), strict=True)),
+        "areas": dict(zip("ab", found.areas, strict=True)),
+        "uncovered": dict(zip("ab", found.uncovered, strict=True)),
+    }
+
+
+def _as_json(result: Difference) -> dict[str, Any]:
+    fields: dict[str, Any] = result._asdict()
+    if fields.pop("angle") is not None and result.angle is not None:
+        fields["angle"] = _as_json(result.angle)
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in fields.items()
+    }
+
+
+def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) -> Iterator[str]:
+    """Yield the lines of differences for a person."""
+    for letter, path, side in zip("AB", paths, sides, strict=True):
+        yield f"{letter}  {path}: {_described(side)}"
+    if found.width is None:
+        yield f"at the centres of {found.points:,} leaves, those of both, by area"
     else:
-        with open_file(path / INDEX if path.is_dir() else path):
-            pass
-    broken = None
-    try:
-        _opened(path).validate()
-    except TextureFileError as error:
-        broken = str(error)
-    if as_json:
-        say(json.dumps({"file": str(path), "valid": broken is None, "broken": broken}))
-    elif not quiet:
-        say(broken or "valid")
-    return ExitCode.DONE if broken is None else ExitCode.INVALID
+        yield f"at {found.points:,} points, uniform by area, the model averaged over {found.width:.4g}"
+    yield from _notes(found)
+    yield ""
+    rows: list[tuple[str, ...]] = [
+        ("channel", "measure", "rms", "PSNR", "p99", "maximum", "where", "A there", "B there")
+    ]
+    for name, result in found.items():
+        rows.append(_row(name, result))
+        if result.angle is not None:
+            rows.append(_row("", result.angle))
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    right = range(2, 6)
+    for row in rows:
+        cells = [
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield "  ".join(cells).rstrip()
+
+
+def _row(name: str, result: Difference) -> tuple[str, ...]:
+    psnr = "exact" if math.isinf(result.psnr) else f"{result.psnr:.2f} dB"
+    numbers = (number(result.rms), psnr, number(result.p99), number(result.maximum))
+    a, b = (", ".join(number(value) for value in values) for values in (result.a, result.b))
+    return (name, result.measure, *numbers, triple(result.where), a, b)
+
+
+def number(value: float) -> str:
+    """Return a value of three digits or so."""
+    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def _notes(found: Differences) -> Iterator[str]:
+    for letter, names in zip("AB", found.unmatched, strict=True):
+        if names:
+            yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"
+    for letter, other, part in zip("AB", "BA", found.uncovered, strict=True):
+        if part:
+            yield f"{100 * part:.3g} % of {letter}'s surface is not in {other}; it is left out"
+    a, b = found.areas
+    if abs(a - b) > 0.1 * max(a, b):
+        yield f"A has an area of {a:.4g}, B of {b:.4g}"
+
+
+def _described(side: Side) -> str:
+    from octex.source.surface import Surface
+
+    if isinstance(side, Surface):
+        return f"a model of {len(side.triangles):,} triangles"
+    tree = side.tree
+    return f"an octree texture of depth {tree.max_depth}, {tree.n_leaves:,} leaves"

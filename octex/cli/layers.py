@@ -1,8 +1,7 @@
-"""Layers of paint as the options say: projected, merged into a texture, and told of in its metadata."""
+"""Layers of paint: pictures are projected into them, they are merged and recorded in the metadata."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 from collections.abc import Sequence
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter
-from octex.cli.models import DEFAULT_CHANNEL
+from octex.cli.options import DEFAULT_CHANNEL
+from octex.cli.parser import Options
 from octex.cli.shots import Shot
 from octex.errors import ArgumentError
 from octex.files import open_file
@@ -24,208 +24,156 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 
-def projected(
-    options: argparse.Namespace,
-    texture: OctreeTexture | None,
-    surface: Surface,
-    shots: Sequence[Shot],
-    executor: Executor | None,
-    progress: Reporter,
-) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
-    """Project pictures; return what to merge them into, None for nothing yet, and the layer that they are."""
-    settings: dict[str, Any] = {
-        "fit": not options.no_fit,
-        "pictures": options.pictures,
-        "balance": options.balance,
-        "reference": _reference(options, shots),
-        "back_faces": options.back_faces,
-        "executor": executor,
-        "progress": progress,
-        **_room(options),
-    }
-    for name in ("channel", "max_depth", "max_angle", "edge_feather"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
-    given = [_projection(options, shot) for shot in shots]
-    background = None if options.background is None else _background_value(options)
-    layer = octex.project(surface, given, like=texture, **settings)
-    if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
-        progress.note(
-            f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
-            f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
-        )
-    if background is None or not layer.tree.n_leaves:
-        return texture, [layer]
-    depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
-    channel = channel_of(layer)
-    texture = octex.convert(
-        surface,
-        depth,
-        channels=[channel],
-        sources={channel: background},
-        fit=not options.no_fit,
-        executor=executor,
-        progress=progress,
-    )
-    if texture.placement != layer.placement:
+class Painting:
+    """Paints as the options say: projects pictures to a layer, and merges layers into a texture."""
+
+    def __init__(
+        self, options: Options, surface: Surface, executor: Executor | None, progress: Reporter
+    ) -> None:
+        self._options, self._surface, self._progress = options, surface, progress
+        self._running: dict[str, Any] = {"executor": executor, "progress": progress}
+        self._blend: Any = options.blend or "over"
+        self._opacity = 1.0 if options.opacity is None else options.opacity
+        self._room = {} if options.resume is None else {"resume": options.resume}
+        if options.memory is not None:
+            self._room |= {"memory": options.memory, "folder": options.OUTPUT.absolute().parent}
+
+    def projected(
+        self, texture: OctreeTexture | None, shots: Sequence[Shot]
+    ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
+        """Project pictures; return the texture to merge them into, None for a new one, and their layer."""
+        options, surface = self._options, self._surface
+        settings: dict[str, Any] = {
+            "fit": not options.no_fit,
+            "pictures": options.pictures,
+            "balance": options.balance,
+            "reference": self._reference(shots),
+            **self._room,
+            **self._running,
+        }
+        for name in ("channel", "max_depth", "edge_feather"):
+            if getattr(options, name) is not None:
+                settings[name] = getattr(options, name)
+        if options.max_angle is not None:
+            settings["max_angle"], settings["back_faces"] = options.max_angle
+        given = [self._projection(shot) for shot in shots]
+        background = _value_of(options) if isinstance(options.holes, tuple) else None
         layer = octex.project(surface, given, like=texture, **settings)
-    return texture, [layer]
+        if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
+            self._progress.note(
+                f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
+                f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
+            )
+        if background is None or not layer.tree.n_leaves:
+            return texture, [layer]
+        depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
+        wanted: dict[str, Any] = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
+        texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, **self._running)
+        if texture.placement != layer.placement:
+            layer = octex.project(surface, given, like=texture, **settings)
+        return texture, [layer]
 
-
-def refined(
-    options: argparse.Namespace,
-    surface: Surface,
-    shots: Sequence[Shot],
-    executor: Executor | None,
-    progress: Reporter,
-) -> list[Shot]:
-    """Return pictures with cameras by which they agree best."""
-    names = [shot.name for shot in shots]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None and options.save_cameras is not None:
-        raise ArgumentError(
-            f"--save-cameras: {twice!r} is the camera of several pictures; refine these apart"
+    def refined(self, shots: Sequence[Shot]) -> list[Shot]:
+        """Return pictures with cameras through which they agree best, and write these."""
+        pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
+        found = octex.refine_cameras(
+            self._surface, pictures, reference=reference, **self._room, **self._running
         )
-    cameras = octex.refine_cameras(
-        surface,
-        [_projection(options, shot) for shot in shots],
-        reference=_reference(options, shots),
-        executor=executor,
-        progress=progress,
-        **_room(options),
-    )
-    return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
+        # What comes next may take hours, so they are written now.
+        octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
+        return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
+
+    def begun(self, layer: OctreeTexture, has_layers: bool) -> OctreeTexture:
+        """Return a new texture for a layer to be merged into; its unseen part may be filled."""
+        from octex.painting import holes
+
+        mode: Any = self._options.holes if isinstance(self._options.holes, str) else "smooth"
+        return holes.begun(layer, self._surface, "leave" if has_layers else mode, *self._running.values())
+
+    def merged(
+        self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path]
+    ) -> OctreeTexture:
+        """Merge layers, those of ``files`` if any; return the same texture if they paint nothing."""
+        painting = [number for number, layer in enumerate(layers) if layer.tree.n_leaves]
+        blending = {"opacity": self._opacity, "blend": self._blend, **self._running}
+        for number in painting:
+            try:
+                texture = octex.merge(texture, layers[number], self._surface, **blending)
+            except ArgumentError as error:
+                raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
+        if self._options.coverage and painting:
+            from octex.painting.holes import with_coverage
+
+            texture = with_coverage(texture, layers)
+        return texture
+
+    def entries(self, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
+        """Return the provenance of the paint in files."""
+        found: list[dict[str, str | float]] = []
+        for path in files:
+            with open_file(path) as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            entry = {"image": path.name, "sha256": digest, "blend": self._blend, "opacity": self._opacity}
+            found.append({**entry, "channel": channel_of(layer)})
+        return found
+
+    def _projection(self, shot: Shot) -> Projection:
+        since: Any = shot.since
+        if isinstance(since, bytes):
+            from octex.source.images.decode import decode_image
+
+            where = "of --unwrap" if self._options.camera is None else f"in {self._options.camera[0]}"
+            since = decode_image(since, f"the view {where}")
+        key = next((each for each in self._options.mask if isinstance(each, tuple)), None)
+        return octex.Projection(shot.path, shot.camera, shot.mask, blend=self._blend, since=since, key=key)
+
+    def _reference(self, shots: Sequence[Shot]) -> int | None:
+        """Return the number of the picture of --reference."""
+        path = self._options.reference
+        if path is None:
+            return None
+        paths = [shot.path for shot in shots]
+        for names, name in ((paths, path), ([path.name for path in paths], path.name)):
+            if names.count(name) == 1:
+                return names.index(name)
+        raise ArgumentError(f"--reference {path} is none of the pictures, or several of them")
 
 
-def _room(options: argparse.Namespace) -> dict[str, Any]:
-    """Return where pictures lie beyond --memory, and where what is done is kept."""
-    room = {} if options.resume is None else {"resume": options.resume}
-    if options.memory is not None:
-        room |= {"memory": options.memory, "folder": options.out.absolute().parent}
-    return room
+def _camera_names(shots: Sequence[Shot]) -> list[str]:
+    """Return a name for the camera of each picture: the frame's, or the picture's where frames repeat."""
+    for names in ([shot.name for shot in shots], [shot.path.name for shot in shots]):
+        if len(set(names)) == len(names):
+            return names
+    raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine these apart")
 
 
-def _projection(options: argparse.Namespace, shot: Shot) -> Projection:
-    since: Any = shot.since
-    if isinstance(since, bytes):
-        from octex.source.images.decode import decode_image
-
-        where = "of --unwrap" if options.camera is None else f"in {options.camera[0]}"
-        since = decode_image(since, f"the view {where}")
-    return octex.Projection(
-        shot.path, shot.camera, shot.mask, blend=options.blend or "over", since=since, key=options.key
-    )
-
-
-def _reference(options: argparse.Namespace, shots: Sequence[Shot]) -> int | None:
-    """Return the number of the picture that stays as light as it is."""
-    if options.reference is None:
-        return None
-    paths = [shot.path for shot in shots]
-    for found in (
-        [each == options.reference for each in paths],
-        [e.name == options.reference.name for e in paths],
-    ):
-        if sum(found) == 1:
-            return found.index(True)
-    raise ArgumentError(f"--reference {options.reference} is none of the pictures, or several of them")
-
-
-def _background_value(options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the background as the channel has it decoded, linear light for colours."""
+def _value_of(options: Options) -> tuple[float, ...]:
+    """Return the colour of --holes as the channel's decoded value, linear light for colours."""
     import numpy as np
 
     from octex.channels import CHANNELS, decode
     from octex.checks import as_choice
 
     form = CHANNELS[as_choice(options.channel or DEFAULT_CHANNEL, CHANNELS, "channel")]
-    codes: tuple[int, ...] = options.background
+    codes: tuple[int, ...] = options.holes
     if form.space == "direction":
-        raise ArgumentError(f"--background is a colour; {form.name} has directions")
+        raise ArgumentError(f"--holes is a colour; {form.name} has directions")
     if form.components == 1:
         if len(set(codes)) > 1:
-            raise ArgumentError(f"--background gives a colour; {form.name} has one component, give a grey")
+            raise ArgumentError(f"--holes is a colour; {form.name} has one component, give a grey")
         codes = codes[:1]
     return tuple(decode(np.array(codes, np.uint8), form.space).tolist())
 
 
 def channel_of(layer: OctreeTexture) -> str:
-    """Return what a layer paints."""
+    """Return the channel that a layer paints."""
     return next((name for name in layer.channels if name != "alpha"), "alpha")
-
-
-def begun(
-    options: argparse.Namespace,
-    layer: OctreeTexture,
-    surface: Surface,
-    executor: Executor,
-    progress: Reporter,
-) -> OctreeTexture:
-    """Return a new texture for a layer to be merged into: where pictures saw nothing, it may be filled."""
-    from octex.painting import holes
-
-    mode: Any = "leave" if options.layer else options.holes or "smooth"
-    return holes.begun(layer, surface, mode, executor, progress)
-
-
-def merged(
-    options: argparse.Namespace,
-    texture: OctreeTexture,
-    layers: Sequence[OctreeTexture],
-    surface: Surface,
-    executor: Executor | None,
-    progress: Reporter,
-) -> OctreeTexture:
-    """Merge layers; return the very same texture if they paint nothing."""
-    strength = 1.0 if options.opacity is None else options.opacity
-    for number, layer in enumerate(layers):
-        if not layer.tree.n_leaves:
-            continue
-        try:
-            texture = octex.merge(
-                texture,
-                layer,
-                surface,
-                opacity=strength,
-                blend=options.blend or "over",
-                executor=executor,
-                progress=progress,
-            )
-        except ArgumentError as error:
-            if options.layer:
-                raise ArgumentError(f"{options.layer[number]}: {error}") from None
-            raise
-    if options.coverage and any(layer.tree.n_leaves for layer in layers):
-        from octex.painting.holes import with_coverage
-
-        texture = with_coverage(texture, layers)
-    return texture
-
-
-def entries_of(
-    options: argparse.Namespace, files: Sequence[Path], layer: OctreeTexture
-) -> list[dict[str, str | float]]:
-    """Return what provenance says of the paint in files."""
-    found: list[dict[str, str | float]] = []
-    for path in files:
-        with open_file(path) as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        found.append(
-            {
-                "image": path.name,
-                "sha256": digest,
-                "blend": options.blend or "over",
-                "opacity": 1.0 if options.opacity is None else options.opacity,
-                "channel": channel_of(layer),
-            }
-        )
-    return found
 
 
 def with_entries(
     texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
 ) -> OctreeTexture:
-    """Append to what a texture's provenance says of paint; a new texture's also names the model."""
+    """Append to the provenance of a texture's paint; that of a new texture also names the model."""
     from octex.texture import OctreeTexture
 
     metadata = dict(texture.metadata)

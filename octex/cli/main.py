@@ -1,4 +1,4 @@
-"""octex: one command for all, whose first word says what is done."""
+"""octex: one program, whose first word names the command."""
 
 from __future__ import annotations
 
@@ -6,88 +6,80 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from difflib import get_close_matches
+from importlib import import_module
 
 import octex
-from octex.cli import bake, convert, paint, viewer
-from octex.cli.bake import BAKE
-from octex.cli.common import run, say
-from octex.cli.convert_options import COMMANDS
-from octex.cli.paint_options import PAINT
-from octex.cli.parser import Command
-from octex.cli.viewer import VIEW
+from octex.cli.common import limited, run, say
+from octex.cli.options import COMMANDS
+from octex.cli.parser import Parser
 from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"
-#: All commands but help.
-EVERY: dict[str, Command] = {**COMMANDS, "paint": PAINT, "bake": BAKE, "view": VIEW}
-_ORDER = (
-    "convert",
-    "view",
-    "paint",
-    "bake",
-    "edit",
-    "info",
-    "diff",
-    "validate",
-    "overlaps",
-    "warm-up",
-    "help",
-)
+#: The module of each command; it has a function ``run(options, program)`` of this name.
+_MODULES = {
+    **dict.fromkeys(("info", "diff", "validate", "overlaps"), "inspect"),
+    "warm-up": "warm_up",
+}
+_NAMES = (*COMMANDS, "help")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what the first word asks for, and return its exit code (octex.errors.ExitCode)."""
+def main(arguments: Sequence[str] | None = None, program: str | None = None) -> int:
+    """Run the command that the first word names, and return its exit code (octex.errors.ExitCode)."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    first, rest = (words[0], words[1:]) if words else ("", [])
-    if first in COMMANDS:
-        return convert.main(rest, f"{PROGRAM} {first}", first)
-    if first == "paint":
-        return paint.main(rest, f"{PROGRAM} paint")
-    if first == "bake":
-        return bake.main(rest, f"{PROGRAM} bake")
-    if first == "view":
-        return viewer.main(rest, f"{PROGRAM} view")
-    return run(PROGRAM, lambda: _answer(first, rest))
+    name, rest = (words[0], words[1:]) if words else ("", [])
+    program = program or (f"{PROGRAM} {name}" if name in COMMANDS else PROGRAM)
+    return run(program, lambda: _run(name, rest, program))
+
+
+def _run(name: str, rest: Sequence[str], program: str) -> int:
+    if name not in COMMANDS:
+        return _answer(name, rest)
+    options = Parser(program, COMMANDS[name], COMMANDS).parsed(rest)
+    module = import_module(f"octex.cli.{_MODULES.get(name, name)}")
+    with limited(getattr(options, "threads", None)):
+        code: int = getattr(module, name.replace("-", "_"))(options, program)
+    return code
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
-    if first in ("-h", "--help", "--help-all") or (first == "help" and not rest):
+    """Print what is asked of octex itself."""
+    if first in ("-h", "--help") or (first == "help" and not rest):
         say(_overview())
     elif first == "--version":
         say(f"{PROGRAM} {octex.__version__}")
     elif first == "help":
         for name in rest:
-            if name in EVERY and name not in TOPICS:
-                return main([name, "--help-all"])
-            say(topic(name))
+            if name in COMMANDS and name not in TOPICS:
+                say(Parser(f"{PROGRAM} {name}", COMMANDS[name], COMMANDS).help())
+            else:
+                say(topic(name))
     else:
         raise ArgumentError(_unknown(first))
     return ExitCode.DONE
 
 
 def _unknown(word: str) -> str:
-    known = f"the commands are {', '.join(_ORDER)}; see {PROGRAM} --help"
+    known = f"the commands are {', '.join(_NAMES)}; see {PROGRAM} --help"
     if not word:
         return f"a command is missing: {known}"
     if word.startswith("-"):
         return f"{word} stands before the command: {known}"
-    near = get_close_matches(word, _ORDER, 1)
+    near = get_close_matches(word, _NAMES, 1)
     return f"{word!r} is no command{f', do you mean {near[0]!r}' if near else ''}: {known}"
 
 
 def _overview() -> str:
-    summaries = {name: each.summary for name, each in EVERY.items()}
-    summaries["help"] = "Print a page on a topic."
+    summaries = {name: each.summary for name, each in COMMANDS.items()}
+    summaries["help"] = "Print a page on a topic, or the help of a command."
     lines = [
         f"usage: {PROGRAM} COMMAND … [options]",
         "",
         "Octree textures: colour a model without UVs.",
         "",
-        *(f"  {name:9} {summaries[name]}" for name in _ORDER),
+        *(f"  {name:9} {summaries[name]}" for name in _NAMES),
         "",
-        f"{PROGRAM} COMMAND --help shows common options and examples, --help-all every option;",
-        f"{PROGRAM} help TOPIC prints one of these pages:",
+        f"{PROGRAM} COMMAND --help shows a command's options; {PROGRAM} help TOPIC prints one of:",
         *textwrap.wrap(f"{', '.join(TOPICS)}.", 100, initial_indent="  ", subsequent_indent="  "),
     ]
     return "\n".join(lines)

@@ -1,155 +1,168 @@
-"""octree-paint: pictures and cameras in, an octree texture with their paint out; and pictures to paint on."""
+"""octex paint: from pictures and cameras, or layers, to an octree texture with their paint."""
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
-from octex.cli.addresses import TEXTURE_ENDING
-from octex.cli.common import Reporter, bytes_text, check_outputs, fail, identity, limited, run, tell
-from octex.cli.layers import begun, channel_of, entries_of, merged, projected, refined, with_entries
-from octex.cli.models import (
-    DEFAULT_CHANNEL,
-    new_texture,
-    only,
-    open_sound,
-    posed_inputs,
-    read_posed,
-    texture_of,
-    told_of,
-)
-from octex.cli.paint_options import PAINT, work_of
-from octex.cli.parser import Parser
-from octex.cli.shots import flat_shots, images_of, shots_of
-from octex.cli.view import view
-from octex.cli.view_options import previewing
-from octex.errors import ExitCode
+from octex.cli.common import Reporter, check_outputs, facts, fail, identity, tell
+from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
+from octex.cli.layers import Painting, channel_of, with_entries
+from octex.cli.options import DEFAULT_CHANNEL
+from octex.cli.parser import Options
+from octex.cli.shots import NOTHING, flat_shots, images_of, shots_of
+from octex.cli.values import TEXTURE_ENDING
+from octex.errors import ArgumentError, ExitCode
 from octex.parallel import workers
 
 if TYPE_CHECKING:
+    from octex.cameras.camera import Camera
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-COMMAND = "octree-paint"
+#: The options that go with layers.
+_OF_LAYERS = {"--blend", "--opacity", "--preview", "--rest", "--pose", "--subdiv"}
+_OF_LAYERS |= {"--force", "--threads", "--quiet", "--json"}
 
 
-def main(arguments: Sequence[str] | None = None, program: str = COMMAND) -> int:
-    """Run octree-paint, whatever it is called, and return its exit code (octex.errors.ExitCode)."""
-    return run(program, lambda: _main(Parser(program, PAINT).parsed(arguments), program))
+def paint(options: Options, program: str) -> int:
+    """Run octex paint."""
+    has_layers = _check(options, program)
+    if options.max_depth is not None:
+        from octex.checks import as_depth
 
-
-def _main(options: argparse.Namespace, program: str) -> int:
-    with limited(options.threads):
-        work = work_of(options, program)
-        if options.max_depth is not None:
-            from octex.checks import as_depth
-
-            as_depth(options.max_depth, "--max-depth")
-        stages = {"painting": ("paint",), "--view": ("view",)}
-        with ahead(*stages.get(work, ()) if options.threads is None else ()):
-            return view(program, options) if work == "--view" else _paint(options, program)
-
-
-def _paint(options: argparse.Namespace, program: str) -> int:
-    began = time.perf_counter()
+        as_depth(options.max_depth, "--max-depth")
     _check_files(options)
+    with ahead("paint") if options.threads is None and not has_layers else nullcontext():
+        return _paint(options, program, has_layers)
+
+
+def _check(options: Options, program: str) -> bool:
+    """Refuse options that make no sense together; tell whether layers are merged instead of pictures."""
+    layers = [path for path in options.IMAGE if is_texture(path)]
+    if layers:
+        if len(layers) < len(options.IMAGE):
+            raise ArgumentError(
+                f"{layers[0]}: is a layer; merge layers and paint pictures one after the other"
+            )
+        refuse(options, set(options.words) - _OF_LAYERS, "has no meaning with layers")
+    elif options.unwrap is not None:
+        refuse(options, ["--camera"], "has no meaning with --unwrap, which says what is seen")
+        if not options.IMAGE:
+            raise ArgumentError(f"IMAGE is missing; see {program} --help")
+    elif options.camera is None:
+        raise ArgumentError(f"--camera is missing; see {program} --help")
+    if options.holes is not None and options.TEXTURE is not None:
+        raise ArgumentError(f"{options.TEXTURE} has colours; --holes is for a new texture")
+    if options.blend == "erase" and options.TEXTURE is None:
+        raise ArgumentError("there is no TEXTURE; there is nothing to erase")
+    if options.reference is not None and options.balance is None and options.refine_cameras is None:
+        raise ArgumentError("--reference has no meaning without --balance or --refine-cameras")
+    files = [each for each in options.mask if not isinstance(each, tuple)]
+    if len(options.mask) - len(files) > 1:
+        raise ArgumentError("--mask gives several backdrop colours; give one")
+    if any(isinstance(each, str) for each in files) and len(files) > 1:
+        raise ArgumentError("--mask gives a pattern and more masks; give one of them")
+    if len(files) > 1 and len(files) != len(options.IMAGE):
+        raise ArgumentError(
+            f"--mask gives {len(files)} for {len(options.IMAGE)} IMAGEs; give one for all, or one an IMAGE"
+        )
+    return bool(layers)
+
+
+def _check_files(options: Options) -> None:
+    outputs = (
+        (options.OUTPUT, (TEXTURE_ENDING,), "OUTPUT"),
+        (options.layer_out, (TEXTURE_ENDING,), "--layer-out"),
+        (options.refine_cameras, (".json",), "--refine-cameras"),
+        (options.preview, (".png",), "--preview"),
+    )
+    # OUTPUT may take the place of TEXTURE, which is not written to: the old file is there until all is done.
+    texture = options.TEXTURE
+    is_replaced = texture is not None and identity(texture) == identity(options.OUTPUT)
+    masks = [each for each in options.mask if not isinstance(each, tuple | str)]
+    camera = options.camera and options.camera[0]
+    inputs = [options.MODEL, options.rest, camera, *images_of(options), *masks, options.since]
+    check_outputs(outputs, [*inputs, None if is_replaced else texture], force=options.force)
+
+
+def _paint(options: Options, program: str, has_layers: bool) -> int:
+    began = time.perf_counter()
     with Reporter(program, options.quiet) as progress:
-        draw = previewing(options, options.MODEL)
-        shots, skipped = ([], []) if options.layer or options.unwrap else shots_of(options, progress)
-        texture = texture_of(options)
+        by_camera = not (has_layers or options.unwrap)
+        shots, skipped = shots_of(options, progress) if by_camera else ([], [])
+        texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
         if texture is None:
-            progress.note(f"{new_texture(options)}: painting begins a new texture")
+            progress.note("there is no texture yet: painting begins a new one")
         with progress.stage("read"):
-            surface = whole = read_posed(options)
+            if options.preview is None:
+                surface = whole = bare_model(options.MODEL, options)
+            else:
+                surface = whole = shaped_model(options.MODEL, options, normals=True)
         if options.unwrap is not None:
             surface, shots = flat_shots(options, whole, texture, progress)
         with workers() as executor:
-            if options.refine_cameras:
-                shots = refined(options, surface, shots, executor, progress)
-                if options.save_cameras is not None:  # what comes next may take hours
-                    octex.write_cameras(options.save_cameras, {shot.name: shot.camera for shot in shots})
-            if options.layer:
-                layers = [open_sound(path) for path in options.layer]
+            painting = Painting(options, surface, executor, progress)
+            if options.refine_cameras is not None:
+                shots = painting.refined(shots)
+            if has_layers:
+                layers = [open_texture(path) for path in options.IMAGE]
             else:
-                texture, layers = projected(options, texture, surface, shots, executor, progress)
-            base = begun(options, layers[0], surface, executor, progress) if texture is None else texture
-            made = merged(options, base, layers, surface, executor, progress)
-        if made is not base:
-            entries = entries_of(options, [shot.path for shot in shots] or options.layer, layers[0])
-            made = with_entries(made, surface, entries)
-            if draw is not None:  # first: without room for it, nothing is left unannounced
-                with progress.stage("draw"):
-                    cameras = [] if options.unwrap else [shot.camera for shot in shots]
-                    draw(*_previewed(whole, made, channel_of(layers[0])), cameras)
-            with progress.stage("write"):
-                if options.layer_out is not None:
-                    with_entries(layers[0], surface, entries).save(options.layer_out)
-                made.save(options.out)
-    if made is base:
-        reasons = [
-            "no camera sees the model (do they look away from it, or stand behind or inside it?)",
-            "the pictures' alpha, the mask or --opacity are zero all over",
-            *["nothing was drawn on the view (--whole paints all of it)" for shot in shots[:1] if shot.since],
-        ]
-        reason = ", or ".join(reasons)
-        message = f"nothing was painted, and {options.out} is not written: {reason}"
-        return fail(program, message, ExitCode.NOTHING_PAINTED)
+                texture, layers = painting.projected(texture, shots)
+            base = painting.begun(layers[0], has_layers) if texture is None else texture
+            made = painting.merged(base, layers, options.IMAGE if has_layers else [])
+        if made is base:
+            return _nothing_painted(options, program, any(shot.since for shot in shots))
+        entries = painting.entries([shot.path for shot in shots] or options.IMAGE, layers[0])
+        made = with_entries(made, surface, entries)
+        if options.preview is not None:  # first: without room for it, nothing is left unannounced
+            with progress.stage("draw"):
+                cameras = [shot.camera for shot in shots] if by_camera else []
+                _draw(options, made, whole, channel_of(layers[0]), cameras)
+        with progress.stage("write"):
+            if options.layer_out is not None:
+                with_entries(layers[0], surface, entries).save(options.layer_out)
+            made.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
-    _tell_what_was_painted(options, made, names, skipped, time.perf_counter() - began)
+    number = f"{len(names):,} {'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''} painted, "
+    told, lines = facts(made, options.OUTPUT, time.perf_counter() - began, number)
+    told |= {"painted": names, "skipped": list(skipped)}
+    if options.layer_out is not None:
+        told["layer"] = str(options.layer_out)
+        lines.append(f"{options.layer_out}: the paint alone")
+    if options.preview is not None:
+        told["preview"] = str(options.preview)
+        lines.append(f"{options.preview}: a picture of it")
+    tell(options, told, *lines)
     return ExitCode.DONE
 
 
-def _check_files(options: argparse.Namespace) -> None:
-    outputs = (
-        (options.out, (TEXTURE_ENDING,), "--out"),
-        (options.layer_out, (TEXTURE_ENDING,), "--layer-out"),
-        (options.save_cameras, (".json",), "--save-cameras"),
-        (options.preview, (".png",), "--preview"),
-    )
-    # --out may take the place of TEXTURE, which is not written to: the old file is there until all is done.
-    is_replaced = options.TEXTURE is not None and identity(options.TEXTURE) == identity(options.out)
-    others = [*images_of(options), *(options.mask or []), *(options.layer or []), options.since]
-    inputs = [*posed_inputs(options), *others, None if is_replaced else options.TEXTURE]
-    check_outputs(outputs, inputs, force=options.force)
+def _nothing_painted(options: Options, program: str, compares: bool) -> int:
+    reasons = [
+        "no camera sees the model (do they look away from it, or stand behind or inside it?)",
+        "the pictures' alpha, the mask or --opacity are zero all over",
+        *([f"nothing was drawn on the view (--since {NOTHING} paints all of it)"] if compares else []),
+    ]
+    reason = ", or ".join(reasons)
+    message = f"nothing was painted, and {options.OUTPUT} is not written: {reason}"
+    return fail(program, message, ExitCode.NOTHING_PAINTED)
 
 
-def _previewed(
-    surface: Surface, texture: OctreeTexture, channel: str
-) -> tuple[Surface | None, OctreeTexture]:
-    """Return what shows what was painted: beside the model's own, if it has such a channel."""
-    if channel == DEFAULT_CHANNEL:
-        return surface, texture
-    if channel in [form.name for form in surface.channels]:
-        return surface.with_channels([channel]), texture
-    return None, only(texture, channel)
-
-
-def _tell_what_was_painted(
-    options: argparse.Namespace,
-    texture: OctreeTexture,
-    painted: Sequence[str],
-    skipped: Sequence[str],
-    seconds: float,
+def _draw(
+    options: Options, texture: OctreeTexture, surface: Surface, channel: str, cameras: Sequence[Camera]
 ) -> None:
-    tree = texture.tree
-    made = {**told_of(texture, options.out, seconds), "painted": list(painted), "skipped": list(skipped)}
-    what = "layer" if options.layer else "picture"
-    number = f"{len(painted):,} {what}{'s' if len(painted) > 1 else ''} painted"
-    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth}"
-    lines = [f"{options.out}: {number}, {cells}, {bytes_text(made['bytes'])}, {seconds:.1f} s"]
-    if options.layer_out is not None:
-        made["layer"] = str(options.layer_out)
-        lines.append(f"{options.layer_out}: the paint alone")
-    if options.preview is not None:
-        made["preview"] = str(options.preview)
-        lines.append(f"{options.preview}: a picture of it")
-    tell(options, made, *lines)
+    """Write --preview: next to the model's own colours, if it has the channel."""
+    from octex.drawing import viewpoint_among
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    shown: Surface | None = surface
+    if channel != DEFAULT_CHANNEL:
+        has_channel = channel in [form.name for form in surface.channels]
+        shown = surface.with_channels([channel]) if has_channel else None
+        texture = texture if has_channel else only(texture, channel)
+    view = viewpoint_among(cameras)._asdict() if cameras else {}
+    view.pop("frame", None)
+    octex.write_preview(options.preview, texture, shown, **view)

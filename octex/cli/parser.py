@@ -1,210 +1,180 @@
-"""Commands as tables of options, from which both what is parsed and what --help shows are made."""
+"""Commands as tables of options: the parser and the help are made from them."""
 
 from __future__ import annotations
 
-import argparse
-import shutil
-import sys
 import textwrap
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, NamedTuple, NoReturn
+from types import SimpleNamespace
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import octex
-from octex.cli.arguments import count
 from octex.cli.common import say
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ArgumentError
 
-_WIDEST = 110  # columns of help
-_ALIKE = 0.8  # difflib's ratio, from which on a word may be meant for an option
+_WIDTH, _COLUMN = 100, 24  # of help, and where it explains
+_ALIKE = 0.8  # difflib's ratio from which a word may be meant for an option
+
+#: Values by name: ``options.max_error`` is that of --max-error, ``options.MODEL`` a file, ``options.words``
+#: lists the options on the command line. What is not there, or is of other commands, is None, False or [].
+Options = SimpleNamespace
 
 
 class Option(NamedTuple):
-    """A word of the command line, "--depth", or a file that stands alone, "INPUT"."""
+    """An option like --depth."""
 
     word: str
-    settings: Mapping[str, Any]  # as argparse takes them
+    value: str  # its value in help, "N"; "" for a flag
+    read: Callable[[str], Any] | None
+    help: str
+    repeats: bool = False
+
+    @property
+    def name(self) -> str:
+        """The attribute of Options."""
+        return self.word.removeprefix("--").replace("-", "_")
 
     @property
     def usage(self) -> str:
-        """The word with its values, as a usage line has it."""
-        metavar = self.settings.get("metavar")
-        values = " ".join(metavar) if isinstance(metavar, tuple) else metavar
-        if not self.word.startswith("-"):
-            alone = str(values or self.word)
-            return f"[{alone} ...]" if self.settings.get("nargs") == "*" else alone
-        return self.word if values is None else f"{self.word} {values}"
+        """The word with its value."""
+        return f"{self.word} {self.value}".rstrip()
+
+    @property
+    def unset(self) -> Any:
+        """The value of an option that is not on the command line."""
+        return [] if self.repeats else None if self.read else False
 
 
-def option(word: str, help: str, **settings: Any) -> Option:
-    """Describe an option by argparse's settings."""
-    return Option(word, {**settings, "help": help})
+class File(NamedTuple):
+    """A file that a command takes without an option's word."""
 
+    word: str
+    read: Callable[[str], Any]
+    help: str
+    number: Literal["one", "maybe", "any"] = "one"
+    fits: Callable[[str], bool] = bool  # whether a word is this file, where it may be missing
 
-#: How any command works, and what it prints.
-RUNNING = (
-    option("--force", "overwrite existing files", action="store_true"),
-    option("--threads", "number of threads (default: all processors)", metavar="N", type=count),
-    option("--quiet", "print only errors (and the result of --json)", action="store_true"),
-    option("--json", "print the result as one JSON object", action="store_true"),
-)
+    @property
+    def usage(self) -> str:
+        """The word in brackets if it may be missing."""
+        return {"one": self.word, "maybe": f"[{self.word}]", "any": f"[{self.word} ...]"}[self.number]
 
 
 class Command(NamedTuple):
-    """What one command does, and the words that it takes."""
+    """A command: its files and options."""
 
+    name: str
     summary: str
-    files: Sequence[Option]
+    files: Sequence[File]
     options: Sequence[Option]
-    examples: Sequence[str]  # what stands behind the command's name
-    usual: Collection[str] = ()  # the options that the first screen of help lists; none: all
-    usages: Sequence[Sequence[str]] = ()  # the words of each thing that it does; none: the files
+    examples: Sequence[str]  # without the command's name
 
     def has(self, word: str) -> bool:
-        """Say whether a word is an option of the command."""
+        """Tell whether a word is an option of the command."""
         return any(each.word == word for each in self.options)
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser that refuses in one line and knows no abbreviations; its help has two sizes.
+class Parser:
+    """Reads the words of a command, in any order, and refuses in one line; it knows no abbreviations."""
 
-    Options may stand before, between and behind the files.
-    """
-
-    def __init__(self, program: str, command: Command) -> None:
-        super().__init__(prog=program, allow_abbrev=False, add_help=False)
+    def __init__(self, program: str, command: Command, commands: Mapping[str, Command]) -> None:
+        self.program = program
         self._command = command
-        for each in (*command.files, *command.options):
-            self.add_argument(each.word, **each.settings)
-        self.add_argument("-h", "--help", action=_Help, help="show a screen of help")
-        self.add_argument("--help-all", action=_Help, help="show every option, and the exit codes")
-        version = f"{program} {octex.__version__}"
-        self.add_argument("--version", action="version", version=version, help="show octex's version")
-        self._options = {word: action for action in self._actions for word in action.option_strings}
+        self._commands = commands
+        self._options = {each.word: each for each in command.options}
 
-    def error(self, message: str) -> NoReturn:
-        """Raise ArgumentError."""
-        raise ArgumentError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
-
-    def help_text(self, every: bool = True) -> str:
-        """Return all help, or the screen of it that lists the usual options."""
+    def help(self) -> str:
+        """Return a screen of help."""
         command = self._command
-        every = every or not command.usual
-        width = min(shutil.get_terminal_size().columns, _WIDEST)
-        by_word = {each.word: each for each in (*command.files, *command.options)}
-        files = [each.word for each in command.files]
-        shown = {*files, *(by_word if every else command.usual), "--help-all"}
-        usages = [
-            " ".join([self.prog, *(by_word[word].usage for word in words), "[options]"])
-            for words in command.usages or [files]
-            if shown.issuperset(words)
-        ]
-        formatter = argparse.HelpFormatter(self.prog, max_help_position=26, width=width)
-        formatter.start_section("files and options" if command.files else "options")
-        formatter.add_arguments(
-            action
-            for action in self._actions
-            if every or shown.intersection(action.option_strings or [action.dest])
-        )
-        formatter.end_section()
-        parts = [
-            "usage: " + "\n       ".join(usages),
-            textwrap.fill(command.summary, width),
-            "\n".join(["examples:", *(f"  {self.prog} {each}".rstrip() for each in command.examples)]),
-            formatter.format_help().strip(),
-        ]
-        if every:
-            parts.append("\n".join(["exit codes:", *(f"  {code:3}  {code.meaning}" for code in ExitCode)]))
-        return "\n\n".join(parts) + "\n"
+        lines = [f"usage: {self.program} {' '.join([*(each.usage for each in command.files), '[options]'])}"]
+        lines += ["", *textwrap.wrap(command.summary, _WIDTH), ""]
+        lines += [f"  {self.program} {example}".rstrip() for example in command.examples]
+        lines.append("")
+        rows = [(each.word, each.help) for each in command.files]
+        rows += [(each.usage, each.help) for each in command.options]
+        for usage, help in rows:
+            texts = textwrap.wrap(help, _WIDTH - _COLUMN)
+            if len(usage) > _COLUMN - 4:
+                lines.append(f"  {usage}")
+                usage = ""
+            lines += [f"  {usage if n == 0 else '':{_COLUMN - 2}}{text}" for n, text in enumerate(texts)]
+        return "\n".join(lines)
 
-    def parsed(self, arguments: Sequence[str] | None) -> argparse.Namespace:
-        """Parse arguments in any order, those of the process for None; what follows -- is no option.
-
-        A value that an option may go without is one if it is a number. Raises ArgumentError.
-        """
-        words = deque(sys.argv[1:] if arguments is None else arguments)
-        options: list[str] = []
+    def parsed(self, words: Sequence[str]) -> Options:
+        """Parse words; those after -- are files. Raises ArgumentError, and SystemExit after --help."""
+        found: dict[str, Any] = {
+            each.name: each.unset for command in self._commands.values() for each in command.options
+        }
+        found["words"] = []
+        left = deque(words)
         files: list[str] = []
-        while words:
-            word = words.popleft()
+        while left:
+            word = left.popleft()
             if word == "--":
-                files += words
+                files += left
                 break
+            if word in ("-h", "--help", "--version"):
+                say(f"{self.program} {octex.__version__}" if word == "--version" else self.help())
+                raise SystemExit(0)
             if not word.startswith("-") or word == "-":
                 files.append(word)
                 continue
-            name = word if word in self._options else word.partition("=")[0]
-            action = self._options.get(name)
-            if action is None:
-                self._refuse(name)
-            options.append(word)
-            if word != name:
+            word, equals, value = word.partition("=")
+            option = self._options.get(word)
+            if option is None:
+                self._refuse(word)
+            found["words"].append(word)
+            if option.read is None:
+                if equals:
+                    self.error(f"{word} takes no value")
+                found[option.name] = True
                 continue
-            if action.nargs is None:
-                if not words or words[0] in self._options:
-                    self.error(f"{word} needs a value, {action.metavar}")
-                options[-1] += f"={words.popleft()}"  # which may begin with a minus
-            elif action.nargs == "?" and words and _is_number(words[0]):
-                options[-1] += f"={words.popleft()}"
-            elif isinstance(action.nargs, int):
-                options += [words.popleft() for _ in range(min(action.nargs, len(words)))]
-        self._check_files(files, options)
-        return self.parse_args([*options, "--", *files] if files else options)
+            if not equals:
+                if not left or left[0] in self._options:
+                    self.error(f"{word} needs a value, {option.value}")
+                value = left.popleft()  # which may begin with a minus
+            read = self._read(option.read, word, value)
+            found[option.name] = [*found[option.name], read] if option.repeats else read
+        found.update(self._files(files))
+        return Options(**found)
+
+    def _files(self, words: list[str]) -> dict[str, Any]:
+        """Return files by name, or refuse too few or too many."""
+        found: dict[str, Any] = {}
+        left = deque(words)
+        for each in self._command.files:
+            if each.number == "any":
+                found[each.word] = [self._read(each.read, each.word, word) for word in left]
+                left.clear()
+            elif left and (each.number == "one" or each.fits(left[0])):
+                found[each.word] = self._read(each.read, each.word, left.popleft())
+            elif each.number == "maybe":
+                found[each.word] = None
+        usage = " ".join(each.usage for each in self._command.files)
+        if left:
+            self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
+        missing = [
+            each.word for each in self._command.files if each.number == "one" and each.word not in found
+        ]
+        if missing:
+            self.error(f"{' '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing")
+        return found
+
+    def _read(self, read: Callable[[str], Any], word: str, value: str) -> Any:
+        try:
+            return read(value)
+        except ArgumentError as error:
+            self.error(f"{word}: {error}")
+
+    def error(self, message: str) -> NoReturn:
+        """Raise ArgumentError."""
+        raise ArgumentError(f"{message}; see {self.program} --help")
 
     def _refuse(self, word: str) -> NoReturn:
-        """Say that a word is no option, and where it is one or what it may be meant for."""
-        from octex.cli.main import EVERY
-
-        others = [f"octex {name}" for name, each in EVERY.items() if each.has(word)]
+        """Refuse an unknown option; name the commands that have it, or one that is alike."""
+        others = [f"octex {name}" for name, each in self._commands.items() if each.has(word)]
         if others:
-            self.error(f"{word} is an option of {' and of '.join(others)}, not of {self.prog}")
+            self.error(f"{word} is an option of {', '.join(others)}, not of {self.program}")
         near = get_close_matches(word, self._options, 1, _ALIKE)
         self.error(f"{word} is no option{f': do you mean {near[0]}' if near else ''}")
-
-    def _check_files(self, files: Sequence[str], options: Sequence[str]) -> None:
-        """Refuse too few or too many files, but for a command that only shows its help."""
-        wanted = [action for action in self._actions if not action.option_strings]
-        names = " ".join(str(action.metavar or action.dest) for action in wanted)
-        counts = [each.nargs if isinstance(each.nargs, int) else 1 for each in wanted]
-        most = sum(counts)
-        if len(files) > most and all(each.nargs != "*" for each in wanted):
-            self.error(f"{files[most]} is one file too many for {self.prog} {names}".rstrip())
-        least = sum(count for each, count in zip(wanted, counts, strict=True) if each.nargs not in ("?", "*"))
-        if len(files) < least and not {"-h", "--help", "--help-all", "--version"}.intersection(options):
-            self.error(f"{names} {'are' if least > 1 else 'is'} missing")
-
-
-class _Help(argparse.Action):
-    """Shows help and ends the command."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=help)
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,  # noqa: ARG002
-        values: object,  # noqa: ARG002
-        option_string: str | None = None,
-    ) -> None:
-        assert isinstance(parser, Parser)
-        say(parser.help_text(every=option_string == "--help-all").rstrip())
-        parser.exit()
-
-
-def words_given(options: argparse.Namespace) -> list[str]:
-    """Return the words on the command line that were used, as the user knows them."""
-    return [
-        word if word.isupper() else "--" + word.replace("_", "-")
-        for word, value in vars(options).items()
-        if value is not None and value is not False and value != []
-    ]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

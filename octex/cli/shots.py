@@ -1,15 +1,16 @@
-"""Pictures with the cameras that they are painted through: frames found, sizes read, masks dealt out."""
+"""Pictures with the cameras that they are painted through: cameras found, sizes read, masks dealt out."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import octex
 from octex.cli.common import Reporter
-from octex.cli.models import DEFAULT_CHANNEL, only
+from octex.cli.inputs import frame_of, only
+from octex.cli.options import DEFAULT_CHANNEL
+from octex.cli.parser import Options
 from octex.errors import ArgumentError, CameraError, ImageError
 
 if TYPE_CHECKING:
@@ -19,12 +20,11 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
+#: What --since names where all pixels are painted.
+NOTHING = Path("nothing")
 _LISTED = 5
 #: EXIF orientations above this are of pictures whose rows are stored as columns.
 _LYING = 4
-
-
-#: What stands for the picture's name, and for that without its ending, in --masks.
 _NAME, _STEM = "{name}", "{stem}"
 
 
@@ -34,11 +34,11 @@ class Shot(NamedTuple):
     path: Path
     camera: Camera
     mask: Path | None
-    since: Path | bytes | None  # the picture as it was: what has not changed is not painted
-    name: str  # of its frame
+    since: Path | bytes | None  # the unedited view: only pixels that differ are painted
+    name: str  # of its camera
 
 
-def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot], list[str]]:
+def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str]]:
     """Return pictures with their cameras, and the names of those that are missing."""
     pairs, missing = _pairs(options)
     if missing:
@@ -51,22 +51,61 @@ def shots_of(options: argparse.Namespace, progress: Reporter) -> tuple[list[Shot
         except ImageError as error:
             raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
         try:
-            since = _since(options, frame, size)
-            shots.append(Shot(path, frame.camera(size), mask, since, frame.name))
+            shots.append(Shot(path, frame.camera(size), mask, _since(options, frame, size), frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
     return shots, missing
 
 
-def _masks(options: argparse.Namespace, pictures: Sequence[Path]) -> list[Path | None]:
+def flat_shots(
+    options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
+) -> tuple[Surface, list[Shot]]:
+    """Return the surface with the disc of --unwrap laid flat, and the pictures of that.
+
+    The unedited view is drawn again, to find the pixels that differ.
+    """
+    from octex.drawing.views import as_png, draw_paintable
+    from octex.source.images.decode import image_size
+
+    paths = images_of(options)
+    masks = _masks(options, paths)
+    patch = patch_of(options, surface, image_size(paths[0]), progress)
+    since: Path | bytes | None = None if options.since == NOTHING else options.since
+    if options.since is None and texture is not None:
+        channel = options.channel or DEFAULT_CHANNEL
+        since = as_png(draw_paintable(only(texture, channel), patch.surface, patch.camera, channel))
+    pairs = zip(paths, masks, strict=True)
+    shots = [Shot(path, patch.camera, mask, since, path.name) for path, mask in pairs]
+    return patch.surface, shots
+
+
+def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:
+    """Lay the disc of --unwrap flat; note where it is no disc."""
+    if size[0] != size[1]:
+        raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
+    center, radius, up, conformal = options.unwrap
+    method = "conformal" if conformal else "exponential"
+    patch = octex.unwrap(surface, center, radius, up=up, size=size[0], method=method)
+    for fault in patch.faults:
+        progress.note(f"--unwrap: {fault}; paint reaches what is seen")
+    return patch
+
+
+def images_of(options: Options) -> list[Path]:
+    """Return the pictures that are named."""
+    return [_image_and_frame(path)[0] for path in options.IMAGE]
+
+
+def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
     """Return the mask of each picture."""
-    if options.masks is None:
-        given: list[Path | None] = list(options.mask or [None])
-        return given * len(pictures) if len(given) == 1 else given
-    found = [Path(options.masks.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
+    files = [each for each in options.mask if isinstance(each, Path)]
+    pattern = next((each for each in options.mask if isinstance(each, str)), None)
+    if pattern is None:
+        return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
+    found = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
     missing = [mask.as_posix() for mask in found if not mask.is_file()]
     if missing:
-        raise ImageError(f"--masks: {len(missing)} of {len(found)} masks are not there: {_listing(missing)}")
+        raise ImageError(f"--mask: {len(missing)} of {len(found)} masks are missing: {_listing(missing)}")
     return list(found)
 
 
@@ -82,65 +121,28 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
     return (height, width) if is_turned else (width, height)
 
 
-def patch_of(
-    options: argparse.Namespace, surface: Surface, size: tuple[int, int], progress: Reporter
-) -> Patch:
-    """Lay flat what --unwrap says, and say where that is no disc."""
-    if size[0] != size[1]:
-        raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
-    *center, radius = options.unwrap
-    method = "conformal" if options.conformal else "exponential"
-    patch = octex.unwrap(surface, center, radius, up=options.up, size=size[0], method=method)
-    for fault in patch.faults:
-        progress.note(f"--unwrap: {fault}; paint reaches what is seen")
-    return patch
-
-
-def flat_shots(
-    options: argparse.Namespace, surface: Surface, texture: OctreeTexture | None, progress: Reporter
-) -> tuple[Surface, list[Shot]]:
-    """Return the surface with what --unwrap says laid flat, and pictures of that.
-
-    What has changed in them is found by drawing the view again.
-    """
-    from octex.cli.view import as_png, drawn
-    from octex.source.images.decode import image_size
-
-    paths = images_of(options)
-    masks = _masks(options, paths)
-    size = image_size(paths[0])
-    patch = patch_of(options, surface, size, progress)
-    since: Path | bytes | None = options.since
-    if since is None and texture is not None and not options.whole:
-        channel = options.channel or DEFAULT_CHANNEL
-        since = as_png(drawn(only(texture, channel), patch.surface, patch.camera, channel, shaded=False))
-    pairs = zip(paths, masks, strict=True)
-    shots = [Shot(path, patch.camera, mask, since, path.name) for path, mask in pairs]
-    return patch.surface, shots
-
-
-def _since(options: argparse.Namespace, frame: Frame, size: tuple[int, int]) -> Path | bytes | None:
-    """Return the picture as it was; None where all of it is painted, as on a new texture."""
-    if options.since is not None:
+def _since(options: Options, frame: Frame, size: tuple[int, int]) -> Path | bytes | None:
+    """Return the unedited view; None where all pixels are painted, as on a new texture."""
+    if options.since is not None and options.since != NOTHING:
         return Path(options.since)
-    is_new = options.TEXTURE is None or not options.TEXTURE.exists()
-    if options.whole or is_new or frame.view is None:
+    if options.since == NOTHING or options.TEXTURE is None or frame.view is None:
         return None
     if size != frame.size:
         raise CameraError(
-            f"has {size[0]}×{size[1]} pixels, another number than the view that frame {frame.name!r} of "
-            f"{frame.file} keeps, so what has changed cannot be told; scale the picture, or give --whole"
+            f"has {size[0]}×{size[1]} pixels, another number than the view in frame {frame.name!r} of "
+            f"{frame.file}, so octex cannot tell which pixels you changed; scale the picture, or give "
+            f"--since {NOTHING}"
         )
     return frame.view
 
 
-def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[str]]:
+def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     """Return pictures with their frames, and the names of pictures that are missing."""
     from octex.cameras.files import read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
-    if name is not None and (len(images) > 1 or any(own is not None for _, own in images)):
+    if name is not None and (len(images) > 1 or any(named is not None for _, named in images)):
         raise ArgumentError(
             f"--camera names one frame, {name!r}, for {len(images)} IMAGEs; leave the name out, and frames "
             "are found by the IMAGEs' file names"
@@ -166,25 +168,10 @@ def _pairs(options: argparse.Namespace) -> tuple[list[tuple[Path, Frame]], list[
     return [(image, frame) for image, frame in own if image.is_file()], missing
 
 
-def images_of(options: argparse.Namespace) -> list[Path]:
-    """Return the pictures that are named."""
-    return [_image_and_frame(path)[0] for path in options.IMAGE]
-
-
 def _image_and_frame(path: Path) -> tuple[Path, str | None]:
-    """Read IMAGE=FRAME, or the name of a picture alone, which may have such a sign in it."""
+    """Read IMAGE=FRAME, or the name of a picture alone, which may contain an = too."""
     image, sign, frame = str(path).rpartition("=")
     return (Path(image), frame) if sign and image and frame and not path.exists() else (path, None)
-
-
-def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
-    """Find a frame by its name; what is raised names the file."""
-    from octex.cameras.files import find_frame
-
-    try:
-        return find_frame(frames, name)
-    except CameraError as error:
-        raise CameraError(f"{file}: {error}") from None
 
 
 def _listing(names: Sequence[str]) -> str:

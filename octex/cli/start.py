@@ -1,16 +1,8 @@
-"""Starts the commands: also one that is interrupted while Python imports it says so in one line."""
+"""Starts the programs: also one that is interrupted while Python imports it says so in one line."""
 
 from __future__ import annotations
 
 import sys
-from importlib import import_module
-
-#: The module of each command.
-MODULES = {
-    "octex": "octex.cli.main",
-    "octree-convert": "octex.cli.convert",
-    "octree-paint": "octex.cli.paint",
-}
 
 
 def octex() -> int:
@@ -19,19 +11,20 @@ def octex() -> int:
 
 
 def octree_convert() -> int:
-    """Run octree-convert, and return its exit code."""
-    return _start("octree-convert")
+    """Run octex convert under its own name, and return its exit code."""
+    return _start("octree-convert", "convert")
 
 
 def octree_paint() -> int:
-    """Run octree-paint, and return its exit code."""
-    return _start("octree-paint")
+    """Run octex paint under its own name, and return its exit code."""
+    return _start("octree-paint", "paint")
 
 
-def _start(command: str) -> int:
+def _start(program: str, *command: str) -> int:
     try:
-        code: int = import_module(MODULES[command]).main()
+        from octex.cli.main import main
+
+        return main([*command, *sys.argv[1:]], program if command else None)
     except KeyboardInterrupt:
-        print(f"{command}: interrupted", file=sys.stderr)
+        print(f"{program}: interrupted", file=sys.stderr)
         return 130  # ExitCode.INTERRUPTED, which is not imported yet
-    return code

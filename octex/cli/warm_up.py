@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +11,22 @@ import numpy as np
 import PIL.Image
 
 import octex
+from octex.ahead import ahead
 from octex.channels import BASE_COLOR
+from octex.cli.common import Reporter, say
+from octex.cli.parser import Options
+from octex.drawing import Environment, write_preview
 from octex.editing.draft import Tiles, cut_out, put_back
+from octex.errors import ExitCode
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
-from octex.preview import Bump, write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.search import Positions
-from octex.view.environment import Environment
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
 _OBJ = """mtllib needle.mtl
@@ -67,7 +71,17 @@ f 2 5 3
 """
 
 
-def warm_up(progress: Progress) -> None:
+def warm_up(options: Options, program: str) -> int:
+    """Run octex warm-up."""
+    began = time.perf_counter()
+    with Reporter(program, options.quiet, announce=False) as progress, ahead("warm-up"):
+        compile_all(progress)
+    if not options.quiet:
+        say(f"compiled and cached in {time.perf_counter() - began:.1f} s")
+    return ExitCode.DONE
+
+
+def compile_all(progress: Progress) -> None:
     """Read, convert, save, open, sample, validate, draw and paint tiny models, to cache all kernels."""
     with scratch_folder() as folder:
         surfaces = _surfaces(folder)
@@ -78,9 +92,9 @@ def warm_up(progress: Progress) -> None:
             _convert_and_look(surface, folder)
             progress("compile", 2 * number + 1, stages)
             texture = octex.convert(surface, 3)
-            write_preview(folder / "model.png", surface, texture, (64, 64))
-            bump = Bump("base_color", 0.01)
-            write_preview(folder / "lit.png", surface, texture, (64, 64), light=light, bump=bump)
+            write_preview(folder / "model.png", texture, surface, size=(64, 64))
+            bump = ("base_color", 0.01)
+            write_preview(folder / "lit.png", texture, surface, size=(64, 64), light=light, bump=bump)
         light.irradiance([[0.0, 0.0, 1.0]])
         progress("compile", stages - 1, stages)
         _map(surfaces[0])
@@ -149,7 +163,7 @@ def _convert_and_look(surface: octex.Surface, folder: Path) -> None:
     texture.tree.level_codes(6)
     area_codes(np.ones(1))
     write_points(texture, folder / "points.ply")
-    write_preview(folder / "texture.png", None, texture, (64, 64))
+    write_preview(folder / "texture.png", texture, size=(64, 64))
 
 
 def _map(surface: octex.Surface) -> None:
@@ -226,7 +240,7 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
         octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2), folder / "baked.glb"
     )
     octex.bake_vertices(texture, surface, subdivide="auto")
-    octex.displace(surface, texture, "base_color", 0.01)
+    octex.displace(texture, surface, "base_color", 0.01)
 
 
 def _ptex(folder: Path) -> None:

@@ -12,8 +12,8 @@ GROUPS = {
     "start": "tutorial concepts",
     "tasks": "convert page render no-uvs paint-view paint-python photographs bake print arrays",
     "reference": (
-        "models surfaces channels lookups filters adaptive parts previews viewer painting cameras processing "
-        "baking ptex files large remote"
+        "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "
+        "processing baking ptex files large remote"
     ),
     "about": "figures limits contributing",
 }

@@ -183,7 +183,7 @@ def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:
     Raises TextureFileError for what is missing or damaged, ArgumentError for a tree that does not fit.
     """
     if metadata.pop("format", None) != FORMAT:
-        raise TextureFileError("is not an octree texture; make one with octree-convert")
+        raise TextureFileError("is not an octree texture; make one with octex convert")
     version = metadata.pop("format_version", "")
     if version != str(FORMAT_VERSION):
         raise TextureFileError(f"has format version {version!r}, {wrong_version(version)}")

@@ -1,22 +1,12 @@
-"""Studio light: soft, from the camera's side, of so little contrast that colours stay comparable.
-
-Everything is linear light. The lights stand beside the camera and turn with it.
-"""
+"""Normals of triangles, and smooth normals at their corners."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
-from octex.cameras.camera import Camera
 from octex.jit import kernel
 from octex.source.welding import welded
-
-# In camera axes: x right, y down, z away from the camera.
-_KEY_FROM, _KEY = (-0.45, -0.65, -0.61), 0.52
-_FILL_FROM, _FILL = (0.85, 0.10, -0.52), 0.12
-_FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
 
 #: Corners of more triangles than this get the triangle's own normal: comparing all pairs would take too long.
 _MANY = 256
@@ -224,56 +214,3 @@ def _smooth(
             normals[row, corner % 3, 0] = x * scale
             normals[row, corner % 3, 1] = y * scale
             normals[row, corner % 3, 2] = z * scale
-
-
-def light(camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike) -> Float32s:
-    """Return the light (n,), 0.35 to 1.03, on the side that the camera sees; multiply base colours with it.
-
-    points     (n, 3) in the world
-    faces      (n, 3) normals of their triangles: they decide which side is seen
-    normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
-    """
-    points, faces, normals = (np.ascontiguousarray(array, np.float64) for array in (points, faces, normals))
-    lit = np.empty(len(points), np.float32)
-    perspective = camera.projection == "pinhole"
-    _light(points, faces, normals, camera.world_to_camera, camera.position, perspective, lit)
-    return lit
-
-
-@kernel
-def _light(
-    points: Float64s,
-    faces: Float64s,
-    normals: Float64s,
-    view: Float64s,
-    position: Float64s,
-    perspective: bool,
-    lit: Float32s,
-) -> None:
-    for n in range(len(points)):
-        away = 0.0
-        for axis in range(3):
-            toward = points[n, axis] - position[axis] if perspective else view[2, axis]
-            away += faces[n, axis] * toward
-        side = -1.0 if away > 0.0 else 1.0
-        x, y, z = normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side
-        length = np.sqrt(x * x + y * y + z * z)
-        scale = 1.0 / length if length > 0.0 else 0.0
-        right = (view[0, 0] * x + view[0, 1] * y + view[0, 2] * z) * scale
-        down = (view[1, 0] * x + view[1, 1] * y + view[1, 2] * z) * scale
-        ahead = (view[2, 0] * x + view[2, 1] * y + view[2, 2] * z) * scale
-        # Half-Lambert: lights so large that they reach around the edge.
-        key = 0.5 + 0.5 * (right * _KEY_FROM[0] + down * _KEY_FROM[1] + ahead * _KEY_FROM[2])
-        fill = 0.5 + 0.5 * (right * _FILL_FROM[0] + down * _FILL_FROM[1] + ahead * _FILL_FROM[2])
-        ambient = 0.5 * (_FROM_ABOVE + _FROM_BELOW) - 0.5 * (_FROM_ABOVE - _FROM_BELOW) * down
-        lit[n] = ambient + _KEY * key * key + _FILL * fill * fill
-
-
-def background(height: int, width: int) -> Float32s:
-    """Return a neutral grey backdrop (height, width, 3), brightest a little below the middle.
-
-    It is the same across, so that pictures side by side have no seam.
-    """
-    down = (np.arange(height) + 0.5) / height
-    grey = 0.40 - 0.40 * (down - 0.55) ** 2
-    return np.broadcast_to(grey[:, None, None], (height, width, 3)).astype(np.float32)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from octex.view.environment import Environment
-from octex.view.reflection import reflectances
+from octex.drawing.environment import Environment
+from octex.drawing.reflection import reflectances
 from octex.viewer.streams import deflated, planes, zigzag
 
 

@@ -910,23 +910,29 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert made["texture_size"] == 64
     assert made["channels"] == ["base_color"]
     assert made["bytes"] == (tmp_path / "baked.glb").stat().st_size
-    simple = [given[0], given[1], str(tmp_path / "simple.glb"), "--source", given[1], "--texture-size", "64"]
+    simple = [
+        given[0],
+        given[1],
+        str(tmp_path / "simple.glb"),
+        "--original",
+        given[1],
+        "--texture-size",
+        "64",
+    ]
     assert cli.main(["bake", *simple, "--max-distance", "0.1", "--json", "--quiet"]) == 0
     assert json.loads(capsys.readouterr().out)["texture_size"] == 64
-    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json", "-q"]) == 2
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--max-edge", "auto", "--json", "-q"]) == 2
     assert "-q is no option" in capsys.readouterr().err
-    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--subdivide", "auto", "--json"]) == 0
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--max-edge", "auto", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["vertices"] > 8
     assert cli.main(["bake", *given[:2], str(tmp_path / "c.ply"), "--uv", "keep"]) == 2
     assert "--uv has no meaning with vertex colours" in capsys.readouterr().err
     also = [given[0], str(tmp_path / "d.obj")]
     assert cli.main(["convert", *also]) == 2
-    assert "give --mesh MODEL" in capsys.readouterr().err
-    assert cli.main(["convert", *also, "--mesh", given[1], "--json"]) == 0
+    assert f"octex bake TEXTURE MODEL {also[1]}" in capsys.readouterr().err
+    assert cli.main(["bake", given[0], given[1], also[1], "--json"]) == 0
     assert (tmp_path / "d-0-base_color.png").exists()
     assert json.loads(capsys.readouterr().out)["output"] == also[1]
-    assert cli.main(["convert", *also, "--mesh", given[1], "--depth", "3"]) == 2
-    assert "--depth has no meaning with --mesh" in capsys.readouterr().err
     assert cli.main(["bake", *given]) == 2
     assert "exists" in capsys.readouterr().err
     assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2

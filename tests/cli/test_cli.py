@@ -18,15 +18,19 @@ from typing import Any
 import pytest
 
 import octex
-from octex.cli.arguments import DTYPES, FILTERS, picture_size
-from octex.cli.convert import COMMAND, main
-from octex.cli.convert_options import CONVERT
-from octex.cli.models import DEFAULT_FILTER
-from octex.cli.parser import Parser
+from octex.cli.main import main
+from octex.cli.options import COMMANDS, OPTIONS
+from octex.cli.parser import Options, Parser
+from octex.cli.values import DTYPES, FILTERS, picture_size
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import python, refusal, result
+from tests.make.command import python, refusal, result, run
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
+
+
+def parsed(*words: str, command: str = "convert") -> Options:
+    return Parser(f"octex {command}", COMMANDS[command], COMMANDS).parsed(words)
+
 
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
 
@@ -37,7 +41,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "INPUT is missing; see octree-convert --help"),
+        ("", "INPUT OUTPUT are missing; see octree-convert --help"),
         ("a.glb", "OUTPUT is missing; see octree-convert --help"),
         (
             "a.glb b.octex c",
@@ -60,19 +64,17 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "a.glb b.octex --depth 0 --cell 1",
             "--depth and --cell both say how fine the cells are; give one of them",
         ),
-        ("--info a.octex b.octex", "INPUT has no meaning with --info; see octree-convert --help"),
-        ("--info a.octex --depth 0", "--depth has no meaning with --info; see octree-convert --help"),
-        ("--info a.octex --quiet", "--quiet has no meaning with --info; see octree-convert --help"),
         (
-            "--info a.octex --validate a.octex",
-            "--validate has no meaning with --info; see octree-convert --help",
+            "a.glb b.octex --points 9",
+            "--points is an option of octex diff, not of octree-convert; see octree-convert --help",
         ),
-        ("--validate a.octex --force", "--force has no meaning with --validate; see octree-convert --help"),
-        ("--warm-up --json", "--json has no meaning with --warm-up; see octree-convert --help"),
-        ("--diff a.octex", "--diff: expected 2 arguments; see octree-convert --help"),
-        ("--diff a.octex b.octex c", "INPUT has no meaning with --diff; see octree-convert --help"),
-        ("--diff a b --depth 3", "--depth has no meaning with --diff; see octree-convert --help"),
-        ("a.glb b.octex --points 9", "--points has no meaning with a conversion; see octree-convert --help"),
+        (
+            "info a.octex b.octex",
+            "b.octex is one file too many for octex info TEXTURE; see octex info --help",
+        ),
+        ("validate a.octex --json=1", "--json takes no value; see octex validate --help"),
+        ("diff a.octex", "OTHER is missing; see octex diff --help"),
+        ("a.glb b.octex --separate", "--separate needs a value, CELLS; see octree-convert --help"),
         (
             "a.glb b.octex --channels base_color,,",
             "--channels: 'base_color,,' has an empty name; write base_color,normal; "
@@ -112,24 +114,16 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "--source gives alpha, but --channels leaves it out",
         ),
         (
-            "--diff a.glb b.obj",
-            "a.glb and b.obj: neither is an .octex file; convert one of them first",
+            "diff a.glb b.obj",
+            "a.glb: is no .octex file; octex convert makes one of a model",
         ),
         *[
             (
-                f"--diff a.octex b.octex --{word}",
+                f"diff a.octex b.octex --{word}",
                 f"--{word.split()[0]} needs a model, but a.octex and b.octex are textures",
             )
-            for word in (
-                "points 10",
-                "rest a.obj",
-                "filter sat",
-                "source alpha=1",
-                "transfer a.obj",
-                "also a.obj",
-            )
+            for word in ("points 10", "rest a.obj", "subdiv 2", "source alpha=1")
         ],
-        ("--warm-up --threads 2", "--threads has no meaning with --warm-up; see octree-convert --help"),
     ],
 )
 def test_bad_usage_is_refused_by_name(
@@ -138,31 +132,13 @@ def test_bad_usage_is_refused_by_name(
     assert refusal(capsys, *arguments.split()) == message
 
 
-def test_all_help_shows_the_table_of_exit_codes_and_every_option(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help-all"]) == 0
-    text = capsys.readouterr().out
-    for code in ExitCode:
-        assert f"{code:3}  {code.meaning}" in text
-    for each in CONVERT.options:
-        assert f"  {each.word}" in text
-
-
-def test_help_is_a_screen_with_the_usual_options_and_examples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert text.count("\n") <= 45
-    assert text.count(f"\n  {COMMAND} ") == 2
-    listed = {line.split()[0] for line in text.splitlines() if line.startswith("  --")}
-    assert listed == {*CONVERT.usual, "--help-all"}
-
-
 def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     from octex.channels import ONE
     from octex.source.images.filters import FILTERS as KNOWN
 
     assert tuple(ONE) == DTYPES
     assert KNOWN == FILTERS
-    assert KNOWN[-1] == DEFAULT_FILTER
+    assert f"{KNOWN[-1]} (default)" in OPTIONS["--filter"].help
 
 
 @pytest.mark.parametrize(
@@ -175,7 +151,7 @@ def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     ],
 )
 def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
-    assert Parser(COMMAND, CONVERT).parse_args(["--source", text]).source == [meaning]
+    assert parsed("a", "b", "--source", text).source == [meaning]
 
 
 @pytest.mark.parametrize(
@@ -186,20 +162,20 @@ def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
     ],
 )
 def test_a_type_is_for_all_or_for_some(text: str, meaning: object) -> None:
-    assert Parser(COMMAND, CONVERT).parse_args(["--dtype", text]).dtype == meaning
+    assert parsed("a", "b", "--dtype", text).dtype == meaning
 
 
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
+    assert run("--version") == 0
     assert capsys.readouterr().out == f"octree-convert {octex.__version__}\n"
 
 
 def test_help_and_refusals_import_nothing_heavy() -> None:
     code = f"""
 import sys
-from octex.cli.convert import main
-assert main(["--help"]) == 0
-assert main(["model.glb", "nowhere/model.octex"]) == 2
+from octex.cli.main import main
+assert main(["convert", "--help"]) == 0
+assert main(["convert", "model.glb", "nowhere/model.octex"]) == 2
 print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 """
     done = python(code)
@@ -222,7 +198,7 @@ def warmed() -> tuple[str, set[Any]]:
     with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
         changed.setattr(Kernel, "__call__", recorded)
         changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without that
-        assert main(["--warm-up"]) == ExitCode.DONE
+        assert main(["warm-up"]) == ExitCode.DONE
     return said.getvalue(), called
 
 
@@ -230,8 +206,8 @@ def test_warming_up_says_how_long_it_took(
     warmed: tuple[str, set[Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", warmed[0])
-    monkeypatch.setattr("octex.cli.warm_up.warm_up", lambda _progress: None)
-    assert result(capsys, "--warm-up", "--quiet") == ""
+    monkeypatch.setattr("octex.cli.warm_up.compile_all", lambda _progress: None)
+    assert result(capsys, "warm-up", "--quiet") == ""
 
 
 @needs_jit
@@ -261,40 +237,33 @@ def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[
 @pytest.mark.parametrize(
     "arguments",
     [
-        "a.glb b.octex --depth 5 --separate",
-        "a.glb --depth 5 b.octex --separate",
-        "--depth 5 a.glb --separate b.octex",
-        "--separate a.glb b.octex --depth=5",
-        "--separate 3 a.glb b.octex --depth 5",
-        "a.glb --separate 3 b.octex --depth 5",
-        "--separate --depth 5 -- a.glb b.octex",
+        "a.glb b.octex --depth 5 --separate 3",
+        "a.glb --depth 5 b.octex --separate 3",
+        "--separate=3 a.glb b.octex --depth=5",
         "a.glb --separate=3 --depth 5 -- b.octex",
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
-    given = vars(Parser(COMMAND, CONVERT).parsed(arguments.split()))
-    stated = {name: value for name, value in given.items() if value not in (None, False)}
-    paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
-    assert stated == {**paths, "depth": 5, "separate": 3.0}
+    given = vars(parsed(*arguments.split()))
+    assert sorted(given.pop("words")) == ["--depth", "--separate"]
+    stated = {name: value for name, value in given.items() if value}
+    assert stated == {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex"), "depth": 5, "separate": 3.0}
 
 
 def test_sizes_have_a_comma_or_an_x() -> None:
     assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
 
 
-def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:
-    words = "--source alpha=1 --diff a b --source roughness=0 --json"
-    options = Parser(COMMAND, CONVERT).parsed(words.split())
-    assert options.diff == [Path("a"), Path("b")]
+def test_options_given_twice_may_stand_anywhere() -> None:
+    options = parsed("--source", "alpha=1", "a", "--source", "roughness=0", "b", "--json")
     assert [name for name, _ in options.source] == ["alpha", "roughness"]
-    assert (options.json, options.INPUT) == (True, None)
+    assert (options.json, options.INPUT) == (True, Path("a"))
 
 
 def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
-    words = "--crop -1,0,0,1,1,1 a.octex --project-axis -y -- -b.octex"
-    options = Parser(COMMAND, CONVERT).parsed(words.split())
-    assert options.crop == (-1, 0, 0, 1, 1, 1)
-    assert options.project_axis == "-y"
+    options = parsed("--grid", "-1,0,0,1,1,1,0.1", "a.octex", "--project", "box:axis=-y", "--", "-b.octex")
+    assert options.grid == (-1, 0, 0, 1, 1, 1, 0.1)
+    assert options.project.axis == "-y"
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
 
 
@@ -312,7 +281,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
     model = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nf 1 3 4\n")
     result(capsys, model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
     for given in ([], ["--source", "base_color=1,0,0"]):
-        code = main([str(model), str(tmp_path / "a.octex"), "--depth", "3", "--force", *given])
+        code = run(model, tmp_path / "a.octex", "--depth", 3, "--force", *given)
         said = capsys.readouterr().err.splitlines()
         assert code == ExitCode.DONE
         assert (
@@ -322,13 +291,13 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
             )
             == 1
         )
-    main([str(model), str(tmp_path / "b.octex"), "--depth", "3", "--quiet"])
+    run(model, tmp_path / "b.octex", "--depth", 3, "--quiet")
     assert capsys.readouterr().err == ""
 
 
 # --- as a process
 
-PROCESS = "import sys; from octex.cli.convert import main; sys.exit(main())"
+PROCESS = "import sys; from octex.cli.main import main; sys.exit(main())"
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and devices of POSIX")
 
 
@@ -346,7 +315,8 @@ class Filling(convert.Reporter):
             resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 
 convert.Reporter = Filling
-sys.exit(convert.main())
+from octex.cli.start import octree_convert
+sys.exit(octree_convert())
 """
     done = python(filling, str(model), str(out), "--depth", "3", "--force")
     assert done.returncode == ExitCode.REFUSED, done.stderr
@@ -373,7 +343,8 @@ class Interrupting(convert.Reporter):
             os.kill(os.getpid(), signal.SIGINT)
 
 convert.Reporter = Interrupting
-sys.exit(convert.main())
+from octex.cli.start import octree_convert
+sys.exit(octree_convert())
 """
     done = python(interrupting, str(model), str(tmp_path / "box.octex"), "--depth", "3")
     assert done.returncode == ExitCode.INTERRUPTED
@@ -397,7 +368,8 @@ def end(file):
     sync(file)
 
 os.fsync = end
-sys.exit(convert.main())
+from octex.cli.start import octree_convert
+sys.exit(octree_convert())
 """
     done = python(ending, str(model), str(tmp_path / "box.octex"), "--depth", "3")
     assert done.returncode == ExitCode.TERMINATED
@@ -411,7 +383,7 @@ def test_no_more_threads_are_started_than_asked_for(tmp_path: Path, count: int) 
     watching = """
 import re, sys, threading
 from pathlib import Path
-from octex.cli.convert import main
+from octex.cli.start import octree_convert
 
 most, ended = 0, threading.Event()
 
@@ -422,7 +394,7 @@ def watch():
 
 watcher = threading.Thread(target=watch)
 watcher.start()
-code = main()
+code = octree_convert()
 ended.set()
 watcher.join()
 print(most - 2)  # but for this one and the watcher
@@ -440,7 +412,7 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb") as broken:
-        arguments = [sys.executable, "-c", PROCESS, "--info", str(made)]
+        arguments = [sys.executable, "-c", PROCESS, "info", str(made)]
         done = subprocess.run(arguments, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=600)
     assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
     if Path("/dev/full").exists():
@@ -448,7 +420,7 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
             done = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True, timeout=600)
         assert done.returncode == ExitCode.REFUSED
         assert done.stderr == (
-            "octree-convert: error: standard output cannot be written: No space left on device\n"
+            "octex info: error: standard output cannot be written: No space left on device\n"
         )
 
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import octex
-from octex.cli.arguments import STRETCH
-from octex.conversion import detail
 from tests.make.command import refusal, result
 from tests.make.fixtures import png, textured_square
 
@@ -77,10 +75,6 @@ def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
     assert both.tree.n_leaves == found.tree.n_leaves
 
 
-def test_the_command_and_the_library_mean_the_same_by_stretch() -> None:
-    assert STRETCH == detail.STRETCH
-
-
 @pytest.mark.parametrize("option", ["--max-error 2", "--detail stretch", "--no-fit"])
 def test_a_texture_cannot_adapt_any_more(
     option: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -89,7 +83,7 @@ def test_a_texture_cannot_adapt_any_more(
     octex.convert(model, 3).save(texture)
     word = option.split()[0]
     assert refusal(capsys, texture, tmp_path / "b.octex", *option.split()) == (
-        f"{texture}: {word} needs the model, and this is a texture made from one"
+        f"{texture}: {word} needs the model, and this is a texture made from one; see octex edit"
     )
 
 

@@ -13,11 +13,10 @@ import pytest
 
 import octex
 from octex.cli.common import bytes_text
-from octex.cli.convert import COMMAND, main
-from octex.cli.convert_options import CONVERT
+from octex.cli.options import COMMANDS
 from octex.cli.parser import Parser
 from octex.errors import ExitCode
-from tests.make.command import refusal, result
+from tests.make.command import refusal, result, run
 from tests.make.fixtures import png, random_image, textured_square
 
 
@@ -34,7 +33,7 @@ def test_a_model_becomes_an_octree_texture(
 
 
 def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(model), str(tmp_path / "box.octex"), "--depth", "3"]) == 0
+    assert run(str(model), str(tmp_path / "box.octex"), "--depth", "3") == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
     assert lines
     assert all(re.fullmatch(r"octree-convert: \w+: done in \d+\.\d s", line) for line in lines)
@@ -45,7 +44,7 @@ def test_a_machine_reads_one_json_object_and_quiet_is_silent(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "box.octex"
-    assert main([str(model), str(out), "--depth", "3", "--json", "--quiet"]) == 0
+    assert run(str(model), str(out), "--depth", "3", "--json", "--quiet") == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     made = json.loads(captured.out)
@@ -59,7 +58,7 @@ def test_a_machine_reads_one_json_object_and_quiet_is_silent(
         "cell": texture.placement.size / 8,
         "bytes": out.stat().st_size,
     }
-    assert main([str(model), str(out), "--depth", "3", "--quiet", "--force"]) == 0
+    assert run(str(model), str(out), "--depth", "3", "--quiet", "--force") == 0
     assert capsys.readouterr() == ("", "")
 
 
@@ -119,7 +118,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
 ) -> None:
     out = tmp_path / "coarse.octex"
     for depth in (0, 2):
-        result(capsys, made, out, "--depth", depth, "--force")
+        result(capsys, "edit", made, out, "--depth", depth, "--force")
         texture = octex.open(out)
         texture.validate()
         assert texture.tree.max_depth == depth
@@ -127,23 +126,22 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         np.testing.assert_array_equal(
             texture.channels["base_color"].values, level.channels["base_color"].values
         )
-    result(capsys, made, tmp_path / "coarse.ply", "--depth", 2)
-    assert refusal(capsys, made, tmp_path / "x.octex", "--depth", 5) == (
-        f"{made}: has depth 4; --depth 5 is finer and needs the model"
+    result(capsys, "edit", made, tmp_path / "coarse.ply", "--depth", 2)
+    assert refusal(capsys, "edit", made, tmp_path / "x.octex", "--depth", 5) == (
+        f"{made}: has depth 4; --depth 5 needs the model"
     )
     assert refusal(capsys, made, tmp_path / "x.octex") == (
-        f"{made}: is an octree texture already; --depth makes it coarser, --channels smaller; "
-        "see octree-convert --help"
+        f"{made}: is an octree texture already; octex edit makes it coarser or smaller"
     )
     for option in (
         ["--cell", "0.1"],
         ["--rest", str(made.with_suffix(".glb"))],
         ["--source", "alpha=1"],
         ["--filter", "sat"],
-        ["--frame", "front", "--preview", str(tmp_path / "x.png")],
+        ["--depth", "2"],
     ):
         assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
-            f"{made}: {option[0]} needs the model, and this is a texture made from one"
+            f"{made}: {option[0]} needs the model, and this is a texture made from one; see octex edit"
         )
     assert not (tmp_path / "x.octex").exists()
 
@@ -187,7 +185,7 @@ def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(
         message = refusal(capsys, square, out, "--depth", 3, *arguments)
         assert "normal" in message
         assert "base_color" in message
-    message = refusal(capsys, made, out, "--channels", "normal")
+    message = refusal(capsys, "edit", made, out, "--channels", "normal")
     assert message == f"unknown channel of {made}: 'normal'; there are: base_color"
     assert not out.exists()
 
@@ -241,7 +239,7 @@ def test_a_texture_can_be_reduced_to_some_channels(
 ) -> None:
     whole, part = tmp_path / "whole.octex", tmp_path / "part.octex"
     result(capsys, square, whole, "--depth", 3)
-    result(capsys, whole, part, "--channels", "roughness,base_color")
+    result(capsys, "edit", whole, part, "--channels", "roughness,base_color")
     texture = octex.open(part)
     texture.validate()
     assert list(texture.channels) == ["roughness", "base_color"]
@@ -257,8 +255,8 @@ def test_the_preview_shows_what_was_converted(
 ) -> None:
     shown: list[list[str]] = []
     monkeypatch.setattr(
-        "octex.preview.write_preview",
-        lambda _path, surface, _texture, **_: shown.append([form.name for form in surface.channels]),
+        "octex.write_preview",
+        lambda _path, _texture, surface: shown.append([form.name for form in surface.channels]),
     )
     arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
     result(capsys, square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
@@ -277,14 +275,14 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 ) -> None:
     drawn: list[tuple[str, bool]] = []
 
-    def write_preview(path: Path, surface: Any, texture: Any, **_: Any) -> None:
+    def write_preview(path: Path, texture: Any, surface: Any) -> None:
         drawn.append((path.name, surface is not None))
-        assert texture.tree.max_depth == 3
+        assert texture.tree.max_depth == (3 if surface is not None else 4)
 
-    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    monkeypatch.setattr("octex.write_preview", write_preview)
     out = result(capsys, model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
     assert out.splitlines()[1] == f"{tmp_path / 'a.png'}: a picture of it"
-    out = result(capsys, made, tmp_path / "b.ply", "--depth", 3, "--preview", tmp_path / "b.png", "--json")
+    out = result(capsys, made, tmp_path / "b.ply", "--preview", tmp_path / "b.png", "--json")
     assert json.loads(out)["preview"] == str(tmp_path / "b.png")
     assert drawn == [("a.png", True), ("b.png", False)]
     assert "writes .png here" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "c.gif")
@@ -295,7 +293,9 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 def test_the_help_names_the_librarys_default_depth() -> None:
     from octex.conversion.convert import DEFAULT_DEPTH
 
-    assert f"(default {DEFAULT_DEPTH})" in " ".join(Parser(COMMAND, CONVERT).help_text().split())
+    assert f"(default {DEFAULT_DEPTH}; " in " ".join(
+        Parser("octex convert", COMMANDS["convert"], COMMANDS).help().split()
+    )
 
 
 # --- bad input: one line, nothing written
@@ -320,7 +320,7 @@ def test_bad_input_is_refused_by_name_and_nothing_is_written(
         (tmp_path / name).write_bytes(content)
     (tmp_path / "folder.glb").mkdir()
     before = sorted(tmp_path.iterdir())
-    assert main([str(tmp_path / name), str(tmp_path / "out.ply")]) == ExitCode.REFUSED
+    assert run(str(tmp_path / name), str(tmp_path / "out.ply")) == ExitCode.REFUSED
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1
@@ -376,6 +376,6 @@ def test_whatever_happens_while_writing_the_old_file_stays(
         raise error
 
     monkeypatch.setattr(os, "fsync", fail)
-    assert main([str(model), str(out), "--depth", "3", "--force"]) == code
+    assert run(str(model), str(out), "--depth", "3", "--force") == code
     assert capsys.readouterr().err.splitlines()[-1].startswith(line)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import tomllib
@@ -11,14 +10,14 @@ from pathlib import Path
 import pytest
 
 import octex
-from octex.cli.convert_options import COMMANDS
 from octex.cli.main import main
+from octex.cli.options import COMMANDS
 from octex.docs import TOPICS, topic
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
 from tests.make.command import colored_box, python
 
-NAMES = [*COMMANDS, "paint", "view"]
+NAMES = [*COMMANDS]
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -35,39 +34,36 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 @needs_jit
-def test_each_command_does_what_octree_convert_does(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from octex.cli.convert import main as convert
-
+def test_the_doors_are_two_of_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, texture, coarse = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "coarse.octex"
     assert said(capsys, "convert", "--depth", 4, model, texture, "--quiet") == ""
-    said(capsys, "edit", texture, "--depth", 3, coarse)
+    assert main(["convert", str(model), str(coarse), "--depth", "4", "--quiet"], "octree-convert") == 0
+    assert coarse.read_bytes() == texture.read_bytes()
+    said(capsys, "edit", texture, "--depth", 3, coarse, "--force")
     assert octex.open(coarse).tree.max_depth == 3
-    assert json.loads(said(capsys, "validate", coarse, "--json"))["valid"]
-    for command, files, options in (
-        ("info", [texture], []),
-        ("info", [texture], ["--json"]),
-        ("validate", [texture], []),
-        ("diff", [texture, model], ["--points", 1000]),
-        ("diff", [texture, model], ["--points", 1000, "--threads", 1]),
-        ("overlaps", [model], ["--margin", 0.1]),
-        ("overlaps", [model], ["--threads", 1]),
-    ):
-        wanted = [f"--{command}", *map(str, files), *map(str, options)]
-        assert convert(wanted) == ExitCode.DONE
-        expected = capsys.readouterr().out
-        assert said(capsys, command, *options, *files) == expected
+    for door in ("convert", "paint"):
+        assert main([door, "--help"], f"octree-{door}") == 0
+        text = capsys.readouterr().out
+        assert text == said(capsys, door, "--help").replace(f"octex {door}", f"octree-{door}")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_commands_help_is_a_screen_with_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_commands_help_is_a_screen_with_every_option(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = said(capsys, name, "--help")
     assert text.startswith(f"usage: octex {name}")
-    assert f"examples:\n  octex {name}" in text
-    assert text.count("\n") <= 60
-    everything = said(capsys, name, "--help-all")
-    assert all(f"{code:3}  {code.meaning}" in everything for code in ExitCode)
+    assert f"\n\n  octex {name}" in text
+    assert text.count("\n") <= 45
+    assert max(map(len, text.splitlines())) <= 100
+    command = COMMANDS[name]
+    assert all(f"\n  {each.word}" in text for each in (*command.files, *command.options))
+    assert len(command.options) <= {"convert": 26, "paint": 28, "diff": 8}.get(name, 22)
+
+
+def test_every_exit_code_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    text = said(capsys, "help", "commands")
+    assert all(re.search(rf"{code}`? +\| {re.escape(code.meaning)}", text) for code in ExitCode)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -96,19 +92,17 @@ def test_each_page_is_there(name: str, capsys: pytest.CaptureFixture[str]) -> No
     text = topic(name)
     assert text.startswith("# ")
     assert said(capsys, "help", name) == text + "\n"
-    for command, word in re.findall(r"(octex [a-z]+|octree-[a-z]+) [^\n]*?(--[a-z-]+)", text):
-        name = command.split()[-1].removeprefix("octree-")
-        family = name if name in ("paint", "bake", "view") else "convert"
-        assert f"  {word}" in said(capsys, family, "--help-all"), (command, word)
+    for command, word in re.findall(r"octex ([a-z]+) [^\n`]*?(--[a-z-]+)", text):
+        assert COMMANDS[command].has(word), (command, word)
 
 
 def test_help_of_a_command_is_all_its_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "help", "diff") == said(capsys, "diff", "--help-all")
+    assert said(capsys, "help", "diff") == said(capsys, "diff", "--help")
 
 
 def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    known = "the commands are convert, view, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
-    end = f"{known}; see octex --help"
+    names = "convert, view, draw, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
+    end = f"the commands are {names}; see octex --help"
     assert refused(capsys) == f"octex: error: a command is missing: {end}"
     assert (
         refused(capsys, "convrt", "a")
@@ -126,19 +120,19 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("info", "FILE is missing"),
-        ("diff a.octex", "A B are missing"),
-        ("validate a b", "b is one file too many for octex validate FILE"),
+        ("info", "TEXTURE is missing"),
+        ("diff a.octex", "OTHER is missing"),
+        ("validate a b", "b is one file too many for octex validate TEXTURE"),
         ("warm-up now", "now is one file too many for octex warm-up"),
         ("edit a.octex b.octex --dpeth=3", "--dpeth is no option: do you mean --depth"),
         ("convert a.glb b.octex --qqq", "--qqq is no option"),
         (
-            "convert a.octex b.glb --mesh a.glb --uv keep",
+            "convert a.octex b.glb --uv keep",
             "--uv is an option of octex bake, not of octex convert",
         ),
         (
             "diff a.octex b.octex --depth 3",
-            "--depth is an option of octex convert and of octex edit and of octex view, not of octex diff",
+            "--depth is an option of octex convert, octex view, octex edit, not of octex diff",
         ),
         ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
@@ -152,9 +146,12 @@ def test_words_that_do_not_fit_are_named(
 
 
 def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:
-    message = refused(capsys, "convert", "a.glb", "b.glb")
-    assert message.endswith("convert a.glb to NAME.octex first, then that with --mesh a.glb")
-    assert refused(capsys, "convert", "a.octex", "b.glb").endswith("give --mesh MODEL")
+    for given, file, end in (
+        ("a.glb", "b.glb", "baked onto its model: octex bake TEXTURE a.glb b.glb"),
+        ("a.octex", "b.ptx", "baked onto its model: octex bake TEXTURE MODEL b.ptx"),
+        ("a.glb", "b.html", "b.html: a page is written by octex view TEXTURE a.glb b.html"),
+    ):
+        assert refused(capsys, "convert", given, file).endswith(end)
 
 
 def test_a_file_of_functions_needs_the_name_of_one(
@@ -189,7 +186,7 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 from octex.cli import start
-for name in [name for name in sys.modules if name in ("argparse", "octex.errors")]:
+for name in [name for name in sys.modules if name == "octex.errors"]:
     del sys.modules[name]
 sys.meta_path.insert(0, Finder())
 function = getattr(start, sys.argv.pop(2))
@@ -198,7 +195,7 @@ sys.exit(function())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("module", ["argparse", "octex.errors", "octex.cli.common", "octex.cli.arguments"])
+@pytest.mark.parametrize("module", ["octex.cli.main", "octex.errors", "octex.cli.common", "octex.cli.values"])
 def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module: str) -> None:
     scripts = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"]
     for command, target in scripts["scripts"].items():

@@ -1,4 +1,4 @@
-"""octree-convert on textures."""
+"""octex edit: textures from textures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_every_option_is_the_operation_of_that_name(
         ]
     ):
         out = tmp_path / f"{number}.octex"
-        result(capsys, made, out, *words)
+        result(capsys, "edit", made, out, *words)
         found = octex.open(out)
         found.validate()
         assert_same(found, wanted)
@@ -53,7 +53,7 @@ def test_options_work_in_one_order_however_they_are_given(
 ) -> None:
     out = tmp_path / "all.octex"
     words = ["--dtype", "float16", "--levels", "0,0.9", "--blur", "0.1", "--mix", f"{other}=0.5"]
-    result(capsys, made, out, *words, "--depth", 3)
+    result(capsys, "edit", made, out, *words, "--depth", 3)
     done = json.loads(octex.open(out).metadata["processed"])
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
 
@@ -68,7 +68,7 @@ def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
     texture = octex.open(adaptive)
     assert texture.tree.cells_by_depth()[2][0]
     for depth in (4, 3):
-        result(capsys, adaptive, out, "--depth", depth, "--force")
+        result(capsys, "edit", adaptive, out, "--depth", depth, "--force")
         assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
 
 
@@ -76,8 +76,8 @@ def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
 def test_points_can_be_written_of_what_was_done(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result(capsys, made, tmp_path / "points.ply", "--levels", "0,0.5", "--preview", tmp_path / "a.png")
-    assert (tmp_path / "a.png").exists()
+    result(capsys, "edit", made, tmp_path / "points.ply", "--levels", "0,0.5")
+    assert (tmp_path / "points.ply").exists()
 
 
 @pytest.mark.parametrize(
@@ -88,9 +88,11 @@ def test_models_are_converted_first(
 ) -> None:
     option = words.split()[0]
     assert refusal(capsys, model, tmp_path / "x.octex", *words.split()) == (
-        f"{model}: {option} is for .octex textures; convert the model first"
+        f"{option} is an option of octex edit, not of octree-convert; see octree-convert --help"
     )
-    assert "has no meaning with --info" in refusal(capsys, "--info", model, *words.split())
+    assert refusal(capsys, "edit", model, tmp_path / "x.octex", *words.split()) == (
+        f"{model}: is no .octex file; octex convert makes one of a model"
+    )
 
 
 @pytest.mark.parametrize(
@@ -103,6 +105,8 @@ def test_models_are_converted_first(
         ("--levels a,b", "--levels: 'a,b' is not numbers with commas between"),
         ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
         ("--mix b.octex=2", "--mix: 2 is not from 0 to 1"),
+        ("--loss 1", "--loss is for NAME.octz"),
+        ("--loss 0.5", "--loss: 0.5 is not a whole number of codes"),
         ("--blur 0", "--blur: 0 is not a finite number above zero"),
         ("--combine none.octex", "none.octex"),
         ("--channels paint", "unknown channel of "),
@@ -111,13 +115,13 @@ def test_models_are_converted_first(
 def test_what_cannot_be_done_is_refused_in_one_line(
     words: str, message: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert message in refusal(capsys, made, tmp_path / "x.octex", *words.split())
+    assert message in refusal(capsys, "edit", made, tmp_path / "x.octex", *words.split())
     assert not (tmp_path / "x.octex").exists()
 
 
 def test_what_is_read_is_not_overwritten(made: Path, other: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = other.read_bytes()
     for words in (["--combine", other], ["--mix", f"{other}=0.5"]):
-        assert "OUTPUT is also an input" in refusal(capsys, made, other, *words, "--force")
+        assert "OUTPUT is also an input" in refusal(capsys, "edit", made, other, *words, "--force")
     assert other.read_bytes() == before
     np.testing.assert_array_equal(octex.open(other).tree.arrays.groups, octex.open(made).tree.arrays.groups)

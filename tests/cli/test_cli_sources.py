@@ -42,31 +42,19 @@ def test_another_models_colours_are_transferred(
     out = tmp_path / "out.octex"
     said = result(capsys, folder / "wide.ply", out, "--depth", 5, "--transfer", folder / "red.ply")
     assert np.allclose(colors(out), [1, 0, 0]) and "empty" not in said
-    limited = ["--depth", 5, "--transfer", folder / "red.ply", "--max-distance", 0.2, "--force"]
+    limited = ["--depth", 5, "--transfer", folder / "red.ply", "--within", 0.2, "--force"]
     said = result(capsys, folder / "wide.ply", out, *limited)
     assert "stay empty" in said
     made = json.loads(result(capsys, folder / "wide.ply", out, *limited, "--json", "--quiet"))
     assert made["empty"] > 0
     assert octex.open(out).contains([[0.5, 0.5, 0.0], [1.9, 0.5, 0.0]]).tolist() == [True, False]
-    differ = result(
-        capsys,
-        "--diff",
-        out,
-        folder / "wide.ply",
-        "--transfer",
-        folder / "red.ply",
-        "--points",
-        10_000,
-        "--json",
-    )
-    assert json.loads(differ)
 
 
 @needs_jit
 def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.octex"
-    for options in ([], ["--radius", 0.1], ["--max-distance", 0.1, "--max-angle", 90]):
-        given = ["--depth", 5, "--cloud", folder / "green.npz", "--force", *options]
+    for options in ([], ["--radius", 0.1], ["--within", "0.1,90"], ["--within", "any,90"]):
+        given = ["--depth", 5, "--transfer", folder / "green.npz", "--force", *options]
         result(capsys, folder / "wide.ply", out, *given)
         assert np.allclose(colors(out), [0, 1, 0], atol=1e-3)
 
@@ -83,15 +71,14 @@ def test_points_alone_become_a_texture(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["wide.ply", "--transfer", "red.ply", "--cloud", "green.npz"], "give one of them"),
-        (["wide.ply", "--radius", "1"], "--radius has no meaning without --cloud"),
-        (["wide.ply", "--max-distance", "1"], "--max-distance has no meaning without"),
-        (["wide.ply", "--max-angle", "1"], "--max-angle has no meaning without"),
-        (["wide.ply", "--cloud", "green.npz", "--radius", "1", "--max-distance", "1"], "give one of them"),
+        (["wide.ply", "--radius", "1"], "--radius has no meaning without --transfer"),
+        (["wide.ply", "--within", "1"], "--within has no meaning without --transfer"),
+        (["wide.ply", "--within", "1,181"], "--within: 181 is not from 0 to 180"),
+        (["wide.ply", "--transfer", "green.npz", "--radius", "1", "--within", "1"], "give one of them"),
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
         (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
         (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
-        (["wide.ply", "--cloud", "red.obj"], "no cloud that octex reads"),
+        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "no cloud that octex reads"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
@@ -136,13 +123,12 @@ def test_functions_in_files_are_channels_and_surfaces(
     result(capsys, folder / "wide.ply", out, "--depth", 4, "--source", red)
     assert np.allclose(colors(out), [1, 0, 0])
     ball = f"{tmp_path / 'shapes.py'}:ball"
-    where = ["--bounds=-1.1,-1.1,-1.1,1.1,1.1,1.1", "--edge", 0.2]
+    where = ["--grid=-1.1,-1.1,-1.1,1.1,1.1,1.1,0.2"]
     result(capsys, ball, out, "--depth", 4, "--source", red, *where, "--force")
     texture = octex.open(out)
     assert texture.contains([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]).tolist() == [True, False]
     result(capsys, folder / "red.ply", out, "--depth", 5, "--also", ball, *where, "--force")
     assert octex.open(out).contains([[0.0, 0.0, 1.0], [0.5, 0.5, 0.0]]).all()
-    assert json.loads(result(capsys, "--diff", out, ball, "--source", red, *where, "--json"))
 
 
 _DATACLASS = """
@@ -183,8 +169,8 @@ def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["shapes.py:ball"], "give --bounds"),
-        (["wide.ply", "--edge", "1"], "--edge is for surfaces that are functions"),
+        (["shapes.py:ball"], "give --grid"),
+        (["wide.ply", "--grid", "0,0,0,1,1,1,1"], "--grid is for surfaces that are functions"),
         (["wide.ply", "--source", "base_color=shapes.py:blue"], "has no function blue; it has red, ball"),
         (["wide.ply", "--source", "base_color=shapes.py:three"], "has no function three"),
         (["wide.ply", "--source", "base_color=none.py:red"], "none.py cannot be read"),

@@ -17,13 +17,13 @@ import pytest
 
 import octex
 from octex.channels import decode, linear_to_srgb
-from octex.cli import convert as command
 from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.export import _at, _placed
 from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import workers
+from tests.make.command import run
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -408,17 +408,17 @@ def test_the_command_goes_both_ways(house: Path, tmp_path: Path, capsys: pytest.
     texture = octex.convert(octex.load_surface(house), 4, sources={"base_color": waves})
     texture.save(tmp_path / "house.octex")
     made, back = tmp_path / "house.ptx", tmp_path / "back.octex"
-    assert command.main([str(tmp_path / "house.octex"), str(made), "--mesh", str(house)]) == 0
+    assert run("bake", tmp_path / "house.octex", house, made) == 0
     assert "texels on 14 faces" in capsys.readouterr().out
-    assert command.main([str(made), str(back), "--mesh", str(house), "--depth", "4"]) == 0
+    assert run(house, back, "--transfer", made, "--depth", "4") == 0
     points = octex.load_surface(house).scatter(2000)
     assert abs(octex.open(back).sample(points) - texture.sample(points)).max() < 0.1
     one = tmp_path / "one.octex"
-    assert command.main([str(house), str(one), "--source", f"base_color={made}", "--depth", "4"]) == 0
+    assert run(house, one, "--source", f"base_color={made}", "--depth", "4") == 0
     np.testing.assert_array_equal(octex.open(one).sample(points), octex.open(back).sample(points))
     capsys.readouterr()
-    assert command.main([str(made), str(tmp_path / "other.octex")]) == 2
-    assert "--mesh" in capsys.readouterr().err
+    assert run(made, tmp_path / "other.octex") == 2
+    assert f"convert its mesh with --transfer {made}" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")

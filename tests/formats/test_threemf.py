@@ -135,12 +135,12 @@ def test_the_command_divides_where_colours_change(
     texture.save(tmp_path / "ball.octex")
     octex.write_model(octex.bake_vertices(texture, surface), tmp_path / "ball.obj")
     given = [str(tmp_path / name) for name in ("ball.octex", "ball.obj", "out.3mf")]
-    assert cli.main(["bake", *given, "--unit", "foot", "--max-error", "2", "--json"]) == 0
+    assert cli.main(["bake", *given, "--unit", "foot", "--vertex-error", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["triangles"] > 2 * len(surface.triangles)
     with zipfile.ZipFile(given[2]) as package:
         assert b'unit="foot"' in package.read("3D/3dmodel.model")
     assert cli.main(["convert", given[0], str(tmp_path / "b.3mf")]) == 2
-    assert "give --mesh MODEL" in capsys.readouterr().err
+    assert "octex bake TEXTURE MODEL" in capsys.readouterr().err
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.glb"), "--unit", "foot"]) == 2
     assert "--unit has no meaning for" in capsys.readouterr().err
 

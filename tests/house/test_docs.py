@@ -19,9 +19,10 @@ import trimesh
 import octex
 from octex.channels import encode
 from octex.cli.main import main
+from octex.cli.options import COMMANDS, OPTIONS
 from octex.docs import TOPICS, topic
+from octex.drawing import render_surface, source_shader
 from octex.errors import ExitCode
-from octex.preview import render, source_shader
 from tests.conftest import needs_jit
 
 ROOT = Path(__file__).parents[2]
@@ -74,7 +75,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     names = [f"photos/{n}.png" for n in range(4)]
     for name, camera in zip(names, cameras, strict=True):
-        picture = encode(render(surface, camera, source_shader(surface)), "uint8", "srgb")
+        picture = encode(render_surface(surface, camera, source_shader(surface)), "uint8", "srgb")
         PIL.Image.fromarray(picture).save(folder / name)
     frames = [
         {"file_path": name, "transform_matrix": (np.linalg.inv(whole(camera)) @ AXES).tolist()}
@@ -105,15 +106,17 @@ def run_command(line: str) -> None:
         for word in shlex.split(coarse(line), comments=True)[1:]
         for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])
     ]
-    silent = [] if words[0] in ("info", "validate", "overlaps") else ["--force", "--quiet"]
-    if words[0] == "view":
+    command = COMMANDS[words[0]]
+    silent = [word for word in ("--force", "--quiet") if command.has(word)]
+    if words[0] == "view" and not words[-1].endswith("MB"):
         silent = ["--no-browser", "--quiet"]
-    if "--view" in words and "--size" not in words:
+    if words[0] == "draw" and "--size" not in words:
         words += ["--size", "256,256"]
     assert main([*words, *(word for word in silent if word not in words)]) == ExitCode.DONE, line
-    for option in ("--view", "--empty-layer"):
-        if option in words:
-            disc(Path(words[words.index(option) + 1]))
+    if "paint" in words[1:]:
+        disc(Path(words[3]))
+    if "--empty-layer" in words:
+        disc(Path(words[words.index("--empty-layer") + 1]))
 
 
 @needs_jit
@@ -173,7 +176,12 @@ def test_docstrings_are_read_in_a_minute() -> None:
     assert {name: length for name, length in lengths.items() if length > 40} == {}
 
 
+def test_every_option_stands_on_a_page() -> None:
+    text = " ".join(path.read_text("utf-8") for path in PAGES.values())
+    assert {word for word in re.findall(r"--[a-z][a-z-]+", text) if word in OPTIONS} == {*OPTIONS}
+
+
 def test_code_is_indented_where_a_page_is_printed() -> None:
     text = topic("page")
     assert "```" not in text
-    assert "\n    octex view droid.octex --mesh droid.glb\n" in text
+    assert "\n    octex view droid.octex droid.glb\n" in text

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 import octex
-from octex.cli import start
 
 ROOT = Path(octex.__file__).parent
 MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.rglob("*.py"))
@@ -51,8 +50,7 @@ ROWS = [
     {"processing"},
     {"baking"},
     {"formats"},
-    {"compare"},
-    {"preview"},
+    {"drawing"},
     {"viewer"},
     {"cli"},
 ]
@@ -79,16 +77,16 @@ NEW_IN_NUMPY_2 = {
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 _NAMES = """
-Box Camera Creases MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
+Box Camera Creases Environment MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
 Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
-convert_set crop curves displace fill levels load_surface merge mix paint project read_cameras
-refine_cameras resize separate subdivide unwrap write_cameras write_model write_ptex
+convert_set crop curves difference displace fill levels load_surface merge mix paint project read_cameras
+refine_cameras render resize separate subdivide unwrap write_cameras write_model write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = {*start.MODULES.values(), *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
+COMMANDS = {"octex.cli.main", *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
 
 
 @cache

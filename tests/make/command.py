@@ -1,4 +1,4 @@
-"""Runs octree-convert as tests need it."""
+"""Runs the commands of octex as tests need it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from octex.cli.convert import COMMAND, main
+from octex.cli.main import main
+from octex.cli.options import COMMANDS
+from octex.cli.values import is_texture_name
 from octex.errors import ExitCode
+
+#: Marks of `painting`: the next word is OUTPUT, of octex paint or of octex draw.
+OUT, VIEW = "the painted texture:", "the view to paint on:"
 
 
 def python(code: str, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -21,22 +26,49 @@ def python(code: str, *arguments: str, **options: Any) -> subprocess.CompletedPr
     )
 
 
+def run(*arguments: object, program: str = "octree-convert") -> int:
+    """Run a command of octex, or one of its doors where the first word is no command's."""
+    words = [str(argument) for argument in arguments]
+    if words and words[0] in COMMANDS:
+        return main(words)
+    return main([program.removeprefix("octree-"), *words], program)
+
+
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run octree-convert, which must refuse in one line; return what it says."""
-    assert main([str(argument) for argument in arguments]) == ExitCode.REFUSED
+    """Run a command, by default octree-convert, which must refuse in one line; return what it says."""
+    assert run(*arguments) == ExitCode.REFUSED
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1
-    assert captured.err.startswith(f"{COMMAND}: error: ")
-    return captured.err.removeprefix(f"{COMMAND}: error: ").rstrip("\n")
+    program, _, message = captured.err.rstrip("\n").partition(": error: ")
+    first = str(arguments[0]) if arguments else ""
+    assert program == (f"octex {first}" if first in COMMANDS else "octree-convert")
+    return message
 
 
 def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run octree-convert, which must succeed; return what it prints on stdout."""
-    code = main([str(argument) for argument in arguments])
+    """Run a command, by default octree-convert, which must succeed; return what it prints on stdout."""
+    code = run(*arguments)
     captured = capsys.readouterr()
     assert code == ExitCode.DONE, captured.err
     return captured.out
+
+
+def painting(*arguments: object) -> list[str]:
+    """Return the words of octex paint, or of octex draw --as paint; OUT or VIEW stands before OUTPUT."""
+    words = [str(argument) for argument in arguments]
+    output: list[str] = []
+    is_view = False
+    for mark in {OUT, VIEW}.intersection(words):
+        at = words.index(mark)
+        output = [words[at + 1]]
+        is_view = mark == VIEW
+        del words[at : at + 2]
+    if not output:
+        return ["paint", *words]
+    first = 2 if words and is_texture_name(words[0]) else 1
+    words[first:first] = output
+    return ["draw", *words, "--as", "paint"] if is_view else ["paint", *words]
 
 
 def colored_box(folder: Path) -> Path:

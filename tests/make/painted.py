@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from octex.cameras.camera import Camera
 from octex.channels import linear_to_srgb
-from octex.preview.hits import rest_normals, visible_hits
-from octex.preview.shaders import Shader, source_shader
+from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.shaders import Shader, source_shader
 from octex.source.surface import Surface
 
 Array = npt.NDArray[Any]

@@ -10,10 +10,11 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.cli import paint as command
+from octex.cli.main import main
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.view.zbuffer import z_buffer
+from tests.make.command import OUT, VIEW, painting
 from tests.make.solids import colored, cube, sphere
 from tests.oracles.naive_geodesics import straight
 
@@ -258,13 +259,13 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     model.write_text("\n".join(lines))
     octex.convert(octex.load_surface(model), 5, sources={"base_color": 0.25}).save(before)
     view, disc = tmp_path / "view.png", "--unwrap=0,0,1,0.5"
-    assert command.main([str(model), str(before), disc, "--view", str(view), "--size", "64,64"]) == 0
+    assert main(painting(before, model, disc, VIEW, view, "--size", "64,64")) == 0
     picture = np.array(Image.open(view))
     assert picture.shape == (64, 64, 4)
     assert (picture[32, 32] == [137, 137, 137, 255]).all()
     picture[24:40, 32:] = [255, 0, 0, 255]
     Image.fromarray(picture).save(view)
-    assert command.main([str(model), str(before), str(view), disc, "--out", str(after)]) == 0
+    assert main(painting(before, model, view, disc, OUT, after)) == 0
     painted = octex.open(after)
     angle = 0.25
     seen = painted.sample(
@@ -274,28 +275,15 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     assert np.allclose(seen[1:], 0.25, atol=0.03)
     # Of what can be laid flat a conformal disc is the same; its picture is as wide as its triangles.
     flat = tmp_path / "flat.png"
-    words = [str(model), str(before), disc, "--conformal", "--view", str(flat), "--size", "64,64"]
-    assert command.main(words) == 0
+    conformal = f"{disc}:conformal"
+    assert main(painting(before, model, conformal, VIEW, flat, "--size", "64,64")) == 0
     Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(flat)
-    words = [
-        str(model),
-        str(before),
-        str(flat),
-        disc,
-        "--conformal",
-        "--whole",
-        "--force",
-        "--out",
-        str(after),
-    ]
-    assert command.main(words) == 0
+    words = [before, model, flat, conformal, "--since", "nothing", "--force", OUT, after]
+    assert main(painting(*words)) == 0
     white = octex.open(after).sample([[np.sin(a), 0.2, np.cos(a)] for a in (-0.3, 0.0, 0.3)])
     assert np.allclose(white, 1.0, atol=0.03)
     capsys.readouterr()
-    assert command.main([str(model), str(before), "--conformal", "--view", str(flat)]) == 2
-    assert "without --unwrap" in capsys.readouterr().err
-    assert (
-        command.main([str(model), str(before), disc, "--view", str(tmp_path / "b.png"), "--size", "64,32"])
-        == 2
-    )
+    assert main(painting(before, model, f"{disc}:folded", VIEW, flat)) == 2
+    assert "'folded' is neither conformal nor up=X,Y,Z" in capsys.readouterr().err
+    assert main(painting(before, model, disc, VIEW, tmp_path / "b.png", "--size", "64,32")) == 2
     assert "square" in capsys.readouterr().err

@@ -12,13 +12,14 @@ import pytest
 
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
-from octex.cli.paint import main
+from octex.cli.main import main
 from octex.errors import ArgumentError
 from octex.painting.pictures import Projection, levels_of
 from octex.painting.sharpened import sharpened
 from octex.source.images.decode import orientation_of, turned
 from octex.source.images.png import SIGNATURE
 from octex.texture import open_texture
+from tests.make.command import OUT, painting
 from tests.make.painted import above
 
 Array = npt.NDArray[Any]
@@ -135,29 +136,27 @@ def test_masks_are_found_by_the_pictures_names(tmp_path: Path) -> None:
     (tmp_path / "masks").mkdir()
     PIL.Image.new("L", (32, 32), 255).save(tmp_path / "masks" / "red.png")
     PIL.Image.new("L", (32, 32), 0).save(tmp_path / "masks" / "blue.png")
-    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex"), "--quiet"]
+    words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex"), "--quiet"]
     pattern = str(tmp_path / "masks" / "{stem}.png")
-    assert main([*files, *words, "--masks", pattern]) == 0
+    assert main(painting(*files, *words, "--mask", pattern)) == 0
     found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found, [[1, 0, 0]], atol=1e-3)
 
 
 def test_masks_that_are_missing_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = scene(tmp_path)
-    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex")]
-    assert main([*files, *words, "--masks", str(tmp_path / "{name}.mask.png")]) != 0
+    words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex")]
+    assert main(painting(*files, *words, "--mask", str(tmp_path / "{name}.mask.png"))) != 0
     message = capsys.readouterr().err
-    assert "--masks: 2 of 2 masks are not there" in message
+    assert "--mask: 2 of 2 masks are missing" in message
     assert "red.png.mask.png" in message
-    for given, complaint in ((["--masks", "mask.png"], "has neither {stem} nor {name}"),
-                             (["--masks", "{stem}.png", "--mask", "m.png"], "give one of them")):  # fmt: skip
-        assert main([*files, *words, *given]) != 0
-        assert complaint in capsys.readouterr().err
+    assert main(painting(*files, *words, "--mask", "{stem}.png", "--mask", "m.png")) != 0
+    assert "--mask gives a pattern and more masks; give one of them" in capsys.readouterr().err
 
 
 def test_a_key_keeps_a_backdrop_from_being_painted(tmp_path: Path) -> None:
     files = scene(tmp_path, names=["red.png", "blue.png"], width=32, height=32)
-    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex"), "--quiet"]
-    assert main([*files, *words, "--key", "#ff0000"]) == 0
+    words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex"), "--quiet"]
+    assert main(painting(*files, *words, "--mask", "#ff0000")) == 0
     found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found, [[0, 0, 1]], atol=1e-3)

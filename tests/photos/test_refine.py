@@ -13,7 +13,7 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR, encode
-from octex.cli.paint import main
+from octex.cli.main import main
 from octex.painting import refine
 from octex.painting.ground import Ground
 from octex.painting.moved import _read, moved, pixel_at
@@ -21,6 +21,7 @@ from octex.painting.pictures import levels_of
 from octex.painting.refine import _better
 from octex.parallel import workers
 from tests.conftest import needs_jit
+from tests.make.command import OUT, painting
 from tests.make.painted import above, ball, picture_of
 from tests.photos.test_agreement import ring
 
@@ -228,26 +229,17 @@ def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
     words = [
         "--camera",
         tmp_path / "cameras.json",
-        "--out",
+        OUT,
         tmp_path / "out.octex",
         "--max-depth",
         4,
         "--quiet",
     ]
-    words += ["--refine-cameras", "--save-cameras", tmp_path / "refined.json"]
+    words += ["--refine-cameras", tmp_path / "refined.json"]
     files = [tmp_path / "ball.obj", *(tmp_path / name for name in names)]
-    assert main([str(word) for word in [*files, *words]]) == 0
+    assert main(painting(*files, *words)) == 0
     frames = octex.read_cameras(tmp_path / "refined.json")
     assert [frame.name for frame in frames] == names
     assert not all(
         np.array_equal(frame.camera().world_to_camera, moved[frame.name].world_to_camera) for frame in frames
     )
-
-
-def test_what_makes_no_sense_without_refining_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, complaint in (
-        ("--save-cameras c.json", "--save-cameras has no meaning without --refine-cameras"),
-        ("--reference a.png", "--reference has no meaning without --balance or --refine-cameras"),
-    ):
-        assert main(f"m.obj a.png --camera c.json --out o.octex {words}".split()) != 0
-        assert complaint in capsys.readouterr().err

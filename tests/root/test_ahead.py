@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from octex import ahead
-from octex.cli.convert import main
+from octex.cli.main import main
 from octex.jit.signatures import types_text
 from tests.conftest import needs_jit
 
@@ -101,7 +101,7 @@ def test_commands_ask_for_helpers_unless_threads_are_counted(
         raise ZeroDivisionError
 
     monkeypatch.setattr("octex.cli.convert.read_model", read)
-    call = ["model.obj", str(tmp_path / "model.octex"), "--preview", str(tmp_path / "model.png")]
+    call = ["convert", "model.obj", str(tmp_path / "model.octex"), "--preview", str(tmp_path / "model.png")]
     main([*call, "--threads", "3"])
     assert not helpers
     main(call)

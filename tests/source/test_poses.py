@@ -11,8 +11,8 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.cli.main import main
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ArgumentError, ModelError, ModelWarning
-from octex.preview.hits import rest_normals, visible_hits
 from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
@@ -288,14 +288,14 @@ def test_a_pose_is_an_option_of_each_command_that_reads_models(
     out = str(tmp_path / "a.octex")
     for words in (
         ["convert", file, out],
-        ["paint", file, "--view", str(tmp_path / "view.png"), "--camera-out", str(tmp_path / "c.json")],
+        ["draw", file, f"{tmp_path}/v.png", "--as", "paint", "--camera-out", str(tmp_path / "c.json")],
     ):
         assert main([*words, "--pose", "B@1"]) == 2
         assert "has no animation 'B'; it has A (0 to 2.0 s)" in capsys.readouterr().err
     assert main(["convert", file, out, "--also", file, "--pose", "A@1"]) == 2
     assert "--pose is of one model" in capsys.readouterr().err
     assert main(["convert", f"{tmp_path}/f.py:g", out, "--pose", "A@1"]) == 2
-    assert "--pose is of glTF models" in capsys.readouterr().err
+    assert "--pose is for meshes, not for functions" in capsys.readouterr().err
 
 
 def test_the_fox_runs_as_a_naive_reader_has_it(models: Path) -> None:

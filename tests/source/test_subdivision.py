@@ -321,15 +321,13 @@ def test_subdiv_levels_is_an_option(tmp_path: Path, capsys: pytest.CaptureFixtur
     path.write_text("\n".join(lines))
     out = str(tmp_path / "a.octex")
     for words, message in (
-        (["--subdiv-rest", "limit"], "--subdiv-rest has no meaning without --subdiv-levels"),
-        (["--subdiv-levels", "0"], "levels must be a whole number from 1 to 10"),
-        (["--subdiv-levels", "1", "--subdiv-rest", "cage"], "--subdiv-rest"),
+        (["--subdiv", "limit"], "--subdiv: 'limit' is no whole number"),
+        (["--subdiv", "0"], "levels must be a whole number from 1 to 10"),
+        (["--subdiv", "1,cage"], "--subdiv: 'cage' is none of hull, limit"),
     ):
         assert main(["convert", str(path), out, *words]) == 2
         assert message in capsys.readouterr().err
-    for words in (
-        ["paint", str(path), "--view", str(tmp_path / "a.png"), "--subdiv-rest", "hull"],
-        ["bake", out, str(path), str(tmp_path / "b.glb"), "--subdiv-rest", "hull"],
-    ):
-        assert main(words) == 2
-        assert "--subdiv-rest has no meaning" in capsys.readouterr().err
+    cage = octex.load_surface(path)
+    assert main(["convert", str(path), out, "--subdiv", "2,limit", "--depth", "3"]) == 0
+    expected = octex.convert(octex.subdivide(cage, 2, rest="limit"), 3)
+    assert octex.open(out).tree.n_leaves == expected.tree.n_leaves

@@ -15,11 +15,11 @@ import pytest
 
 import octex
 from octex.channels import decode, encode
-from octex.cli import convert as command
 from octex.errors import ArgumentError, ModelError
 from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
 from octex.tree.walk import walk_leaves
+from tests.make.command import run
 
 RNG = np.random.default_rng(3)
 COORDS = np.unique(RNG.integers(0, 13, (200, 3)), axis=0)[RNG.permutation(150)]
@@ -169,11 +169,11 @@ def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path: Path) 
 
 def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.savez(tmp_path / "a.npz", coords=COORDS, base_color=COLORS)
-    done = command.main([str(tmp_path / "a.npz"), str(tmp_path / "a.octex"), "--json", "--quiet"])
+    done = run(tmp_path / "a.npz", tmp_path / "a.octex", "--json", "--quiet")
     assert done == 0
     assert json.loads(capsys.readouterr().out)["leaves"] == 150
     assert octex.open(tmp_path / "a.octex").tree.max_depth == 4
-    refused = command.main([str(tmp_path / "a.npz"), str(tmp_path / "b.octex"), "--depth", "3"])
+    refused = run(tmp_path / "a.npz", tmp_path / "b.octex", "--depth", "3")
     assert refused == 2
     assert "--depth is not for voxels" in capsys.readouterr().err
 

@@ -188,16 +188,16 @@ def test_an_archive_takes_no_ending_and_no_error_that_makes_no_sense(tmp_path: P
 
 
 def test_the_command_archives_and_brings_back(tmp_path: Path) -> None:
-    from octex.cli.convert import main
+    from octex.cli.main import main
 
     texture = hilly(5)
     texture.save(tmp_path / "a.octex")
     a, b, c = (str(tmp_path / name) for name in ("a.octex", "b.octz", "c.octex"))
-    assert main([a, b, "--quiet"]) == 0
-    assert main([b, c, "--quiet"]) == 0
+    assert main(["convert", a, b, "--quiet"]) == 0
+    assert main(["convert", b, c, "--quiet"]) == 0
     assert Path(a).read_bytes() == Path(c).read_bytes()
-    assert main([a, b, "--quiet", "--force", "--max-error", "3"]) == 0
-    assert main([a, b, "--quiet", "--force", "--max-error", "0.5"]) == 2
-    assert main(["--validate", b]) == 0
-    assert main(["--info", b, "--json"]) == 0
-    assert main([b, str(tmp_path / "d.octz")]) == 2
+    assert main(["edit", a, b, "--quiet", "--force", "--loss", "3"]) == 0
+    assert main(["edit", a, b, "--quiet", "--force", "--loss", "0.5"]) == 2
+    assert main(["validate", b]) == 0
+    assert main(["info", b, "--json"]) == 0
+    assert main(["convert", b, str(tmp_path / "d.octz")]) == 2

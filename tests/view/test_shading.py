@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from octex.cameras.camera import Camera
-from octex.view.shading import background, corner_normals, corner_normals_of, face_normals, light
+from octex.drawing.soft_light import background, light
+from octex.view.shading import corner_normals, corner_normals_of, face_normals
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
 CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])

@@ -477,28 +477,25 @@ def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
     assert len(names) > 20
 
 
-def test_octree_convert_writes_pages(made: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_octex_view_writes_pages(made: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = made.with_name("page.html")
-    told = json.loads(result(capsys, made, page, "--mesh", model, "--quiet", "--json"))
+    told = json.loads(result(capsys, "view", made, model, page, "--quiet", "--json"))
     assert told["bytes"] == page.stat().st_size
     assert told["notes"] == []
     text = page.read_text("utf-8")
     assert all(f'id="data-{name}"' in text for name in ("header", "0-levels-0", "0-mesh"))
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
-    result(capsys, made, page, "--force", "--quiet", "--max-size", "500kB")
+    result(capsys, "view", made, page, "--force", "--quiet", "--max-size", "500kB")
     assert 'id="data-0-mesh"' not in page.read_text("utf-8")
-    message = refusal(capsys, made, made.with_name("points.ply"), "--max-size", "1MB")
-    assert message == "--max-size is for pages, NAME.html"
-    assert "'much' is no size, like 20MB" in refusal(capsys, made, page, "--max-size", "much")
+    assert "'much' is no size, like 20MB" in refusal(capsys, "view", made, page, "--max-size", "much")
 
 
-def test_octree_convert_writes_a_page_of_a_folder_of_parts(
+def test_octex_view_writes_a_page_of_a_folder_of_parts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     textures, _ = two_parts(tmp_path)
     textures.save(tmp_path / "set")
-    given = tmp_path / "set", tmp_path / "set.html"
-    assert refusal(capsys, *given) == f"{tmp_path / 'set'}: is a folder of parts: give --mesh MODEL"
-    result(capsys, *given, "--mesh", tmp_path / "two.obj", "--quiet")
-    text = given[1].read_text("utf-8")
+    given = tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html"
+    result(capsys, "view", *given, "--quiet")
+    text = given[2].read_text("utf-8")
     assert all(f'id="data-{number}-{name}"' in text for number in range(2) for name in ("levels-0", "mesh"))

@@ -11,9 +11,9 @@ import pytest
 
 import octex
 from octex.channels import encode
-from octex.preview import render, texture_shader
+from octex.drawing import render_surface, texture_shader
+from octex.drawing.environment import Environment
 from octex.source.surface import Surface
-from octex.view.environment import Environment
 from octex.viewer import write_page
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened, started
@@ -58,7 +58,7 @@ def test_studio_light_is_the_same_in_the_page_and_in_previews(
     seen = Probe(page, texture, SIZE).seen.reshape(SIZE[1], SIZE[0])[::-1]
     found = drawn(page, SIZE).astype(int)
     look = texture_shader(texture, materials=True)
-    light = render(surface, camera_of(page, SIZE), look, 1, Environment.studio())
+    light = render_surface(surface, camera_of(page, SIZE), look, 1, Environment.studio())
     away = np.abs(found - encode(light, "uint8", "srgb")).max(axis=2)[seen]
     assert away.size > 3000
     assert np.quantile(away, 0.97) <= 2

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import octex
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ModelError
-from octex.preview.hits import rest_normals, visible_hits
 from octex.source.load import load_motion
 from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
@@ -88,7 +88,7 @@ def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(
 ) -> None:
     file = broken("a joint out of range").save(tmp_path / "a.glb")
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
-    told = result(capsys, tmp_path / "a.octex", tmp_path / "a.html", "--mesh", file)
+    told = result(capsys, "view", tmp_path / "a.octex", file, tmp_path / "a.html")
     assert "no animations: a.glb: meshes[0].primitives[0]: vertex 2 is moved by joint 3" in told
     assert 'id="data-0-motion"' not in (tmp_path / "a.html").read_text("utf-8")
 

@@ -295,12 +295,12 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
     textures = octex.convert_set(two, depth=3)
     textures.save(tmp_path / "set")
     names = list(textures)
-    for words in ([], ["--mesh", str(tmp_path / "two.obj")]):
+    for words in ([], [str(tmp_path / "two.obj")]):
         assert [(part["name"], part["leaves"]) for part in view(*words)] == [
             (name, textures[name].tree.n_leaves) for name in names
         ]
     for number, name in enumerate(names):
-        (header,) = view("--part", name, "--mesh", str(tmp_path / "two.obj"))
+        (header,) = view(str(tmp_path / "two.obj"), "--part", name)
         assert header["leaves"] == textures[name].tree.n_leaves
         assert header["mesh"]["triangles"] == (two.parts == number).sum()
     assert main(["view", str(tmp_path / "set"), "--part", "none"]) == ExitCode.REFUSED
@@ -309,11 +309,13 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["a.octex", "--depth", "3"], "a.octex: --depth is for models; the level is chosen in the page"),
-        (["a.glb", "--mesh", "b.glb"], "a.glb: is no .octex file, so --mesh has no meaning"),
-        (["a.octex", "--port", "0"], "argument --port: 0 is no port, 1 to 65535"),
-        (["a.octex", "--part", "x"], "a.octex: is no folder of parts, so --part has no meaning"),
-        (["a.octex", "--rest", "b.glb"], "--rest has no meaning without --mesh"),
+        (["a.octex", "--depth", "3"], "--depth is for models; choose the level of a.octex in the page"),
+        (["a.glb", "b.glb"], "b.glb: PAGE has the ending '.glb'; octex writes .html here"),
+        (["a.octex", "--max-size", "1MB"], "--max-size is for pages, NAME.html"),
+        (["a.octex", "a.html", "--port", "80"], "--port has no meaning where a page is written"),
+        (["a.octex", "--port", "0"], "--port: 0 is no port, 1 to 65535"),
+        (["a.octex", "--part", "x"], "--part has no meaning: a.octex is no folder of parts"),
+        (["a.octex", "--rest", "b.glb"], "--rest has no meaning without a MODEL"),
     ],
 )
 def test_words_of_octex_view_that_make_no_sense_are_refused(

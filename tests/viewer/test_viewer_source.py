@@ -12,7 +12,7 @@ import pytest
 
 import octex
 from octex.channels import encode
-from octex.preview.hits import rest_normals, visible_hits
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page

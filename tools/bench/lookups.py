@@ -26,7 +26,7 @@ from measuring import (
 
 import octex
 from octex.channels import ONE, ChannelFormat
-from octex.preview.hits import rest_normals, visible_hits
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.texture import Channel
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement

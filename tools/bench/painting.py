@@ -14,8 +14,8 @@ from measuring import DROID, PEERS, Report, Setup, Worker
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.preview.hits import rest_normals, visible_hits
-from octex.preview.shaders import source_shader
+from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.shaders import source_shader
 from octex.view.zbuffer import z_buffer
 
 Array = npt.NDArray[Any]

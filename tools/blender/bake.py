@@ -27,9 +27,9 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.preview import render, texture_shader
-from octex.preview.hits import Hits
-from octex.preview.shaders import Appearance
+from octex.drawing import render_surface, texture_shader
+from octex.drawing.hits import Hits
+from octex.drawing.shaders import Appearance
 
 WORKER = Path(__file__).with_name("bake_worker.py")
 DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
@@ -142,7 +142,7 @@ def view(
     def black(hits: Hits) -> Appearance:
         return Appearance(emitted=np.zeros((len(hits.rest), 3)))
 
-    color, high, low = (render(surface, camera, each, samples) for each in (unlit, white, black))
+    color, high, low = (render_surface(surface, camera, each, samples) for each in (unlit, white, black))
     covered = (high - low)[..., :1] > 1 - 1e-6
     return np.concatenate([255 * linear_to_srgb(np.clip(color, 0, 1)), 255.0 * covered], axis=2)
 

@@ -30,10 +30,10 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
+from octex.drawing import render_surface, texture_shader
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.painting.balance import BALANCES
 from octex.painting.paint import PICTURES
-from octex.preview import render, texture_shader
-from octex.preview.hits import rest_normals, visible_hits
 
 WORKER = Path(__file__).with_name("photographs_worker.py")
 DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
@@ -113,7 +113,7 @@ def compared(
     camera = held.camera
     assert isinstance(camera, octex.Camera)
     truth = np.asarray(Image.open(str(held.image)).convert("RGB"), np.float64)
-    made = 255 * linear_to_srgb(np.clip(render(surface, camera, texture_shader(texture)), 0, 1))
+    made = 255 * linear_to_srgb(np.clip(render_surface(surface, camera, texture_shader(texture)), 0, 1))
     inside = np.zeros(truth.shape[:2], np.bool_)
     for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):
         inside.ravel()[pixels] = texture.sample(hits.rest, "coverage", normals=hits.normals)[:, 0] > COVERED

@@ -35,9 +35,9 @@ from urllib.parse import unquote
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork takes no threads along
 
-from octex.cli import convert
 from octex.cli.common import TRACEBACK_VARIABLE, bytes_text
-from octex.cli.warm_up import warm_up
+from octex.cli.main import main as octex_main
+from octex.cli.warm_up import compile_all
 from octex.errors import ExitCode, ImageError
 from octex.parallel import silent
 from octex.source.images.decode import decode_image
@@ -48,6 +48,7 @@ IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga", ".tif
 IMAGE_ENDINGS |= {".ktx2", ".avif", ".jp2"}
 ALONE = {".glb", ".stl", ".off", ".ply", *VOXEL_ENDINGS, *IMAGE_ENDINGS}  # files that need no other
 GOOD = ("converted", "refused")
+PROGRAM = "octree-convert"
 MOST_PER_BYTE = 50
 MOST_ANYWAY = 256 << 20
 # Stacks and arenas of threads are reserved, not used; beyond the limit and this, allocations fail.
@@ -119,7 +120,8 @@ def attempt(path: Path, scratch: Path, depth: int) -> int:
     """Convert a model or voxels, or decode an image; say why not on stderr; return an exit code."""
     if path.suffix.lower() in {*MODEL_ENDINGS, *VOXEL_ENDINGS}:
         options = [] if path.suffix.lower() in VOXEL_ENDINGS else ["--depth", str(depth)]
-        return convert.main([str(path), str(scratch / "out.octex"), *options, "--quiet", "--force"])
+        words = ["convert", str(path), str(scratch / "out.octex"), *options, "--quiet", "--force"]
+        return octex_main(words, PROGRAM)
     try:
         texels = decode_image(path.read_bytes(), path.name)
     except ImageError as error:
@@ -148,7 +150,7 @@ def judged(ended: Ended, peak: int, limit: int) -> tuple[str, str]:
     if ended.status == ExitCode.DONE and not lines:
         return "converted", ""
     if ended.status == ExitCode.REFUSED and len(lines) == 1:
-        return "refused", last.removeprefix(f"{convert.COMMAND}: ").removeprefix("error: ")
+        return "refused", last.removeprefix(f"{PROGRAM}: ").removeprefix("error: ")
     return "CRASH", f"exit code {ended.status} and {len(lines)} lines: {' | '.join(lines)}"
 
 
@@ -209,7 +211,7 @@ def tried(folders: Iterable[Path], depth: int, seconds: int, copies: int) -> Ite
     """Try all models, voxels and images below some folders, and damaged copies of each."""
     with TemporaryDirectory(prefix="octex-fragile-") as name_of_scratch:
         scratch = Path(name_of_scratch)
-        warm_up(silent)
+        compile_all(silent)
         plain = scratch / "plain.obj"
         plain.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", encoding="ascii")
         plainly = [forked(lambda: attempt(plain, scratch, depth), scratch, 60, RESERVED) for _ in range(2)]

@@ -18,7 +18,8 @@ import tempfile
 from pathlib import Path
 
 import octex
-from octex.cli.main import EVERY, main
+from octex.cli.main import main
+from octex.cli.options import COMMANDS
 from octex.docs import GROUPS
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +33,7 @@ API = {
     "Painting": "paint project merge fill Painter Projection Box Sphere unwrap Patch refine_cameras",
     "Cameras": "Camera read_cameras write_cameras",
     "Processing": "levels curves map mix combine blur crop resize cast",
+    "Pictures": "render write_preview difference Environment",
     "Baking": "bake bake_vertices displace write_model write_ptex",
     "Errors": "OctexError",
 }
@@ -81,7 +83,7 @@ def build(site: Path) -> None:
         shutil.copytree(ROOT / "octex/docs", pages, ignore=shutil.ignore_patterns("__*"))
         shutil.copytree(ROOT / "samples/pictures", pages / "pictures")
         shutil.copy(ROOT / "octex/formats/FORMAT.md", pages / "format.md")
-        commands = [f"## octex {each}\n\n```text\n{said(each, '--help-all')}```\n" for each in EVERY]
+        commands = [f"## octex {each}\n\n```text\n{said(each, '--help')}```\n" for each in COMMANDS]
         api = [
             f"## {title}\n\n" + "\n".join(f"::: {'.'.join(octex._HOMES[each])}\n" for each in names.split())
             for title, names in API.items()
@@ -89,7 +91,7 @@ def build(site: Path) -> None:
         written = {
             "index.md": index(),
             "gallery.md": gallery(),
-            "commands.md": "# Commands\n\n" + "\n".join(commands),
+            "commands.md": "\n".join([(pages / "commands.md").read_text("utf-8"), *commands]),
             "api.md": "# Python API\n\n" + "\n".join(api),
         }
         for path, text in written.items():
@@ -97,7 +99,7 @@ def build(site: Path) -> None:
         groups = [
             {title: [f"{page}.md" for page in GROUPS[group].split()]} for group, title in TITLES.items()
         ]
-        groups[2]["Reference"] += ["commands.md", "api.md", "format.md"]
+        groups[2]["Reference"] += ["api.md", "format.md"]
         options = {
             "extensions": [str(Path(__file__).with_name("docs_parameters.py"))],
             "heading_level": 3,

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "samples" / "droid.glb"
 _HEAD = "# What kernels are called with, by `tools/release/signatures.py`. See `octex/ahead.py`.\n"
 _RECORDER = """
-import importlib, json, sys, threading
+import json, sys, threading
 from numba.core import event
 from octex import ahead
 from octex.jit.signatures import types_text
@@ -40,8 +40,8 @@ class Recorder(event.Listener):
         depth.now -= 1
 
 event.register("numba:compile", Recorder())
-module, *arguments = sys.argv[1:]
-code = importlib.import_module(module).main(arguments)
+from octex.cli.main import main
+code = main(sys.argv[1:])
 print(json.dumps(calls))
 sys.exit(code)
 """
@@ -49,7 +49,7 @@ sys.exit(code)
 
 def record(command: str, *arguments: str | Path) -> list[str]:
     """Run a command of octex and return what it calls kernels with, each once."""
-    call = [sys.executable, "-c", _RECORDER, f"octex.cli.{command}", *map(str, arguments), "--quiet"]
+    call = [sys.executable, "-c", _RECORDER, command, *map(str, arguments), "--quiet"]
     with tempfile.TemporaryDirectory() as cache:  # an empty one: what is compiled is what is recorded
         variables = {**os.environ, "NUMBA_CACHE_DIR": cache}
         done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True, env=variables)
@@ -64,11 +64,11 @@ def main() -> int:
         sections = {}
         sections["convert"] = record("convert", MODEL, texture)
         sections["preview"] = record("convert", MODEL, texture, "--preview", preview, "--force")
-        sections["view"] = record("paint", MODEL, texture, "--view", view, "--camera-out", camera)
+        sections["view"] = record("draw", texture, MODEL, view, "--as", "paint", "--camera-out", camera)
         sections["paint"] = record(
-            "paint", MODEL, texture, view, "--whole", "--camera", camera, "--out", painted
+            "paint", texture, MODEL, painted, view, "--since", "nothing", "--camera", camera
         )
-        sections["warm-up"] = record("convert", "--warm-up")
+        sections["warm-up"] = record("warm-up")
     sections["preview"] = [line for line in sections["preview"] if line not in sections["convert"]]
     blocks = ["\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items()]
     (ROOT / "octex" / "signatures.txt").write_text(_HEAD + "\n".join(blocks), encoding="utf-8")

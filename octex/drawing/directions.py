@@ -1,8 +1,9 @@
-"""From where to look at a model: the usual side, unless another shows more."""
+"""Where to look at a model from: the usual side, unless another shows more."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -23,31 +24,48 @@ _ALIKE = 0.5
 
 
 class Viewpoint(NamedTuple):
-    """From where a picture is taken, as far as it is not the usual side."""
+    """Where a picture is taken from."""
 
     direction: npt.ArrayLike | None = None  # from the model toward the camera; None: the side that shows most
     up: npt.ArrayLike = (0.0, 1.0, 0.0)
     zoom: float = 1.0  # 1: the whole model
     frame: Frame | None = None  # a camera of a file, instead of a direction
 
-    def camera(self, points: Floats, usual: Callable[[], Floats], size: tuple[int, int]) -> Camera:
-        """Make the camera for a picture of points (n, 3); ``usual`` finds the side that shows most."""
-        if self.frame is not None:
-            camera = self.frame.camera(size).undistorted
-        else:
-            direction = usual() if self.direction is None else self.direction
+    def camera(
+        self,
+        points: Floats,
+        parts: Callable[[], tuple[Floats, Floats]],
+        unlit: Callable[[Camera], Floats],
+        size: tuple[int, int],
+        room: int,
+    ) -> Camera:
+        """Return a camera that sees points (n, 3) above ``room`` pixels at the bottom of its picture.
+
+        parts    returns normals and areas, as for ``view_directions``, to find the side that shows most
+        unlit    makes a picture without light, as for ``best_direction``
+
+        A frame of another shape is made as large as it fits.
+        """
+        size = size[0], size[1] - room
+        if self.frame is None:
+            direction = self.direction
+            if direction is None:
+                direction = best_direction(view_directions(*parts()), points, unlit)
             camera = Camera.fitted(points, direction, size=size, up=self.up)
-        return camera if self.zoom == 1.0 else camera.zoomed(self.zoom)
+        else:
+            if self.frame.size is not None:
+                scale = min(size[0] / self.frame.size[0], size[1] / self.frame.size[1])
+                size = round(self.frame.size[0] * scale), round(self.frame.size[1] * scale)
+            camera = self.frame.camera(size).undistorted
+        camera = camera if self.zoom == 1.0 else camera.zoomed(self.zoom)
+        return replace(camera, height=camera.height + room)
 
 
 USUAL = Viewpoint()
 
 
 def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
-    """Return from where cameras see, and what is up in their pictures, on average.
-
-    Where they look from all around, it is the first one's.
-    """
+    """Return the mean direction and up of cameras; those of the first if they look from all around."""
     turns = [camera.world_to_camera[:3, :3] for camera in cameras]
     direction, up = (_mean(np.array([-turn[axis] for turn in turns])) for axis in (2, 1))
     return Viewpoint(direction, up)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from octex.arrays import Bools, Float32s, Float64s, Uint8s
-from octex.cameras.camera import Camera
 from octex.channels import srgb_to_linear
-from octex.compare import (
+from octex.drawing.compare import (
     PEAKS,
     Difference,
     Differences,
@@ -23,9 +21,8 @@ from octex.compare import (
     placed,
     readers_of,
 )
-from octex.files import replacing
-from octex.preview.hits import Hits, rest_normals, visible_hits
-from octex.preview.panels import (
+from octex.drawing.hits import Hits, rest_normals, visible_hits
+from octex.drawing.panels import (
     Panel,
     caption_height,
     captioned,
@@ -35,11 +32,11 @@ from octex.preview.panels import (
     surface_camera,
     texture_facts,
 )
-from octex.preview.pictures import Film, Leaves, film_leaves, film_surface, visible_level
-from octex.preview.shaders import Appearance, Shader, source_shader, texture_shader
+from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
+from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
+from octex.drawing.soft_light import background
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.view.shading import background
 
 # Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.
 _SCALE = np.array(
@@ -62,25 +59,6 @@ class _Row(NamedTuple):
     ring: tuple[float, float] | None  # pixel coordinates of the maximum, if it is in sight
 
 
-def write_difference(
-    path: str | Path,
-    a: Side,
-    b: Side,
-    found: Differences,
-    names: tuple[str, str] = ("A", "B"),
-    size: tuple[int, int] = (1800, 640),
-    supersample: int = 3,
-) -> None:
-    """Write what ``draw_difference`` draws as a PNG file.
-
-    What stood at ``path`` before is replaced when all is drawn, or not at all. Raises OutputError if the file
-    cannot be written.
-    """
-    picture = Image.fromarray(draw_difference(a, b, found, names, size, supersample))
-    with replacing(path) as file:
-        picture.save(file, "PNG")
-
-
 def draw_difference(
     a: Side,
     b: Side,
@@ -89,123 +67,118 @@ def draw_difference(
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
 ) -> Uint8s:
-    """Draw a, b and how they differ side by side, a row for each channel, as sRGB codes (height, width, 3).
+    """Draw a, b and their difference side by side, a row for each channel, as sRGB codes (height, width, 3).
 
-    found          what ``compare.difference`` found between them
-    names          what to call them
+    found          the result of ``octex.difference``
+    names          of a and b
     size           (width, height) of a row in pixels
     supersample    samples along each side of a pixel
 
     The difference is that of the component that differs most (of directions the angle), averaged over each
     pixel, on a scale from black to yellow that reaches at least to the 99th percentile and to a tenth of the
-    maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. A
-    model, if there is one, is what is drawn of both; else the leaves of each are, no finer than two to a
-    pixel, and of the difference the finer ones. Alpha and emitted light are drawn if both have them.
+    maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. Both
+    are drawn on the model if there is one; else as leaves no finer than two to a pixel, and the difference on
+    the finer ones. Alpha and emitted light are drawn if both have them.
     """
     whole = placed(a, b)
-    sides = in_common(*whole)
-    model = next((side for side in sides if isinstance(side, Surface)), None)
     room = round(1.6 * caption_height(size[1]))
-    panel_size = size[0] // 3, size[1]
-    camera: Camera | None = None
-    leaves: _TwoTrees | None = None
+    has_model = any(isinstance(side, Surface) for side in whole)
+    kind = _OnModel if has_model else _TwoTrees
+    sides = kind(in_common(*whole), found, (size[0] // 3, size[1]), room, supersample)
     rows = []
     for channel, result in found.items():
-        shown = result.angle or result
-        if model is not None:
-            looks = [_look(side, channel) for side in sides]
-            camera = camera or surface_camera(model, looks[0], panel_size, room)
-            row = _row_on_model(sides, model, looks, camera, found, channel, supersample)
-        else:
-            textures = [side for side in sides if isinstance(side, OctreeTexture)]
-            camera = camera or leaf_camera(textures, channel, panel_size, room)
-            leaves = leaves or _TwoTrees(textures, camera, supersample)
-            row = leaves.row(found, channel)
-        captions = [_caption(side, channel) for side in whole]
+        row = sides.row(channel)
         panels = [
-            captioned(Panel(picture, name, caption), room)
-            for picture, name, caption in zip(row.pictures, names, captions, strict=True)
+            captioned(Panel(picture, name, _caption(side, channel)), room)
+            for picture, name, side in zip(row.pictures, names, whole, strict=True)
         ]
-        rows.append(np.hstack([*map(np.asarray, panels), _difference_panel(row, channel, shown, room)]))
+        panels.append(_difference_panel(row, channel, result.angle or result, room))
+        rows.append(np.hstack([np.asarray(panel) for panel in panels]))
     return np.vstack(rows)
-
-
-def _look(side: Side, channel: str) -> Shader:
-    return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
 
 
 def _caption(side: Side, channel: str) -> str:
     if isinstance(side, Surface):
         return source_caption(side, channel)[1]
-    depth = f"octree, depth {side.tree.max_depth}"
-    return named(channel) + depth + ", " + texture_facts(side)
+    return f"{named(channel)}octree, depth {side.tree.max_depth}, {texture_facts(side)}"
 
 
-def _row_on_model(
-    sides: tuple[Side, Side],
-    model: Surface,
-    looks: list[Shader],
-    camera: Camera,
-    found: Differences,
-    channel: str,
-    supersample: int,
-) -> _Row:
-    (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-    apart = _Apart(sides, channel, found)
-    covers, edge = inside_cells(texture), texture.placement.size / 2**texture.tree.max_depth
+class _OnModel:
+    """A model as it and a texture colour it."""
 
-    def difference_look(hits: Hits) -> Appearance:
-        covered = covers(hits.rest, np.full(len(hits.rest), edge))
-        return apart.appearance(Points(hits.rest, hits.triangles, hits.barycentric), covered)
+    def __init__(
+        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+    ) -> None:
+        self._sides, self._found, self._supersample = sides, found, supersample
+        (self._model,) = (side for side in sides if isinstance(side, Surface))
+        (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
+        self._covers = inside_cells(texture)
+        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(found))), size, room)
 
-    *films, film = film_surface(model, camera, [*looks, difference_look], supersample)
-    where = np.array((found[channel].angle or found[channel]).where)
-    nearest, ring = np.inf, None
-    for pixels, hits in visible_hits(model, camera, rest_normals(model)):
-        distances = np.linalg.norm(hits.rest - where, axis=1)
-        n = int(distances.argmin())
-        if distances[n] < min(nearest, 3 * hits.width[n]):
-            nearest, pixel = distances[n], int(pixels[n])
-            ring = pixel % camera.width + 0.5, pixel // camera.width + 0.5
-    return _Row([each.picture() for each in films], film, ring)
+    @staticmethod
+    def _look(side: Side, channel: str) -> Shader:
+        return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
+
+    def row(self, channel: str) -> _Row:
+        """Draw a channel."""
+        apart = _Apart(self._sides, channel, self._found)
+
+        def difference(hits: Hits) -> Appearance:
+            points = Points(hits.rest, hits.triangles, hits.barycentric)
+            return apart.appearance(points, self._covers(hits.rest))
+
+        looks = [*(self._look(side, channel) for side in self._sides), difference]
+        *films, film = film_surface(self._model, self._camera, looks, self._supersample)
+        where = np.array((self._found[channel].angle or self._found[channel]).where)
+        nearest, ring = np.inf, None
+        for pixels, hits in visible_hits(self._model, self._camera, rest_normals(self._model)):
+            distances = np.linalg.norm(hits.rest - where, axis=1)
+            n = int(distances.argmin())
+            if distances[n] < min(nearest, 3 * hits.width[n]):
+                nearest, pixel = distances[n], int(pixels[n])
+                ring = pixel % self._camera.width + 0.5, pixel // self._camera.width + 0.5
+        return _Row([each.picture() for each in films], film, ring)
 
 
 class _TwoTrees:
     """The leaves of two textures, at levels two to a pixel."""
 
-    def __init__(self, textures: list[OctreeTexture], camera: Camera, supersample: int) -> None:
-        a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in textures)
+    def __init__(
+        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+    ) -> None:
+        whole = [side for side in sides if isinstance(side, OctreeTexture)]
+        self._found, self._supersample = found, supersample
+        self._camera = leaf_camera(whole, next(iter(found)), size, room)
+        a, b = (texture.level(visible_level(texture, self._camera, _LEAF_PIXELS)) for texture in whole)
         self._textures = a, b
-        self._camera, self._supersample = camera, supersample
-        self._leaves = Leaves.of(a), Leaves.of(b)
-        # The finer ones show the difference; of the others, those do that lie where there are no finer ones.
-        order = (0, 1) if self._leaves[0].edges.min() <= self._leaves[1].edges.min() else (1, 0)
-        fine, coarse = (self._leaves[n] for n in order)
+        both = Leaves.of(a), Leaves.of(b)
+        # The finer ones show the difference, and those of the others that lie where there are no finer ones.
+        order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)
+        fine, coarse = (both[n] for n in order)
         meets_coarse, meets_fine = (inside_cells(self._textures[n]) for n in reversed(order))
         alone = ~meets_fine(coarse.centres, coarse.edges)
         covered = meets_coarse(fine.centres, fine.edges)
-        self._differing = Leaves.joined(fine, coarse.only(alone))
         self._covered = np.concatenate([covered, np.zeros(int(alone.sum()), np.bool_)])
+        self._leaves = *both, Leaves.joined(fine, coarse.only(alone))
+        self._seen = [leaves.seen(self._camera.scaled(supersample)) for leaves in self._leaves]
 
-        samples = camera.scaled(supersample)
-        self._seen = [leaves.seen(samples) for leaves in (*self._leaves, self._differing)]
-
-    def row(self, found: Differences, channel: str) -> _Row:
+    def row(self, channel: str) -> _Row:
         """Draw a channel."""
-        differing = self._differing
-        apart = _Apart(self._textures, channel, found).appearance(Points(differing.centres), self._covered)
-        both = zip(self._leaves, self._textures, strict=True)
-        appearances = [*(leaves.appearance(texture, channel) for leaves, texture in both), apart]
+        differing = self._leaves[2]
+        apart = _Apart(self._textures, channel, self._found)
+        appearances = [
+            leaves.appearance(texture, channel)
+            for leaves, texture in zip(self._leaves[:2], self._textures, strict=True)
+        ]
+        appearances.append(apart.appearance(Points(differing.centres), self._covered))
         a, b, film = (
             film_leaves(leaves, appearance, seen, self._camera, self._supersample)
-            for leaves, appearance, seen in zip(
-                (*self._leaves, differing), appearances, self._seen, strict=True
-            )
+            for leaves, appearance, seen in zip(self._leaves, appearances, self._seen, strict=True)
         )
         # Leaves that hold the maximum, or the centre of one that does.
-        where = np.array((found[channel].angle or found[channel]).where)
+        where = np.array((self._found[channel].angle or self._found[channel]).where)
         holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
-        seen = self._seen[-1].cube
+        seen = self._seen[2].cube
         at = (np.argwhere((seen >= 0) & holding[seen]) + 0.5) / self._supersample
         ring = (float(at[:, 1].mean()), float(at[:, 0].mean())) if len(at) else None
         return _Row([a.picture(), b.picture()], film, ring)
@@ -228,7 +201,7 @@ class _Apart:
         return Appearance(emitted=emitted)
 
 
-def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> Uint8s:
+def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> Image.Image:
     top = _scale_top(shown)
     exposed, coverage = row.film.exposure()
     apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
@@ -254,7 +227,7 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
             size = radius + grow
             draw.ellipse((x - size, y - size, x + size, y + size), outline=color, width=2)
     _draw_legend(panel, top, shown.measure, room, alone=bool(alone.any()))
-    return np.asarray(panel)
+    return panel
 
 
 def _draw_legend(panel: Image.Image, top: float, measure: str, room: int, *, alone: bool) -> None:

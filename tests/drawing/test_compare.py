@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex import compare
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode
-from octex.compare import Difference, difference
+from octex.drawing import compare
+from octex.drawing.compare import Difference, difference
 from octex.errors import ArgumentError
 from octex.source.base import Source
 from octex.source.surface import Surface

@@ -6,12 +6,13 @@ import pytest
 import octex
 from octex.cameras.camera import Camera
 from octex.channels import encode
-from octex.errors import ArgumentError, ImageError
-from octex.preview import Bump, draw_preview, render, render_leaves, source_shader, texture_shader
-from octex.preview.pictures import lit
-from octex.preview.shaders import Appearance
-from octex.view.environment import Environment
-from octex.view.reflection import Material, reflectances, reflected, tone_mapped
+from octex.drawing import draw_preview, render_leaves, render_surface, source_shader, texture_shader
+from octex.drawing.environment import Environment
+from octex.drawing.pictures import lit
+from octex.drawing.reflection import Material, reflectances, reflected, tone_mapped
+from octex.drawing.shaders import Appearance
+from octex.errors import ArgumentError, ExitCode, ImageError
+from tests.make.command import result, run
 from tests.oracles import naive_light
 
 WHITE = Environment.of(np.ones((8, 16, 3)))
@@ -281,7 +282,7 @@ def test_metal_roughness_and_normal_maps_are_reflected_by_source_and_texture_ali
     truth = _reflected(environment, slanted, base_color=[0.9, 0.5, 0.2], metallic=1.0, roughness=0.5)
     camera = AHEAD
     for look in (source_shader(surface, materials=True), texture_shader(texture, materials=True)):
-        assert np.allclose(render(surface, camera, look, 1, environment), truth, atol=2e-3)
+        assert np.allclose(render_surface(surface, camera, look, 1, environment), truth, atol=2e-3)
     assert np.allclose(
         render_leaves(texture, camera, supersample=1, light=environment)[1:3, 1:3], truth, atol=2e-3
     )
@@ -290,7 +291,9 @@ def test_metal_roughness_and_normal_maps_are_reflected_by_source_and_texture_ali
     posed = octex.Surface(SQUARE @ turn.T, TWO, surface.source, rest=SQUARE)
     truth = _reflected(environment, turn @ slanted, base_color=[0.9, 0.5, 0.2], metallic=1.0, roughness=0.5)
     assert np.allclose(
-        render(posed, camera, texture_shader(texture, materials=True), 1, environment), truth, atol=2e-3
+        render_surface(posed, camera, texture_shader(texture, materials=True), 1, environment),
+        truth,
+        atol=2e-3,
     )
 
 
@@ -305,11 +308,11 @@ def test_a_bump_bends_normals_as_a_surface_that_is_displaced():
     texture = octex.convert(surface, 4, dtype="float32")
     normal = np.array([-0.6 * slope[0], -0.6 * slope[1], 1.0])
     normal /= np.linalg.norm(normal)
-    bump = Bump("roughness", 2.0)
+    bump = ("roughness", 2.0)
     camera = Camera.orthographic((8, 8), pose=BACK, convention="opengl", pixels_per_unit=8.0)
     for look in (source_shader(surface, bump=bump), texture_shader(texture, bump=bump)):
         truth = _reflected(environment, normal, base_color=0.5)
-        assert np.allclose(render(surface, camera, look, 1, environment), truth, atol=5e-3)
+        assert np.allclose(render_surface(surface, camera, look, 1, environment), truth, atol=5e-3)
     assert np.allclose(
         render_leaves(texture, camera, supersample=1, light=environment, bump=bump)[2:6, 2:6].mean(
             axis=(0, 1)
@@ -318,55 +321,47 @@ def test_a_bump_bends_normals_as_a_surface_that_is_displaced():
         atol=0.02,
     )
     with pytest.raises(ArgumentError, match="unknown channel to bend normals by 'height'"):
-        texture_shader(texture, bump=Bump("height", 1.0))
+        texture_shader(texture, bump=("height", 1.0))
     with pytest.raises(ArgumentError, match="normal is directions"):
         source_shader(
-            _plain(normal=lambda rest: np.tile([0.0, 0.0, 1.0], (len(rest), 1))), bump=Bump("normal", 1.0)
+            _plain(normal=lambda rest: np.tile([0.0, 0.0, 1.0], (len(rest), 1))), bump=("normal", 1.0)
         )
 
 
 def test_a_preview_in_light_differs_from_the_soft_one():
     surface = _plain(base_color=(0.9, 0.5, 0.2), metallic=1.0, roughness=0.2)
     texture = octex.convert(surface, 3)
-    soft = draw_preview(surface, texture, (64, 48), 1)
-    assert np.array_equal(soft, draw_preview(surface, texture, (64, 48), 1, light=None))
-    lit = draw_preview(surface, texture, (64, 48), 1, light=Environment.studio(), bump=Bump("roughness", 0.1))
+    soft = draw_preview(texture, surface, (64, 48), 1)
+    assert np.array_equal(soft, draw_preview(texture, surface, (64, 48), 1, light=None))
+    lit = draw_preview(texture, surface, (64, 48), 1, light=Environment.studio(), bump=("roughness", 0.1))
     assert not np.array_equal(soft, lit)
     assert not np.array_equal(
-        draw_preview(None, texture, (64, 48), 1, light=Environment.studio()),
-        draw_preview(None, texture, (64, 48), 1),
+        draw_preview(texture, None, (64, 48), 1, light=Environment.studio()),
+        draw_preview(texture, None, (64, 48), 1),
     )
 
 
 # --- from the shell
 
 
-@pytest.mark.usefixtures("small_previews")
 def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
-    from octex.cli.convert import main as convert
-    from octex.cli.paint import main as paint
-
     (tmp_path / "model.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     )
-    model, texture = str(tmp_path / "model.obj"), str(tmp_path / "a.octex")
+    model, texture = tmp_path / "model.obj", tmp_path / "a.octex"
+    octex.convert(model, 3).save(texture)
     pictures = {}
+    camera = "--as", "paint", "--camera-out", tmp_path / "c.json", "--size", "32,32"
     for name, *words in (
-        ["soft"],
-        ["studio", "--light", "studio"],
-        ["dark", "--light", "studio", "--exposure", "-2"],
+        ["soft", "--size", "96,48"],
+        ["studio", "--light", "studio", "--size", "96,48"],
+        ["dark", "--light", "studio", "--exposure", "-2", "--size", "96,48"],
+        ["plain", *camera],
+        ["shaded", "--light", "soft", *camera],
+        ["lit", "--light", "studio", *camera],
     ):
         png = tmp_path / f"{name}.png"
-        assert (
-            convert([model, texture, "--depth", "3", "--preview", str(png), "--force", "--quiet", *words])
-            == 0
-        )
-        pictures[name] = png.read_bytes()
-    assert len(set(pictures.values())) == 3
-    for name, *words in (["plain"], ["shaded", "--shaded"], ["lit", "--light", "studio"]):
-        png = tmp_path / f"{name}.png"
-        view = ["--view", str(png), "--camera-out", str(tmp_path / "c.json"), "--size", "32,32", "--force"]
-        assert paint([model, texture, *view, *words]) == 0
+        result(capsys, "draw", texture, model, png, "--force", "--quiet", *words)
         pictures[name] = png.read_bytes()
     assert len(set(pictures.values())) == 6
     for words, said in (
@@ -374,16 +369,11 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         (["--light", "missing.hdr"], "missing.hdr"),
         (["--bump", "roughness"], "is not CHANNEL=HEIGHT"),
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),
+        (["--bump", "base_color=1", *camera], "--bump has no meaning in a picture without --light"),
     ):
-        assert convert([model, texture, "--preview", str(tmp_path / "x.png"), "--force", *words]) != 0
-        assert said in capsys.readouterr().err
-    view = [
-        "--view",
-        str(tmp_path / "x.png"),
-        "--camera-out",
-        str(tmp_path / "c.json"),
-        "--bump",
-        "base_color=1",
-    ]
-    assert paint([model, texture, *view, "--force"]) != 0
-    assert "--bump has no meaning in a view without light" in capsys.readouterr().err
+        assert said in run_refused(capsys, "draw", texture, model, tmp_path / "x.png", *words)
+
+
+def run_refused(capsys, *words):
+    assert run(*words) == ExitCode.REFUSED
+    return capsys.readouterr().err.splitlines()[-1]

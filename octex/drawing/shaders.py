@@ -1,4 +1,4 @@
-"""What is shown of a surface: its colours as light falls on them, or one channel as it is."""
+"""Shaders: the colours of a surface in the light, or one channel as it is."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy.typing as npt
 from octex.arrays import Float64s, Floats
 from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, SPECULAR, ChannelFormat, srgb_to_linear
 from octex.checks import as_choice
-from octex.compare import inside_cells
+from octex.drawing.compare import inside_cells
+from octex.drawing.hits import Hits
 from octex.errors import ArgumentError
-from octex.preview.hits import Hits
 from octex.source.base import by_channel
 
 if TYPE_CHECKING:
@@ -22,19 +22,23 @@ if TYPE_CHECKING:
 
 
 class Appearance(NamedTuple):
-    """What points look like, in linear light."""
+    """How points look, in linear light."""
 
     reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
     emitted: Floats | None = None  # (n, 3)   whatever the light
     coverage: Floats | None = None  # (n,)   the rest is what lies behind; None: all covered
     normals: Floats | None = None  # (n, 3)   at rest, to light them by; None: those of the surface
-    metallic: Floats | None = None  # (n,)   as the fields of `octex.view.reflection.Material`
+    metallic: Floats | None = None  # (n,)   as the fields of `octex.drawing.reflection.Material`
     roughness: Floats | None = None  # (n,)
     occlusion: Floats | None = None  # (n,)
     specular: Floats | None = None  # (n, 3)
 
+    def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
+        """Return it with its own normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""
+        return self._replace(normals=bent(normals if self.normals is None else self.normals, slopes))
+
     def unlit(self) -> Floats:
-        """Return what is seen in white light (n, 3)."""
+        """Return the light (n, 3) of points in white light."""
         parts = [part for part in (self.reflected, self.emitted) if part is not None]
         return np.asarray(np.clip(sum(parts), 0.0, 1.0))
 
@@ -47,11 +51,8 @@ _REFLECTION = NORMAL.name, *_SCALARS, SPECULAR.name
 Shader = Callable[[Hits], Appearance]
 
 
-class Bump(NamedTuple):
-    """A channel that bends the normals, as if the surface were displaced by it."""
-
-    channel: str
-    height: float  # of 1, in the model's units
+#: A channel and the height of 1 in it: normals are bent as if the surface were displaced by it.
+Bump = tuple[str, float]
 
 
 class Shown(NamedTuple):
@@ -64,10 +65,10 @@ class Shown(NamedTuple):
     def of(
         cls, formats: Iterable[ChannelFormat], channel: str | None = None, *, materials: bool = False
     ) -> Shown:
-        """Choose ``channel``; or base colour; else the first colour, the first data, the first direction.
+        """Choose ``channel``, by default base colour, else the first colour, the first data or direction.
 
-        Alpha comes with it, and with base colour emitted light, and for ``materials`` all that says how light
-        is reflected. Raises ArgumentError if there is none such.
+        Alpha is read with it; with base colour also emitted light and, for ``materials``, the other channels
+        of materials. Raises ArgumentError for an unknown channel, and if there is none.
         """
         known = {form.name: form for form in formats}
         if not known:
@@ -84,11 +85,11 @@ class Shown(NamedTuple):
 
     @property
     def is_lit(self) -> bool:
-        """Whether the light falls on it."""
+        """Whether it is drawn in the light."""
         return self.channel.name == "base_color"
 
     def appearance(self, values: Mapping[str, Floats]) -> Appearance:
-        """Return what values (n, components) by channel look like.
+        """Return how values (n, components) by channel look.
 
         Data and directions are shown as sRGB values: data as they are, unit vectors as (x + 1) / 2.
         """
@@ -122,13 +123,11 @@ class Shown(NamedTuple):
 def source_shader(
     surface: Surface, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by its source, averaged over what each sample covers.
+    """Show a surface by its source, averaged over the footprint of each sample.
 
-    channel      shown as it is; by default base colour in the light, with what the surface emits, or else the
-                 channel that is most like a colour
-    materials    with all that says how light is reflected: metallic, roughness, occlusion,
-                 specular and normal
-    bump         bends the normals by how a channel changes from a sample to the next
+    channel      default: base colour in the light, with emitted light, or else the channel most like a colour
+    materials    read metallic, roughness, occlusion, specular and normal too
+    bump         bends the normals by the difference of a channel between neighbouring samples
 
     Raises ArgumentError for a channel that is not there.
     """
@@ -151,14 +150,12 @@ def source_shader(
                         height.evaluate_all(
                             hits.triangles, hits.barycentric + way * _shares(corners, step), hits.width
                         ),
-                    )[bump.channel]
+                    )[bump[0]]
                 )
                 for way in (-0.5, 0.5)
             ]
             rises.append(ends[1] - ends[0])
-        slopes = bump.height * _gradient(hits, *rises)
-        normals = hits.normals if appearance.normals is None else appearance.normals
-        return appearance._replace(normals=bent(normals, slopes))
+        return appearance.bent(hits.normals, bump[1] * _gradient(hits, *rises))
 
     return look
 
@@ -166,11 +163,11 @@ def source_shader(
 def texture_shader(
     texture: OctreeTexture, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by the field of a texture, averaged over what each sample covers, on the side it sees.
+    """Show a surface by the field of a texture, averaged over each sample's footprint, on the side it sees.
 
-    What is translucent is not shown where the texture has no cell, though coarse averages reach there.
-    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` bends the normals by the field's own
-    gradient. Raises ArgumentError for a channel that is not there.
+    Where the texture has no cell, translucent surface is not shown, though coarse averages reach there.
+    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` uses the field's gradient. Raises
+    ArgumentError for an unknown channel.
     """
     formats = [stored.format for stored in texture.channels.values()]
     shown = Shown.of(formats, channel, materials=materials)
@@ -181,25 +178,22 @@ def texture_shader(
     def look(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
         if lies_on is not None:
-            finest = texture.placement.size / 2**texture.tree.max_depth
-            values[ALPHA.name][~lies_on(hits.rest, np.full(len(hits.rest), finest))] = 0.0
+            values[ALPHA.name][~lies_on(hits.rest)] = 0.0
         appearance = shown.appearance(values)
         if bump is None:
             return appearance
-        normals = hits.normals if appearance.normals is None else appearance.normals
-        slopes = field_slopes(texture, bump, hits.rest, hits.normals, hits.width)
-        return appearance._replace(normals=bent(normals, slopes))
+        return appearance.bent(hits.normals, field_slopes(texture, bump, hits.rest, hits.normals, hits.width))
 
     return look
 
 
 def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
-    """Return the channel that bends normals, or refuse one that is not there or is of directions."""
+    """Return the channel that bends normals; refuse an unknown one, and directions."""
     known = {form.name: form for form in formats}
-    as_choice(bump.channel, known, "channel to bend normals by")
-    if known[bump.channel].space == "direction":
-        raise ArgumentError(f"{bump.channel} is directions; normals are bent by numbers or colours")
-    return bump.channel
+    as_choice(bump[0], known, "channel to bend normals by")
+    if known[bump[0]].space == "direction":
+        raise ArgumentError(f"{bump[0]} is directions; normals are bent by numbers or colours")
+    return bump[0]
 
 
 def _luminance(values: Floats) -> Float64s:
@@ -229,8 +223,8 @@ def field_slopes(
     texture: OctreeTexture, bump: Bump, points: Floats, normals: Floats, width: npt.ArrayLike | None = None
 ) -> Float64s:
     """Return how the heights of a texture's field change by rest position (n, 3), at points (n, 3)."""
-    _, gradients = texture.sample(points, bump.channel, width=width, normals=normals, gradient=True)
-    return bump.height * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
+    _, gradients = texture.sample(points, bump[0], width=width, normals=normals, gradient=True)
+    return bump[1] * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
 
 
 def bent(normals: Floats, slopes: Float64s) -> Float64s:

@@ -9,27 +9,27 @@ from PIL import Image
 import octex
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
-from octex.errors import ArgumentError, OutputError
-from octex.preview import (
+from octex.drawing import (
     Viewpoint,
     draw_preview,
     panels,
     pictures,
-    render,
     render_leaves,
+    render_surface,
     source_shader,
     texture_shader,
     viewpoint_among,
     write_preview,
 )
-from octex.preview.directions import best_direction, view_directions
-from octex.preview.hits import Hits
-from octex.preview.shaders import Appearance, Shown
+from octex.drawing.directions import best_direction, view_directions
+from octex.drawing.hits import Hits
+from octex.drawing.shaders import Appearance, Shown
+from octex.drawing.soft_light import background, light
+from octex.errors import ArgumentError, OutputError
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.view.shading import background, light
 
 # A square that faces +z, its lower left corner in the origin.
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -63,7 +63,7 @@ def quarters():
 
 def test_a_picture_shows_colours_where_they_are():
     surface = _square(colors=np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]))
-    picture = render(surface, _camera(), source_shader(surface)) / FRONT
+    picture = render_surface(surface, _camera(), source_shader(surface)) / FRONT
     for (row, column), color in {
         (-1, 0): (1, 0, 0),
         (-1, -1): (0, 1, 0),
@@ -78,8 +78,8 @@ def test_a_texture_shows_the_same_as_its_source(quarters):
     camera = _camera(4)
     colors = decode(np.array([[[255, 255, 255]]], np.uint8), "srgb")
     assert colors.max() == 1.0
-    from_source = render(surface, camera, source_shader(surface))
-    from_texture = render(surface, camera, texture_shader(texture))
+    from_source = render_surface(surface, camera, source_shader(surface))
+    from_texture = render_surface(surface, camera, texture_shader(texture))
     assert np.allclose(from_source[0, 0] / FRONT, [1, 0, 0], atol=0.01)
     assert np.allclose(from_source[0, 3] / FRONT, [0, 1, 0], atol=0.01)
     assert np.allclose(from_source[3, 0] / FRONT, [0, 0, 1], atol=0.01)
@@ -94,15 +94,15 @@ def test_samples_are_averaged_in_linear_light():
         white = np.floor(hits.rest[:, :1] * 16 + 1e-9) % 2  # half a pixel each
         return Appearance(np.repeat(white, 3, axis=1))
 
-    assert np.allclose(render(surface, _camera(8), stripes, supersample=2), 0.5 * FRONT, atol=1e-6)
+    assert np.allclose(render_surface(surface, _camera(8), stripes, supersample=2), 0.5 * FRONT, atol=1e-6)
 
 
 def test_the_background_shows_through_what_is_not_covered():
     surface = _square()
     camera = _camera(6)
-    quarter = render(surface, camera, lambda hits: _red(hits, 0.25))
+    quarter = render_surface(surface, camera, lambda hits: _red(hits, 0.25))
     assert np.allclose(quarter, 0.25 * FRONT * np.array([1, 0, 0]) + 0.75 * background(6, 6), atol=1e-6)
-    nothing = render(surface, camera, lambda hits: _red(hits, 0.0))
+    nothing = render_surface(surface, camera, lambda hits: _red(hits, 0.0))
     assert np.allclose(nothing, background(6, 6), atol=1e-6)
 
 
@@ -114,7 +114,7 @@ def _red(hits, coverage):
 def test_both_sides_of_a_surface_are_lit_alike():
     surface, turned = _square(), Surface.from_arrays(SQUARE, TWO[:, ::-1])
     look = source_shader(surface)
-    assert np.array_equal(render(surface, _camera(), look), render(turned, _camera(), look))
+    assert np.array_equal(render_surface(surface, _camera(), look), render_surface(turned, _camera(), look))
 
 
 def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_units():
@@ -125,7 +125,7 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
         seen.append(hits)
         return Appearance(np.zeros((len(hits.width), 3)))
 
-    render(posed, _camera(5, unit=10.0), look, supersample=2)
+    render_surface(posed, _camera(5, unit=10.0), look, supersample=2)
     hits = Hits(*map(np.concatenate, zip(*seen, strict=True)))
     assert len(hits.width) == 100
     assert np.allclose(hits.width, 0.1)
@@ -137,9 +137,9 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
 
 def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     surface = _square(colors=np.eye(4)[:, :3])
-    whole = render(surface, _camera(), source_shader(surface))
+    whole = render_surface(surface, _camera(), source_shader(surface))
     monkeypatch.setattr(pictures, "_BLOCK", 7)
-    assert np.allclose(render(surface, _camera(), source_shader(surface)), whole, atol=1e-7)
+    assert np.allclose(render_surface(surface, _camera(), source_shader(surface)), whole, atol=1e-7)
 
 
 def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
@@ -153,7 +153,7 @@ def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     stretched = np.array([[2.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 1.0]])
     posed = Surface.from_arrays(SQUARE @ turned.T + [1.0, 0.0, 0.0], TWO, rest=SQUARE @ stretched + 3.0)
-    render(posed, _camera(5), texture_shader(texture), supersample=2)
+    render_surface(posed, _camera(5), texture_shader(texture), supersample=2)
     points, footprint = asked[0]
     assert len(asked) == 1
     assert points.shape == (100, 3)
@@ -168,7 +168,7 @@ def test_alpha_is_shown_from_both_sides():
     texture = octex.convert(surface, depth=3)
     expected = 0.5 * FRONT * np.array([0.2, 0.4, 0.6]) + 0.5 * background(4, 4)
     for look in (source_shader(surface), texture_shader(texture)):
-        assert np.allclose(render(surface, _camera(4), look), expected, atol=0.01)
+        assert np.allclose(render_surface(surface, _camera(4), look), expected, atol=0.01)
 
 
 def test_what_is_translucent_ends_where_cells_do():
@@ -268,7 +268,7 @@ def test_a_preview_shows_the_side_with_most_detail(kind, side):
     image[:, 16:] = np.kron(np.eye(2), np.ones((8, 8))) * 255
     uv = np.vstack([SQUARE[:, :2], SQUARE[:, :2] + [1.0, 0.0]]) * [0.5, 1.0]
     surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, mag_filter="nearest", wrap="clamp")
-    things = (surface,) if kind == "surface" else (None, octex.convert(surface, depth=3))
+    things = (None, surface) if kind == "surface" else (octex.convert(surface, depth=3),)
     picture = draw_preview(*things, size=(80, 64), supersample=1)
     assert (picture[:40].max(axis=2) < 20).any()  # black
 
@@ -276,7 +276,7 @@ def test_a_preview_shows_the_side_with_most_detail(kind, side):
 def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     surface, texture = quarters
     path = tmp_path / "preview.png"
-    write_preview(path, surface, texture, size=(160, 110), supersample=1)
+    write_preview(path, texture, surface, size=(160, 110), supersample=1)
     picture = np.asarray(Image.open(path)).astype(int)
     assert picture.shape == (110, 160, 3)
     # Only in the cells along the edges of colours may the halves differ.
@@ -288,7 +288,7 @@ def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
 
 def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
     surface, texture = quarters
-    for name, things in (("surface", (surface,)), ("texture", (None, texture))):
+    for name, things in (("surface", (None, surface)), ("texture", (texture,))):
         write_preview(tmp_path / f"{name}.png", *things, size=(100, 64), supersample=1)
         picture = np.asarray(Image.open(tmp_path / f"{name}.png"))
         assert picture.shape == (64, 100, 3)
@@ -300,8 +300,8 @@ def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
     surface, texture = quarters
     said = []
     monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[1:]) or np.zeros((1, 1, 3)))
-    draw_preview(surface, texture, (60, 60), 1, note="40 dB")
-    draw_preview(None, texture, (60, 60), 1)
+    draw_preview(texture, surface, (60, 60), 1, note="40 dB")
+    draw_preview(texture, None, (60, 60), 1)
     octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e6:.3g} MB"
     assert said[0] == ("surface", "source, 2 triangles")
     assert said[1] == ("octree, depth 5", f"{octree}, 40 dB")
@@ -311,7 +311,7 @@ def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
 
 def test_captions_are_dark_on_the_background(quarters):
     surface, _ = quarters
-    picture = draw_preview(surface, None, (200, 120), 1).astype(int)
+    picture = draw_preview(None, surface, (200, 120), 1).astype(int)
     strip = picture[-24:]
     ink, paper = srgb_to_linear(np.array([strip.min(), np.median(strip)]) / 255)
     assert (paper + 0.05) / (ink + 0.05) > 4.5  # as WCAG asks of text
@@ -322,10 +322,10 @@ def test_captions_are_dark_on_the_background(quarters):
 def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_path):
     surface, _ = quarters
     with pytest.raises(OutputError, match=r"no such folder|cannot be written"):
-        write_preview(tmp_path / "missing" / "preview.png", surface, size=(40, 40), supersample=1)
+        write_preview(tmp_path / "missing" / "preview.png", None, surface, size=(40, 40), supersample=1)
     (tmp_path / "preview.png").mkdir()
     with pytest.raises(OutputError, match=r"preview\.png"):
-        write_preview(tmp_path / "preview.png", surface, size=(40, 40), supersample=1)
+        write_preview(tmp_path / "preview.png", None, surface, size=(40, 40), supersample=1)
     assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
 
 
@@ -351,7 +351,7 @@ def test_a_texture_without_leaves_is_refused():
     channel = Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), none, none)
     empty = OctreeTexture(tree, {"base_color": channel}, Placement((0, 0, 0), 1), [[0, 0, 0], [1, 1, 1]])
     with pytest.raises(ArgumentError, match="no leaves to draw"):
-        draw_preview(None, empty)
+        draw_preview(empty)
 
 
 # --- what is shown
@@ -373,12 +373,12 @@ def test_what_is_emitted_is_added_to_what_is_lit():
     values = {"base_color": [0.25, 0.5, 0.0], "emissive": [0.0, 0.25, 3.0]}
     floats = {name: CHANNELS[name]._replace(space="linear", dtype="float32") for name in values}
     texture = _textured(values, **floats)
-    picture = render(_square(), _camera(4), texture_shader(texture))
+    picture = render_surface(_square(), _camera(4), texture_shader(texture))
     expected = np.array([0.25, 0.5, 0.0]) * FRONT + [0.0, 0.25, 1.0]  # emission ends at white
     assert np.allclose(picture, expected, atol=1e-3)
     assert np.allclose(render_leaves(texture, _camera(4)), expected, atol=0.05)
     surface = _square().with_sources({"base_color": (0.25, 0.5, 0.0), "emissive": (0.0, 0.25, 1.0)})
-    assert np.allclose(render(surface, _camera(4), source_shader(surface)), expected, atol=1e-3)
+    assert np.allclose(render_surface(surface, _camera(4), source_shader(surface)), expected, atol=1e-3)
 
 
 NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
@@ -398,11 +398,11 @@ NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
 def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, monkeypatch):
     codes = {name: [100, 150, 200][: CHANNELS[name].components] for name in stored}
     texture = _textured(codes, **dict.fromkeys(stored))
-    assert np.allclose(render(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
+    assert np.allclose(render_surface(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
     assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
     said = []
     monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
-    draw_preview(None, texture, (40, 40), 1)
+    draw_preview(texture, None, (40, 40), 1)
     assert said[0].startswith(f"{shown}: ")
 
 
@@ -410,7 +410,7 @@ def test_a_channel_of_one_or_four_numbers_is_shown_too():
     for components, expected in ((1, [0.5, 0.5, 0.5]), (2, [0.5, 0.5, 0.5]), (4, [0.5, 0.25, 0.0])):
         form = CHANNELS["emissive"]._replace(components=components, space="linear", dtype="float32")
         texture = _textured({"emissive": [0.5, 0.25, 0.0, 1.0][:components]}, emissive=form)
-        assert np.allclose(render(_square(), _camera(2), texture_shader(texture)), expected)
+        assert np.allclose(render_surface(_square(), _camera(2), texture_shader(texture)), expected)
 
 
 def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
@@ -419,7 +419,7 @@ def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
     texture = octex.convert(surface.with_channels(["roughness"]), 2)
     said = []
     monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
-    draw_preview(surface, texture, (40, 40), 1)
+    draw_preview(texture, surface, (40, 40), 1)
     assert [text.split(":")[0] for text in said] == ["roughness", "roughness"]
 
 
@@ -443,7 +443,7 @@ def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
     surface = quarters[0]
 
     def drawn(**view):
-        picture = draw_preview(surface, None, (90, 60), 1, view=Viewpoint(**view)).astype(int)
+        picture = draw_preview(None, surface, (90, 60), 1, view=Viewpoint(**view)).astype(int)
         seen = np.ptp(picture, axis=2) > 60  # what has colours
         return picture, seen
 
@@ -462,11 +462,15 @@ def test_pictures_are_seen_from_where_their_cameras_stand():
     row = [Camera.fitted(points, way, size=(40, 30), up=up) for way in ways]
     units = ways / np.linalg.norm(ways, axis=1, keepdims=True)
     for some, direction in ((row, units.mean(axis=0)), (row[:1], units[0])):
-        made = viewpoint_among(some).camera(points, lambda: np.zeros(3), (40, 30))
+        made = viewpoint_among(some).camera(
+            points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
+        )
         expected = Camera.fitted(points, direction, size=(40, 30), up=up)
         np.testing.assert_allclose(made.world_to_camera, expected.world_to_camera, atol=1e-9)
     around = [Camera.fitted(points, way, size=(40, 30), up=up) for way in (*units[2:], *-units[2:])]
-    made = viewpoint_among(around).camera(points, lambda: np.zeros(3), (40, 30))
+    made = viewpoint_among(around).camera(
+        points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
+    )
     np.testing.assert_allclose(made.world_to_camera, around[0].world_to_camera, atol=1e-9)
 
 
@@ -493,9 +497,9 @@ def test_layers_are_drawn_over_what_is_behind_them_in_whatever_order_they_are_st
     alphas, colors = np.array([0.5, 0.0, 0.25, 0.6]), np.array([[1, 0, 0], [1, 1, 1], [0, 1, 0], [0, 0, 1.0]])
     surface = _sheets(alphas, colors, order)
     truth = _over(alphas, colors, background(4, 4))
-    assert np.allclose(render(surface, _camera(4), source_shader(surface), 2), truth, atol=1e-5)
+    assert np.allclose(render_surface(surface, _camera(4), source_shader(surface), 2), truth, atol=1e-5)
     texture = octex.convert(surface, 7)
-    found = render(surface, _camera(4), texture_shader(texture), 2)
+    found = render_surface(surface, _camera(4), texture_shader(texture), 2)
     assert np.allclose(found[1:-1, 1:-1], truth[1:-1, 1:-1], atol=0.02)
 
 
@@ -525,7 +529,7 @@ def test_masks_are_cut_out_at_their_cutoff_and_show_what_is_behind(cutoff):
     both = Surface.joined([masked, wall])
     texture = octex.convert(both, 6)
     for look in (source_shader(both), texture_shader(texture)):
-        picture = render(both, _camera(32), look, 2) / FRONT
+        picture = render_surface(both, _camera(32), look, 2) / FRONT
         rows = np.arange(32)
         is_card = (rows + 0.5) / 32 > cutoff
         clear = np.abs((rows + 0.5) / 32 - cutoff) > 0.06

@@ -9,26 +9,26 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
 from octex.cameras.camera import Camera
+from octex.drawing.hits import Hits, Seen
+from octex.drawing.reflection import Material, reflected, tone_mapped
+from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
+from octex.drawing.soft_light import background
+from octex.drawing.soft_light import light as soft_light
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.parallel import cpu_count, ordered_map, workers
-from octex.preview.hits import Hits, Seen
-from octex.preview.shaders import Appearance, Bump, Shader, Shown, bent, field_slopes
 from octex.source.corners import Corners, Frames
 from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
 from octex.tree.walk import walk_leaves
 from octex.view.cubes import CubeBuffers, rasterize_cubes
-from octex.view.reflection import Material, reflected, tone_mapped
-from octex.view.shading import background
-from octex.view.shading import light as soft_light
 from octex.view.zbuffer import Buffers, z_buffer
 
 if TYPE_CHECKING:
+    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.view.environment import Environment
 
 #: Samples are coloured this many at a time, so that a large picture needs little memory.
 _BLOCK = 1 << 18
@@ -40,16 +40,15 @@ _OPAQUE = 2.0**-12
 _EDGE = 0.05
 
 
-def render(
+def render_surface(
     surface: Surface, camera: Camera, look: Shader, supersample: int = 3, light: Environment | None = None
 ) -> Float32s:
-    """Picture a surface; return linear light (height, width, 3).
+    """Draw a surface as a shader shows it; return linear light (height, width, 3).
 
-    supersample    samples along each side of a pixel; they are averaged in linear light
-    light          what lights it from all around; None: soft light from beside the camera, in which colours
-                   are matte
+    supersample    samples along each side of a pixel, averaged in linear light
+    light          light from all around; None: soft light from next to the camera, in which colours are matte
 
-    Where the look has coverage, what is behind shows through: layers by depth, up to 64, then the background.
+    Transparent samples show up to 64 layers behind them, then the background.
     """
     return film_surface(surface, camera, [look], supersample, light)[0].picture()
 
@@ -241,22 +240,15 @@ class Leaves(NamedTuple):
         return self.corners + self.edges[:, None] / 2
 
     def appearance(
-        self,
-        texture: OctreeTexture,
-        channel: str | None = None,
-        *,
-        materials: bool = False,
-        bump: Bump | None = None,
+        self, texture: OctreeTexture, channel: str | None, materials: bool = False, bump: Bump | None = None
     ) -> Appearance:
-        """Return what a texture shows in their middles; as for ``texture_shader``."""
+        """Return how a texture looks at their centres, as by ``texture_shader``."""
         formats = (stored.format for stored in texture.channels.values())
         shown = Shown.of(formats, channel, materials=materials)
         appearance = shown.appearance(texture.sample(self.centres, shown.names))
         if bump is None:
             return appearance
-        normals = self.normals if appearance.normals is None else appearance.normals
-        slopes = field_slopes(texture, bump, self.centres, self.normals)
-        return appearance._replace(normals=bent(normals, slopes))
+        return appearance.bent(self.normals, field_slopes(texture, bump, self.centres, self.normals))
 
 
 def render_leaves(
@@ -270,13 +262,12 @@ def render_leaves(
     light: Environment | None = None,
     bump: Bump | None = None,
 ) -> Float32s:
-    """Picture the leaves of a texture as cubes; return linear light (height, width, 3).
+    """Draw the leaves of a texture as cubes; return linear light (height, width, 3).
 
-    level      the finest to draw; default: the deepest whose cells are no smaller than a pixel
-    cubes      light the faces of the cubes, instead of the surface that the leaves lie on
-    channel    what to show, as for ``source_shader``
-    light      as for ``render``
-    bump       as for ``texture_shader``
+    level    default: the deepest level whose cells are no smaller than a pixel
+    cubes    light the faces of the cubes, instead of the surface that the leaves lie on
+
+    ``channel`` and ``bump`` as for ``texture_shader``, ``light`` as for ``render_surface``.
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
     leaves = Leaves.of(texture)
@@ -311,8 +302,8 @@ def film_leaves(
             if cubes:  # with their edges drawn, so that they can be told apart
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
                 dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))
-                colors = (None if part is None else part * dimmed for part in (here.reflected, here.emitted))
-                here = here._replace(**dict(zip(("reflected", "emitted"), colors, strict=True)))
+                reflected, emitted = (None if part is None else part * dimmed for part in here[:2])
+                here = here._replace(reflected=reflected, emitted=emitted)
             opened.ravel()[samples] = film.add(samples, here)
         if not opened.any():
             break

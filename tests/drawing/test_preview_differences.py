@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +10,9 @@ import pytest
 from PIL import Image
 
 import octex
-from octex.compare import PEAKS, Difference, Differences, Side, difference
-from octex.errors import OutputError
-from octex.preview import draw_difference, write_difference
-from octex.preview.differences import _ALONE, _SCALE, _scale_codes, _scale_top
+from octex.drawing import draw_difference
+from octex.drawing.compare import PEAKS, Difference, Differences, Side, difference
+from octex.drawing.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
@@ -85,7 +83,7 @@ def test_a_ring_marks_the_maximum_if_it_is_in_sight(
 ) -> None:
     said: list[str] = []
     rings: list[tuple[float, ...]] = []
-    from octex.preview import differences
+    from octex.drawing import differences
 
     keep = differences.captioned
     monkeypatch.setattr(
@@ -211,14 +209,3 @@ def test_the_scale_is_ordered_by_lightness() -> None:
     lightness = codes @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) > 0).all()
     assert _scale_codes(np.array([7.0])).tolist() == [_SCALE[-1].tolist()]
-
-
-def test_a_picture_that_cannot_be_written_leaves_what_stood_there(
-    texture: OctreeTexture, tmp_path: Path
-) -> None:
-    found = difference(texture, texture, channels=["roughness"])
-    write_difference(tmp_path / "a.png", texture, texture, found, size=(60, 40), supersample=1)
-    with Image.open(tmp_path / "a.png") as picture:
-        assert picture.size == (60, 40)
-    with pytest.raises(OutputError):
-        write_difference(tmp_path / "nowhere" / "a.png", texture, texture, found, size=(60, 40))

@@ -15,8 +15,8 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats
 from octex.cameras.camera import Camera
+from octex.drawing.environment import Environment, Tables, glossy_light, matte_light
 from octex.jit import inlined, kernel
-from octex.view.environment import Environment, Tables, glossy_light, matte_light
 
 #: Of what is no metal, along the normal (glTF 2.0, appendix B).
 _DIELECTRIC = 0.04

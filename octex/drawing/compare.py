@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +31,7 @@ from octex.tree.walk import walk_leaves
 DEFAULT_POINTS = 1_000_000
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
-#: What a channel's differences are measured in, by its colour space.
+#: The measure of a channel's differences by its colour space.
 MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "fractions", "direction": "components"}
 _ANGLE = "degrees"
 #: The peak of a measure's PSNR: how far apart ordinary values can be.
@@ -91,15 +90,9 @@ class Points(NamedTuple):
         return Points(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
 
 
-class _Visit(NamedTuple):
-    """Some points of one side's surface."""
-
-    side: int
-    points: Points
-    weights: Float64s  # (n,)   the area that each stands for
-    covered: Bools  # (n,)   whether the other side has a surface there
-
-
+#: Some points of one side: its number, the points, the area that each stands for (n,), and whether the other
+#: side has a surface there (n,).
+_Visit = tuple[int, Points, Float64s, Bools]
 Side = OctreeTexture | Surface
 
 
@@ -116,10 +109,11 @@ def difference(
 ) -> Differences:
     """Measure how two textures, or a texture and a model, differ over the surface, channel by channel.
 
+    a, b        two textures, or a texture and a model, in either order
     channels    names; default: all that both have
-    points      with a model: how many points on it, uniform by its posed area, the same for the same ``seed``
-    width       with a model: it is averaged over so much at each point, in rest units; default: the edge of
-                the texture's finest cells; 0 reads it at the points
+    points      with a model: the number of points on it, uniform by posed area, the same for a ``seed``
+    width       with a model: the width, in rest units, over which it is averaged at each point; default: the
+                edge of the texture's finest cells; 0 reads it at the points
     filter      how textures are read, see ``OctreeTexture.sample``; ``nearest`` compares stored values
 
     Two textures are compared at the centre of every leaf of both, weighted by its area; they may differ in
@@ -132,47 +126,45 @@ def difference(
     """
     report = progress or silent
     sides = placed(a, b)
-    stored = next((side for side in sides if isinstance(side, OctreeTexture)), None)
-    if stored is None:
+    textures = [side for side in sides if isinstance(side, OctreeTexture)]
+    models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
+    if not textures:
         raise ArgumentError(
             "two models have no points in common to compare them at; convert one of them first"
         )
-    models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
     if points < 1 or seed < 0:
         raise ArgumentError(f"points must be above 0 and seed not below, not {points} and {seed}")
     if width is None:
-        width = stored.placement.size / 2**stored.tree.max_depth
+        width = finest_edge(textures[0])
     if not 0 <= width < np.inf:
         raise ArgumentError(f"width must be finite and not negative, not {width!r}")
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
-    if models:
-        total, visits = points, _model_visits(sides, models[0], points, seed)
-    else:
-        total = sum(side.tree.n_leaves for side in sides if isinstance(side, OctreeTexture))
-        visits = chain(_leaf_visits(sides, 0), _leaf_visits(sides, 1))
+    total = points if models else sum(texture.tree.n_leaves for texture in textures)
+    visits = _model_visits(sides, models[0], points, seed) if models else _leaf_visits(textures)
 
     sums = {name: _Sums(MEASURES[space]) for name, space in spaces.items()}
     angles = {name: _Sums(_ANGLE) for name, space in spaces.items() if space == "direction"}
     areas, missed = np.zeros(2), np.zeros(2)
     done = compared = 0
     report("compare", 0, total)
-    for visit in visits:
-        areas[visit.side] += visit.weights.sum()
-        missed[visit.side] += visit.weights[~visit.covered].sum()
-        common, weights = visit.points.only(visit.covered), visit.weights[visit.covered]
-        if len(weights):
+    for number, visited, weights, covered in visits:
+        areas[number] += weights.sum()
+        missed[number] += weights[~covered].sum()
+        common, shares = visited.only(covered), weights[covered]
+        if len(shares):
             first, second = (reader.read(common) for reader in readers)
-            for name, (u, v) in {name: (first[name], second[name]) for name in spaces}.items():
+            for name, u in first.items():
+                v = second[name]
                 if not np.isfinite(v - u).all():
                     raise ArgumentError(
                         f"channel {name!r} has values that are not finite; validate the textures"
                     )
-                sums[name].add(common.rest, weights, v - u, u, v)
+                sums[name].add(common.rest, shares, v - u, u, v)
                 if name in angles:
-                    angles[name].add(common.rest, weights, degrees_between(u, v)[:, None], u, v)
-        compared += len(weights)
-        done += len(visit.weights)
+                    angles[name].add(common.rest, shares, degrees_between(u, v)[:, None], u, v)
+        compared += len(shares)
+        done += len(weights)
         report("compare", done, total)
     if not compared:
         raise ArgumentError(
@@ -183,33 +175,36 @@ def difference(
     for name in spaces:
         angle = angles[name].result() if name in angles else None
         results[name] = sums[name].result()._replace(angle=angle)
-    results.points = compared
-    results.width = width if models else None
-    results.filter = filter
-    formats = [_formats(side) for side in sides]
+    results.points, results.width, results.filter = compared, width if models else None, filter
+    ours, theirs = (formats_of(side) for side in sides)
     results.unmatched = (
-        tuple(name for name in formats[0] if name not in formats[1]),
-        tuple(name for name in formats[1] if name not in formats[0]),
+        tuple(name for name in ours if name not in theirs),
+        tuple(name for name in theirs if name not in ours),
     )
-    parts: list[float | None] = [None, None]
-    for number in (0, 1):
-        if not models or number in models:
-            parts[number] = float(missed[number] / areas[number])
-        if models:
-            areas[number] = _area(sides[number])
-    results.areas = float(areas[0]), float(areas[1])
+    parts = [
+        float(missed[number] / areas[number]) if not models or number in models else None for number in (0, 1)
+    ]
     results.uncovered = parts[0], parts[1]
+    if models:
+        areas = np.array([_area(side) for side in sides])
+    results.areas = float(areas[0]), float(areas[1])
     return results
 
 
-def _formats(side: Side) -> dict[str, ChannelFormat]:
+def formats_of(side: Side) -> dict[str, ChannelFormat]:
+    """Return the formats of a texture's or a model's channels by name."""
     if isinstance(side, Surface):
         return {channel.name: channel for channel in side.channels}
     return {name: channel.format for name, channel in side.channels.items()}
 
 
+def finest_edge(texture: OctreeTexture) -> float:
+    """Return the edge of a texture's finest cells, in rest units."""
+    return texture.placement.size / float(2**texture.tree.max_depth)
+
+
 class Reader:
-    """Reads channels of one side in what they are measured in."""
+    """Reads channels of one side in their measures."""
 
     def __init__(
         self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str
@@ -235,8 +230,7 @@ class Reader:
     def _values(self, points: Points) -> dict[str, Float32s]:
         if isinstance(self._side, OctreeTexture):
             return self._side.sample(points.rest, self._names, self._filter, normalize=False)
-        assert points.triangles is not None
-        assert points.barycentric is not None
+        assert points.triangles is not None and points.barycentric is not None
         widths = np.full(len(points.rest), self._width, np.float32)
         rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
         return by_channel(self._side.channels, rows)
@@ -260,8 +254,8 @@ def placed(a: Side, b: Side) -> tuple[Side, Side]:
 
 
 def in_common(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides with the channels alone that both have; there must be one."""
-    names = [name for name in _formats(a) if name in _formats(b)]
+    """Return both sides with only the channels that both have, at least one."""
+    names = [name for name in formats_of(a) if name in formats_of(b)]
 
     def restricted(side: Side) -> Side:
         if isinstance(side, Surface):
@@ -281,7 +275,7 @@ def readers_of(
     filter.
     """
     as_choice(filter, FILTERS, "filter")
-    first, second = (_formats(side) for side in sides)
+    first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
     chosen = both if channels is None else list(channels)
     if not both or not chosen:
@@ -305,26 +299,22 @@ def readers_of(
 def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:
     """Yield points on the model, uniform by posed area."""
     surface, texture = sides[number], sides[1 - number]
-    assert isinstance(surface, Surface)
-    assert isinstance(texture, OctreeTexture)
+    assert isinstance(surface, Surface) and isinstance(texture, OctreeTexture)
     lies_on = inside_cells(texture)
-    edge = texture.placement.size / 2**texture.tree.max_depth
     for first in range(0, points, _BLOCK):
         block_seed = int(np.random.SeedSequence([seed, first]).generate_state(1, np.uint64)[0])
         samples = surface.scatter(min(_BLOCK, points - first), block_seed)
-        covered = lies_on(samples.rest, np.full(len(samples.rest), edge))
+        covered = lies_on(samples.rest)
         on_model = Points(samples.rest, samples.triangles, samples.barycentric)
-        yield _Visit(number, on_model, np.ones(len(samples.rest)), covered)
+        yield number, on_model, np.ones(len(samples.rest)), covered
 
 
-def _leaf_visits(sides: tuple[Side, Side], number: int) -> Iterator[_Visit]:
-    """Yield the centres of all leaves of a texture."""
-    texture, other = sides[number], sides[1 - number]
-    assert isinstance(texture, OctreeTexture)
-    assert isinstance(other, OctreeTexture)
-    lies_on = inside_cells(other)
-    for centres, edges, areas in _leaves(texture):
-        yield _Visit(number, Points(centres), areas, lies_on(centres, edges))
+def _leaf_visits(textures: Sequence[OctreeTexture]) -> Iterator[_Visit]:
+    """Yield the centres of all leaves of both textures."""
+    for number in (0, 1):
+        lies_on = inside_cells(textures[1 - number])
+        for centres, edges, areas in _leaves(textures[number]):
+            yield number, Points(centres), areas, lies_on(centres, edges)
 
 
 def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float64s]]:
@@ -343,14 +333,18 @@ def _area(side: Side) -> float:
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
 
 
-def inside_cells(texture: OctreeTexture) -> Callable[[Floats, Floats], Bools]:
-    """Return a function that says of cubes, centres (n, 3) and edges (n,), whether a leaf meets them."""
+def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
+    """Return a function of cubes, centres (n, 3) and edges (n,), that tells whether a leaf meets each.
+
+    Without edges the cubes are as large as the texture's finest cells.
+    """
     level_of = cache(texture.level)
     # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
     inset = texture.placement.size * 2.0**-29
 
-    def lies_on(centres: Floats, edges: Floats) -> Bools:
+    def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
         found = np.zeros(len(centres), np.bool_)
+        edges = np.full(len(centres), finest_edge(texture)) if edges is None else edges
         for edge in np.unique(edges):
             # A cell no smaller than a cube that it meets holds one of its corners.
             level = int(np.clip(np.floor(np.log2(texture.placement.size / edge) + 1e-9), 0, 21))

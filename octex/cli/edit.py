@@ -1,0 +1,78 @@
+"""octex edit: from a texture to another, an operation for each option in a fixed order."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Executor
+from typing import TYPE_CHECKING
+
+import octex
+from octex.cli.common import Reporter, check_outputs, facts, tell
+from octex.cli.convert import OUTPUT_ENDINGS, check_output_kind, write_texture
+from octex.cli.inputs import open_texture
+from octex.cli.parser import Options
+from octex.cli.values import ARCHIVE_ENDING
+from octex.errors import ArgumentError, ExitCode, InputError
+from octex.parallel import workers
+
+if TYPE_CHECKING:
+    from octex.texture import OctreeTexture
+
+
+def edit(options: Options, program: str) -> int:
+    """Run octex edit."""
+    began = time.perf_counter()
+    if options.depth is not None:
+        from octex.checks import as_depth
+
+        as_depth(options.depth, "--depth")
+    check_output_kind(options.TEXTURE, options.OUTPUT)
+    if options.loss is not None and options.OUTPUT.suffix.lower() != ARCHIVE_ENDING:
+        raise ArgumentError(f"--loss is for NAME{ARCHIVE_ENDING}")
+    others = [options.combine, options.mix and options.mix[0]]
+    outputs = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
+    check_outputs(outputs, [options.TEXTURE, *others], force=options.force)
+    with Reporter(program, options.quiet) as progress:
+        with workers() as executor:
+            texture = _edited(options, executor)
+        write_texture(texture, options.OUTPUT, progress, options.loss or 0)
+    made, lines = facts(texture, options.OUTPUT, time.perf_counter() - began)
+    tell(options, made, *lines)
+    return ExitCode.DONE
+
+
+def _edited(options: Options, executor: Executor | None) -> OctreeTexture:
+    """Open the texture and apply each option."""
+    from octex.processing.edit import noted
+    from octex.texture import OctreeTexture
+
+    texture = open_texture(options.TEXTURE)
+    if options.channels is not None:
+        from octex.checks import as_choice
+
+        for name in options.channels:
+            as_choice(name, texture.channels, f"channel of {options.TEXTURE}:")
+    if options.crop is not None:
+        texture = octex.crop(texture, options.crop[:3], options.crop[3:])
+    if options.depth is not None:
+        deepest = texture.tree.max_depth
+        if options.depth > deepest:
+            raise InputError(
+                f"{options.TEXTURE}: has depth {deepest}; --depth {options.depth} needs the model"
+            )
+        # octex.resize would also divide the leaves above it, into cells of which nothing is known.
+        coarse = texture.level(options.depth)
+        metadata = noted(texture.metadata, "resize", depth=options.depth)
+        texture = OctreeTexture(coarse.tree, coarse.channels, coarse.placement, coarse.bounds, metadata)
+    if options.combine is not None:
+        texture = octex.combine(texture, open_texture(options.combine), over=True, executor=executor)
+    if options.mix is not None:
+        other, amount = options.mix
+        texture = octex.mix(texture, open_texture(other), amount, executor=executor)
+    if options.blur is not None:
+        texture = octex.blur(texture, options.blur, executor=executor)
+    if options.levels is not None:
+        texture = octex.levels(texture, "base_color", *options.levels)
+    if options.channels is not None or options.dtype is not None:
+        texture = octex.cast(texture, options.dtype, options.channels)
+    return texture

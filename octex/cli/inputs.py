@@ -1,0 +1,234 @@
+"""Reads the models, textures and cameras that the command line names."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import octex
+from octex.cli.parser import Options
+from octex.cli.values import PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName, function_name
+from octex.errors import ArgumentError, CameraError, InputError
+
+if TYPE_CHECKING:
+    from octex.cameras.files import Frame
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture, TextureSet
+
+
+def refuse(options: Options, words: Iterable[str], why: str, path: Path | Address | None = None) -> None:
+    """Raise ArgumentError for the first of some options that is on the command line, about a file."""
+    for word in options.words:
+        if word in words:
+            raise ArgumentError(f"{'' if path is None else f'{path}: '}{word} {why}")
+
+
+def is_texture(path: Path | Address) -> bool:
+    """Tell whether a file is a texture, by its ending."""
+    return path.suffix.lower() in TEXTURE_ENDINGS
+
+
+def kind_of(path: Path | Address) -> str:
+    """Return the kind of a file: "texture", "cloud" for points without a surface, "voxels" or "model"."""
+    if isinstance(path, Address) or is_texture(path):
+        return "texture"
+    if path.suffix.lower() in (".ply", ".xyz", ".npz", ".vxz"):  # else it is known without an import
+        from octex.source.cloud import is_cloud
+        from octex.source.voxels import is_voxels
+
+        if is_voxels(path):
+            return "voxels"
+        return "cloud" if is_cloud(path) else "model"
+    return "model"
+
+
+def open_texture(path: Path | Address) -> OctreeTexture:
+    """Open a texture and validate it; errors name the file and what is broken."""
+    if not is_texture(path):
+        raise ArgumentError(f"{path}: is no {TEXTURE_ENDINGS[0]} file; octex convert makes one of a model")
+    texture = octex.open(str(path))
+    texture.validate()
+    return texture
+
+
+def open_set(folder: Path, part: str | None = None) -> OctreeTexture | TextureSet:
+    """Open a folder of parts, or one part of it, and validate it."""
+    textures = octex.TextureSet.open(folder)
+    found = textures if part is None else textures[textures.names[number_of(textures, folder, part)]]
+    found.validate()
+    return found
+
+
+def number_of(textures: TextureSet, folder: Path, part: str) -> int:
+    """Return the number of a part of a folder."""
+    from octex.checks import as_choice
+
+    return textures.names.index(as_choice(part, textures.names, f"part of {folder}:"))
+
+
+def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
+    """Return a texture with one channel, and alpha, by which it is looked up."""
+    from octex.checks import as_choice
+    from octex.texture import OctreeTexture
+
+    as_choice(channel, texture.channels, "channel of the texture")
+    channels = {name: each for name, each in texture.channels.items() if name in (channel, "alpha")}
+    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
+def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
+    """Find a camera by its name; errors name the file."""
+    from octex.cameras.files import find_frame
+
+    try:
+        return find_frame(frames, name)
+    except CameraError as error:
+        raise CameraError(f"{file}: {error}") from None
+
+
+def shaped_model(path: Path, options: Options, **settings: Any) -> Surface:
+    """Read a model as ``octex.load_surface`` does, with --rest, --pose and --subdiv."""
+    surface = octex.load_surface(path, options.rest, pose=options.pose, **settings)
+    return (
+        surface
+        if options.subdiv is None
+        else octex.subdivide(surface, options.subdiv[0], rest=options.subdiv[1])
+    )
+
+
+def bare_model(path: Path, options: Options) -> Surface:
+    """Read the shape of a model alone, with its normals."""
+    surface = shaped_model(path, options, channels=["alpha"], sources={"alpha": 1.0}, normals=True)
+    del surface.provenance["source_alpha"]
+    return surface
+
+
+def check_model(options: Options, path: Path | Address) -> None:
+    """Refuse options about a model and its colours that contradict each other."""
+    models = [path, *options.also]
+    has_function = any(function_name(str(each)) for each in models)
+    if has_function:
+        refuse(options, ("--pose", "--subdiv"), "is for meshes, not for functions")
+    elif options.grid is not None:
+        raise ArgumentError("--grid is for surfaces that are functions: FILE.py:NAME")
+    if options.also:
+        refuse(options, ("--rest", "--pose"), "is of one model; with --also there are more")
+    if options.transfer is None:
+        refuse(options, ("--radius", "--within"), "has no meaning without --transfer")
+    if options.radius is not None and (options.within or (None,))[0] is not None:
+        raise ArgumentError("--radius and --within both say how far points count; give one of them")
+    _sources(options)
+
+
+def model_files(options: Options) -> list[Path]:
+    """Return the files that are read besides a model."""
+    given = [each.path if isinstance(each, FunctionName) else each for _, each in options.source]
+    return [
+        each for each in [*given, options.rest, options.transfer, *options.also] if isinstance(each, Path)
+    ]
+
+
+def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surface:
+    """Read a model, or FILE.py:NAME, at rest, with its channels from wherever the options say.
+
+    ``extra`` channels are read too if the model has them.
+    """
+    sources = {**_transferred(options), **_sources(options)}
+    for channel, given in sources.items():
+        if isinstance(given, FunctionName):
+            sources[channel] = load_function(given)
+    names = _wanted(options)
+    every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
+    surface = octex.Surface.joined(every) if options.also else every[0]
+    if names is None or not extra:
+        return surface
+    more = [form.name for form in surface.channels if form.name in extra and form.name not in names]
+    return surface.with_channels([*names, *more])
+
+
+def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequence[str] | None) -> Surface:
+    named = function_name(str(path))
+    image_filter = options.filter or "ewa"
+    if path.suffix == ".py":
+        raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
+    if named is None:
+        return shaped_model(path, options, channels=wanted, sources=sources, filter=image_filter)
+    if options.grid is None:
+        raise ArgumentError(f"{path} is a function: give --grid x0,y0,z0,x1,y1,z1,EDGE too")
+    bounds = [options.grid[:3], options.grid[3:6]]
+    surface = octex.Surface.from_function(load_function(named), bounds, options.grid[6], name=named.path.name)
+    return surface.completed(sources, wanted, image_filter)
+
+
+def _wanted(options: Options) -> list[str] | None:
+    """Return the channels to read: --channels, and the one that --detail needs."""
+    steering = None if options.detail == "stretch" else options.detail
+    if options.channels is None or steering is None or steering in options.channels:
+        return options.channels  # type: ignore[no-any-return]
+    return [*options.channels, steering]
+
+
+def _sources(options: Options) -> dict[str, Any]:
+    """Return the sources of channels by name; refuses a channel that is there twice or not wanted."""
+    sources: dict[str, Any] = {}
+    wanted = _wanted(options)
+    for name, given in options.source:
+        if name in sources:
+            raise ArgumentError(f"--source gives {name} twice")
+        if wanted is not None and name not in wanted:
+            raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
+        sources[name] = given
+        if isinstance(given, Path) and given.suffix.lower() == PTEX_ENDING:
+            sources[name] = octex.Ptex(given)
+        elif options.project is not None and isinstance(given, Path):
+            sources[name] = octex.MappedImage(given, **options.project._asdict())
+    if options.project is not None and not any(isinstance(given, Path) for _, given in options.source):
+        raise ArgumentError("--project needs an image to project: --source base_color=FILE")
+    return sources
+
+
+def _transferred(options: Options) -> dict[str, Any]:
+    """Return the sources of all channels that --transfer provides."""
+    path = options.transfer
+    if path is None:
+        return {}
+    if path.suffix.lower() == PTEX_ENDING:
+        refuse(options, ("--radius", "--within"), f"has no meaning for {path}, which belongs to the model")
+        return {**octex.Ptex(path).sources}
+    distance, degrees = options.within or (None, None)
+    if options.radius is not None or kind_of(path) == "cloud":
+        angle = 90.0 if degrees is None else degrees
+        cloud = octex.PointCloud.load(path, radius=options.radius, distance=distance, max_angle=angle)
+        return {**cloud.sources}
+    angle = 180.0 if degrees is None else degrees
+    return {**octex.Transfer(path, distance=distance, max_angle=angle).sources}
+
+
+def load_function(named: FunctionName) -> Callable[..., Any]:
+    """Run a Python file and return its function.
+
+    The file can import others in its folder, as ``python FILE.py`` lets it. Raises InputError for a file that
+    cannot be read or raises, and for a name that is no function in it.
+    """
+    path = named.path.resolve()
+    spec = importlib.util.spec_from_file_location(f"octex_functions:{path}", path)
+    assert spec is not None and spec.loader is not None  # by its ending
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look their annotations up
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))  # for good: functions may import when they are called
+    try:
+        spec.loader.exec_module(module)
+    except OSError as error:
+        raise InputError(f"{named.path} cannot be read: {error.strerror or error}") from None
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{named.path} raised {type(error).__name__}: {reason}; mend it") from error
+    function = getattr(module, named.name, None)
+    if not callable(function):
+        known = [name for name, each in vars(module).items() if callable(each) and not name.startswith("_")]
+        raise InputError(f"{named.path} has no function {named.name}; it has {', '.join(known) or 'none'}")
+    return function  # type: ignore[no-any-return]

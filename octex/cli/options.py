@@ -1,0 +1,288 @@
+"""The commands of octex: one table of all options, and the files and options that each command takes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from octex.cli import values as v
+from octex.cli.parser import Command, File, Option
+
+DEFAULT_CHANNEL = "base_color"  # what is painted
+DRAWN = "panels", "view", "paint", "cells", "difference"
+UV = "auto", "keep", "atlas"
+IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
+UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
+
+#: Every option as help shows it; words behind several spaces explain it.
+_TABLE = """
+--depth N             number of levels: cells are 1/2^N of the model (default 10; view 9; edit all)
+--cell SIZE           width of the finest cells in the model's units, instead of --depth
+--max-error CODES     merge cells as long as no colour changes by more, in 1/255 (try 2)
+--detail CHANNEL      coarser cells where this channel is below 1; stretch: by the pose's stretch
+--no-fit              store plain averages; lookups are less sharp
+--dtype TYPE          stored type: uint8, uint16, float16, float32; or by channel: normal=uint16
+--channels NAMES      names of the channels, like base_color,normal (default: all)
+--memory SIZE         limit of memory, like 2GB; the rest goes to files next to OUTPUT
+
+--rest MESH           the undeformed model, with the same vertices and triangles
+--pose NAME@SECONDS   pose of an animated glTF model, like Run@0.5
+--subdiv N[,limit]    subdivide a control cage N times; limit: rest positions on the limit surface
+--also MODEL          another model that shares the texture; may be repeated
+--grid BOX,EDGE       for a function: its box and the triangles' edges, x0,y0,z0,x1,y1,z1,EDGE
+--separate CELLS      move parts apart that come nearer than this many cells (try 3)
+--parts               write a folder with a texture for each part
+--margin SIZE         smallest allowed distance between parts, in the model's units (default 0)
+
+--source CHANNEL=X    image, .ptx, FILE.py:FUNCTION or number(s) for a channel; may be repeated
+--project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
+                      box:size=0.5:axis=z:center=0,0,0
+--transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
+--radius R            average the points of --transfer within this distance
+--within D[,DEGREES]  leave cells empty whose --transfer is farther, or faces another way
+--filter NAME         filter of images: nearest, bilinear, bicubic, trilinear, ripmap, sat or ewa (default)
+
+--crop BOX            keep only cells that meet the box x0,y0,z0,x1,y1,z1, in rest positions
+--combine FILE        lay another texture with the same root cell over it
+--mix FILE=AMOUNT     mix in AMOUNT (0 to 1) of another texture
+--blur WIDTH          blur over the surface by this width, in the model's units
+--levels LOW,HIGH     stretch base colours from LOW,HIGH to 0,1; a third number is the gamma
+--loss CODES          for NAME.octz: let stored integers change by up to CODES
+
+--camera FILE[#NAME]  cameras: camera.json, transforms.json, COLMAP folder … (octex help cameras)
+--unwrap X,Y,Z,R      a disc of the surface laid flat, no camera; X,Y,Z,R:conformal:up=X,Y,Z
+--mask PNG            white = paint; one, one an IMAGE, 'masks/{stem}.png', or a backdrop '#rrggbb'
+--since PNG           the unedited view: paint only what differs; 'nothing': paint all pixels
+--blend MODE          over (default), multiply, screen, add, erase or replace
+--opacity X           opacity of the paint, 0 to 1 (default 1)
+--channel NAME        channel to paint or to draw (default base_color)
+--max-depth N         deepest level of the paint (default: cells of half a pixel to one)
+--max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces
+--edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
+--pictures MODE       how pictures combine: average, best, or robust (default for three or more)
+--balance MODE        match exposures: gain; full: each colour, and vignetting
+--reference IMAGE     the picture that --balance and --refine-cameras do not change
+--refine-cameras JSON turn, move and zoom cameras until the pictures agree; write them
+--holes MODE          unseen part of a new texture: smooth (default), leave, or a colour R,G,B
+--coverage            also store how much of each cell is painted, as the channel coverage
+--resume FOLDER       store finished stages here, and reuse them in a later run
+--layer-out LAYER     also write the paint alone, .octex; give it as an IMAGE later
+--preview PNG         also draw the original and the texture side by side
+
+--as KIND             panels (default): side by side with captions; view: one picture, lit; paint: unlit,
+                      to paint on; cells: leaves as cubes; difference: how both differ
+--size W,H            width and height in pixels
+--direction X,Y,Z     direction from the model to the camera (default: the side that shows most)
+--up X,Y,Z            direction that points up in the picture (default 0,1,0)
+--zoom TIMES          enlarge by this factor (default 1: the whole model)
+--level N             draw this level of the texture (default: the finest, or what a pixel shows)
+--light LIGHT         soft: on base colours only; or on all materials: studio, or a panorama .hdr, .exr
+--exposure STOPS      double the --light this many times (default 0)
+--bump CHANNEL=H      bend the normals as if the surface rose by H where the channel is 1
+--camera-out JSON     write the camera of the picture, to paint it back
+--empty-layer PNG     also write a transparent picture of the same size, to draw on
+
+--uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
+--texture-size N      width and height of the images (default: as fine as the leaves, up to 8192)
+--original MODEL      the model of the texture, where MODEL is a simpler mesh of it
+--max-distance D      how far the surface of --original may be, in its units (default: any)
+--padding N           texels around each chart (default 8)
+--image-format NAME   png (default), webp, jpeg, jpeg-all, png16 or exr
+--supersample N       average this many lookups along each side of a texel (default 1)
+--vertex-colors       write colours at the vertices, no images; always so in .ply and .3mf
+--max-edge SIZE       divide triangles to edges of this length; auto: until --vertex-error holds
+--vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
+--displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
+--unit UNIT           a length of 1 in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
+
+--part NAME           show only this part of a folder
+--port N              port of 127.0.0.1 (default: the file's own, if it is free)
+--no-browser          print the page's address, and do not open a browser
+--max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
+
+--points N            number of points at which a model is compared (default 1,000,000)
+--force               overwrite existing files
+--threads N           number of threads (default: all processors)
+--quiet               print only errors, and the result of --json
+--json                print the result as one JSON object
+"""
+#: How values are read; options in no row are flags.
+_READERS: dict[Callable[[str], Any], str] = {
+    v.whole_number: "--depth --max-depth --level --texture-size --padding --supersample",
+    v.count: "--threads --points",
+    v.length: "--cell --margin --radius --blur --zoom --max-distance",
+    v.real: "--exposure",
+    v.codes: "--max-error --vertex-error",
+    v.whole_codes: "--loss",
+    v.text_value: "--detail --pose --channel --part",
+    v.channel_names: "--channels",
+    v.dtypes: "--dtype",
+    v.file_size: "--memory --max-size",
+    v.file_here: "--rest --also --transfer --since --reference --original",
+    v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer",
+    v.texture_file: "--combine",
+    v.file_and_amount: "--mix",
+    v.subdivision: "--subdiv",
+    v.grid: "--grid",
+    v.cells_apart: "--separate",
+    v.source: "--source",
+    v.projected: "--project",
+    v.near: "--within",
+    v.box: "--crop",
+    v.levels: "--levels",
+    v.camera: "--camera",
+    v.disc: "--unwrap",
+    v.mask: "--mask",
+    v.opacity: "--opacity",
+    v.angle_and_sides: "--max-angle",
+    v.pixels: "--edge-feather",
+    v.holes: "--holes",
+    v.picture_size: "--size",
+    v.direction: "--direction --up",
+    v.light: "--light",
+    v.bump: "--bump",
+    v.edge_length: "--max-edge",
+    v.displacement: "--displace",
+    v.port_number: "--port",
+    v.one_of(*v.FILTERS): "--filter",
+    v.one_of(*v.BLENDS): "--blend",
+    v.one_of(*v.PICTURES): "--pictures",
+    v.one_of(*v.BALANCES): "--balance",
+    v.one_of(*DRAWN): "--as",
+    v.one_of(*UV): "--uv",
+    v.one_of(*IMAGE_FORMATS): "--image-format",
+    v.one_of(*UNITS): "--unit",
+}
+_REPEATED = "--also", "--source", "--mask"
+
+
+def _options() -> dict[str, Option]:
+    """Return the options of the table by their words."""
+    readers = {word: read for read, words in _READERS.items() for word in words.split()}
+    rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
+    return {
+        word: Option(word, value, readers.get(word), " ".join(help.split()), word in _REPEATED)
+        for word, value, help in rows
+    }
+
+
+OPTIONS = _options()
+
+#: Every command: what it does, examples, files (in brackets where they may be missing) and options.
+_COMMANDS = """
+convert  Convert a textured model, points, voxels or a function to an octree texture.
+  > droid.glb droid.octex --depth 10 --preview droid.png
+  > statue.stl statue.octex --source base_color=wood.png --project box
+  INPUT    a model, points, voxels, a texture, or FILE.py:NAME, a function that is negative inside
+  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
+  --depth --cell --max-error --detail --channels --dtype --source --project --transfer --radius --within
+  --filter SHAPE --also --grid --separate --parts --memory --no-fit --preview RUNNING
+
+view  Show a texture in the browser, until you close the page; or write the page.
+  > droid.octex droid.glb
+  > droid.octex droid.glb droid.html --max-size 20MB
+  [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
+  [MODEL]  its model; without it, the page shows the cells
+  [PAGE]   NAME.html: write the page, which opens offline
+  --depth --part --max-size --port --no-browser SHAPE RUNNING
+
+draw  Draw a texture, a model or both: side by side, one view, or how they differ.
+  > droid.octex droid.glb droid.png --light studio
+  > droid.octex droid.glb view.png --as paint --camera-out camera.json
+  [TEXTURE]  an .octex or .octz file, or its address
+  [MODEL]  its model; or another texture, for --as difference
+  OUTPUT   NAME.png
+  --as --channel --level --size --direction --up --zoom --camera --unwrap --light --exposure --bump
+  --camera-out --empty-layer SHAPE RUNNING
+
+paint  Project pictures through their cameras onto a model, into its texture or a new one.
+  > droid.octex droid.glb painted.octex view.png --camera camera.json
+  > scan.ply scan.octex photo1.png photo2.png --camera transforms.json --preview scan.png
+  [TEXTURE]  its texture; without it, a new one is made
+  MODEL    the model, in the pose that the cameras see
+  OUTPUT   the painted texture, NAME.octex; with --force it may be TEXTURE
+  [IMAGE ...]  pictures, named as their cameras (or IMAGE=CAMERA), or layers; default: the cameras'
+  --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --edge-feather
+  --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
+  --layer-out --preview RUNNING
+
+bake  Write a model with images, or vertex colours, of a texture, for other programs.
+  > droid.octex droid.glb baked.glb
+  > droid.octex droid.glb web.glb --texture-size 1024 --image-format webp
+  TEXTURE  an .octex or .octz file, or its address
+  MODEL    the model of the texture; with --original, a simpler mesh of the same object
+  OUTPUT   NAME.glb, .gltf, .obj, .usdz, .usd, .usda, .usdc, .3mf, .ply or .ptx
+  --uv --texture-size --padding --channels --image-format --supersample --original --max-distance
+  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE RUNNING
+
+edit  Make a texture from a texture. Options are applied in the order listed here.
+  > droid.octex coarse.octex --depth 7
+  > droid.octex worn.octex --levels 0.1,0.75,1.3 --blur 0.02
+  TEXTURE  an .octex or .octz file, or its address
+  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
+  --crop --depth --combine --mix --blur --levels --channels --dtype --loss RUNNING
+
+info  Print what a texture holds and where its bytes go.
+  > droid.octex
+  TEXTURE  an .octex or .octz file, its address, or a folder of parts
+  --json
+
+diff  Print how two textures, or a texture and a model, differ over the surface.
+  > droid.octex droid.glb
+  > before.octex after.octex --channels base_color --json
+  TEXTURE  an .octex or .octz file, or its address
+  OTHER    its model, or another texture; the exit code is 0 in either case
+  --channels --points --source --rest --subdiv --threads --quiet --json
+
+validate  Check a texture, and print what is broken.
+  > droid.octex
+  > robot/ --quiet
+  TEXTURE  an .octex or .octz file, its address, or a folder of parts
+  --quiet --json
+
+overlaps  List parts of a model that intersect or nearly touch: their colours would mix.
+  > robot.glb --margin 0.01
+  MODEL    the model; the exit code is 0 in either case
+  --margin --rest --threads --quiet --json
+
+warm-up  Compile everything now, so that later commands start at once.
+  >
+  --quiet
+"""
+_SHORT = {
+    "SHAPE": "--rest --pose --subdiv",
+    "RUNNING": "--force --threads --quiet --json",
+}
+_FILES: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("INPUT", "TEXTURE", "OTHER"), v.texture_file),
+    **dict.fromkeys(("OUTPUT", "PAGE"), v.output_file),
+    **dict.fromkeys(("MODEL", "IMAGE"), v.file_here),
+}
+#: Whether a word is a file that may be missing.
+_FITS: dict[str, Callable[[str], bool]] = {
+    "TEXTURE": v.is_texture_name,
+    "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, ".png")),
+}
+
+
+def _command(text: str) -> Command:
+    """Return the command of a paragraph of the table."""
+    first, *lines = text.splitlines()
+    name, summary = first.split("  ", 1)
+    files, options, examples = [], [], []
+    for line in map(str.strip, lines):
+        if line.startswith(">"):
+            examples.append(line[1:].strip())
+        elif found := re.fullmatch(r"(\[?)([A-Z]+)( ...)?\]?  +(.*)", line):
+            bracket, word, dots, help = found.groups()
+            read = v.texture_file if (name, word) == ("draw", "MODEL") else _FILES[word]
+            number: Any = "any" if dots else "maybe" if bracket else "one"
+            files.append(File(word, read, help, number, _FITS.get(word, bool)))
+        else:
+            words = " ".join(_SHORT.get(word, word) for word in line.split())
+            options += [OPTIONS[word] for word in words.split()]
+    return Command(name, summary, files, options, examples)
+
+
+COMMANDS = {each.name: each for each in map(_command, _COMMANDS.strip().split("\n\n"))}

@@ -1,0 +1,449 @@
+"""Reads the values of options and the names of files; nothing heavy is imported for it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple, NoReturn
+
+from octex.errors import ArgumentError
+from octex.files import is_address
+
+TEXTURE_ENDING, ARCHIVE_ENDING = ".octex", ".octz"
+TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
+PAGE_ENDING, PTEX_ENDING = ".html", ".ptx"
+#: As formats.models.WRITTEN_ENDINGS, without an import.
+USD_ENDINGS = ".usdz", ".usd", ".usda", ".usdc"
+BAKED_ENDINGS = ".glb", ".gltf", ".obj", *USD_ENDINGS, ".3mf", ".ply", PTEX_ENDING
+#: Known names, as the modules define them that use them.
+DTYPES = "uint8", "uint16", "float16", "float32"
+FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa"
+PROJECTIONS = "planar", "box", "cylindrical", "spherical"
+AXES = "x", "-x", "y", "-y", "z", "-z"
+BLENDS = "over", "multiply", "screen", "add", "erase", "replace"
+PICTURES = "average", "best", "robust"
+BALANCES = "gain", "full"
+HOLES = "leave", "smooth"
+#: The widest and highest picture that is drawn: as large as octex reads.
+MOST_PIXELS = 16384
+_SOLID = "#[0-9a-fA-F]{6}"
+
+
+@dataclass(frozen=True)
+class Address:
+    """The address of a texture, where commands expect a path."""
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __fspath__(self) -> str:
+        return self.text
+
+    @property
+    def name(self) -> str:
+        """The file's name, without the query."""
+        names = [PurePosixPath(re.split("[?#]", part)[0]).name for part in self.text.split("::")]
+        return next((name for name in names if _is_texture(name)), names[-1])
+
+    @property
+    def suffix(self) -> str:
+        """The ending of the name."""
+        return PurePosixPath(self.name).suffix
+
+    def is_dir(self) -> bool:
+        """Return False: only files have addresses."""
+        return False
+
+    def stat(self) -> NoReturn:
+        """Raise FileNotFoundError: the file is not on this machine."""
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.text)
+
+
+class FunctionName(NamedTuple):
+    """A function in a Python file, FILE.py:NAME."""
+
+    path: Path
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.name}"
+
+
+#: What a channel comes from: an image file, a function, or a number for each component.
+Given = Path | FunctionName | float | tuple[float, ...]
+
+
+class Projected(NamedTuple):
+    """How --project lays images on a surface."""
+
+    kind: str
+    axis: str = "z"
+    center: tuple[float, ...] | None = None
+    size: float | tuple[float, ...] | None = None
+
+
+class Disc(NamedTuple):
+    """A disc of the surface that --unwrap lays flat."""
+
+    center: tuple[float, ...]
+    radius: float
+    up: tuple[float, ...] | None
+    conformal: bool
+
+
+def is_texture_name(text: str) -> bool:
+    """Tell whether a word of the command line names a texture: a file, an address or a folder of parts."""
+    return is_address(text) or _is_texture(text) or Path(text).is_dir()
+
+
+def texture_file(text: str) -> Path | Address:
+    """Read the name of a texture, or its address."""
+    if not is_address(text):
+        return Path(text)
+    address = Address(text)
+    if not _is_texture(address.name):
+        endings = " and NAME".join(TEXTURE_ENDINGS)
+        raise ArgumentError(
+            f"{text} is an address; octex reads only textures, NAME{endings}, from one: download it first"
+        )
+    return address
+
+
+def file_here(text: str) -> Path:
+    """Read the name of a file on this machine that is read."""
+    if is_address(text):
+        raise ArgumentError(f"{text} is an address, and this file is read here: download it first")
+    return Path(text)
+
+
+def output_file(text: str) -> Path:
+    """Read the name of a file or folder that is written."""
+    if is_address(text):
+        raise ArgumentError(
+            f"{text} is an address, and octex writes files of this machine; write one, and upload it"
+        )
+    return Path(text)
+
+
+def function_name(text: str) -> FunctionName | None:
+    """Read FILE.py:NAME; return None for another text."""
+    path, colon, name = text.rpartition(":")
+    return FunctionName(Path(path), name) if colon and path.endswith(".py") and name.isidentifier() else None
+
+
+def text_value(text: str) -> str:
+    """Return a text as it is."""
+    return text
+
+
+def one_of(*known: str) -> Callable[[str], str]:
+    """Return a reader of one of some names."""
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise ArgumentError(f"{text!r} is none of {', '.join(known)}")
+        return text
+
+    return read
+
+
+def whole_number(text: str) -> int:
+    """Read a whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise ArgumentError(f"{text!r} is no whole number") from None
+
+
+def count(text: str) -> int:
+    """Read a whole number of 1 or more."""
+    number = whole_number(text)
+    if number < 1:
+        raise ArgumentError(f"{number} is not above zero")
+    return number
+
+
+def port_number(text: str) -> int:
+    """Read a port of this machine."""
+    number = whole_number(text)
+    if not 1 <= number <= 65535:
+        raise ArgumentError(f"{number} is no port, 1 to 65535")
+    return number
+
+
+def file_size(text: str) -> int:
+    """Read a number of bytes: 20MB, 800kB, 5000."""
+    from octex.files import size_of
+
+    try:
+        return size_of(text)
+    except ValueError as error:
+        raise ArgumentError(str(error)) from None
+
+
+def _number(limits: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a reader of a number within limits."""
+
+    def read(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            raise ArgumentError(f"{text!r} is no number") from None
+        if not fits(number):
+            raise ArgumentError(f"{text} is not {limits}")
+        return number
+
+    return read
+
+
+_INFINITE = float("inf")
+real = _number("a finite number", lambda number: abs(number) < _INFINITE)
+length = _number("a finite number above zero", lambda number: 0.0 < number < _INFINITE)
+codes = _number("a finite number from 0 on", lambda number: 0.0 <= number < _INFINITE)
+cells_apart = _number("a number of cells from 1 to a million", lambda number: 1.0 <= number <= 1e6)
+opacity = _number("from 0 to 1", lambda number: 0.0 <= number <= 1.0)
+angle = _number("from 0 to 180", lambda number: 0.0 <= number <= 180.0)
+pixels = _number("from 0 to 1000000", lambda number: 0.0 <= number <= 1e6)
+
+
+def edge_length(text: str) -> float | str:
+    """Read a length, or "auto"."""
+    return text if text == "auto" else length(text)
+
+
+def whole_codes(text: str) -> int:
+    """Read an error in whole codes of stored integers."""
+    number = codes(text)
+    if number != int(number):
+        raise ArgumentError(f"{text} is not a whole number of codes")
+    return int(number)
+
+
+def angle_and_sides(text: str) -> tuple[float | None, bool]:
+    """Read DEGREES, "both", or DEGREES,both: the angle, and whether surface that faces away counts too."""
+    number, _, both = text.rpartition(",") if text.endswith("both") else (text, "", "")
+    return (None if both and not number else angle(number)), bool(both)
+
+
+def near(text: str) -> tuple[float | None, float | None]:
+    """Read DISTANCE or DISTANCE,DEGREES: the largest distance, or "any", and angle between normals."""
+    distance, comma, degrees = text.partition(",")
+    return None if distance == "any" else length(distance), angle(degrees) if comma else None
+
+
+def light(text: str) -> Path | str:
+    """Read the name of a panorama, "studio" or "soft"."""
+    return text if text in ("studio", "soft") else file_here(text)
+
+
+def bump(text: str) -> tuple[str, float]:
+    """Read CHANNEL=HEIGHT."""
+    name, equals, height = (part.strip() for part in text.partition("="))
+    if not (name and equals):
+        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, like roughness=0.01")
+    return name, real(height)
+
+
+def displacement(text: str) -> tuple[str, float, float]:
+    """Read CHANNEL=HEIGHT or CHANNEL=HEIGHT,MIDDLE."""
+    name, equals, numbers = (part.strip() for part in text.partition("="))
+    if not (name and equals and numbers.count(",") <= 1):
+        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT[,MIDDLE], like roughness=0.01,0.5")
+    height, comma, middle = numbers.partition(",")
+    return name, real(height), real(middle) if comma else 0.0
+
+
+def channel_names(text: str) -> list[str]:
+    """Read names of channels, separated by commas."""
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise ArgumentError(f"{text!r} has an empty name; write base_color,normal")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ArgumentError(f"{twice} is there twice")
+    return names
+
+
+def dtypes(text: str) -> str | dict[str, str]:
+    """Read one stored type for all channels, or NAME=TYPE pairs separated by commas."""
+    if "=" not in text:
+        return one_of(*DTYPES)(text.strip())
+    found: dict[str, str] = {}
+    for pair in text.split(","):
+        name, equals, dtype = (part.strip() for part in pair.partition("="))
+        if not (name and equals):
+            raise ArgumentError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
+        if name in found:
+            raise ArgumentError(f"{name} is there twice")
+        found[name] = one_of(*DTYPES)(dtype)
+    return found
+
+
+def source(text: str) -> tuple[str, Given]:
+    """Read the source of a channel: NAME=FILE, NAME=FILE.py:FUNCTION, or NAME=NUMBER,NUMBER,…."""
+    name, _, given = (part.strip() for part in text.partition("="))
+    if not (name and given):
+        raise ArgumentError(f"{text!r} is not CHANNEL=FILE, like roughness=rough.png")
+    try:
+        numbers = tuple(float(number) for number in given.split(","))
+    except ValueError:
+        return name, function_name(given) or file_here(given)
+    return name, numbers[0] if len(numbers) == 1 else numbers
+
+
+def projected(text: str) -> Projected:
+    """Read KIND[:axis=A][:center=X,Y,Z][:size=S]."""
+    kind, *settings = text.split(":")
+    readers: dict[str, Callable[[str], Any]] = {"axis": one_of(*AXES), "center": position, "size": sizes}
+    found: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if name not in readers or not equals:
+            raise ArgumentError(f"{setting!r} is none of axis=A, center=X,Y,Z, size=SIZE; like box:size=0.5")
+        try:
+            found[name] = readers[name](value)
+        except ArgumentError as error:
+            raise ArgumentError(f"{name}: {error}") from None
+    made = Projected(one_of(*PROJECTIONS)(kind), **found)
+    if made.kind == "spherical" and made.size is not None:
+        raise ArgumentError("a spherical projection has no size: one copy of the image goes around")
+    return made
+
+
+def mask(text: str) -> Path | str | tuple[int, int, int]:
+    """Read a mask image, a pattern of them with {stem} or {name}, or a backdrop colour, #rrggbb or R,G,B."""
+    if re.fullmatch(rf"{_SOLID}|\d+,\d+,\d+", text):
+        return color(text)
+    return str(file_here(text)) if "{stem}" in text or "{name}" in text else file_here(text)
+
+
+def holes(text: str) -> str | tuple[int, int, int]:
+    """Read how the unseen part of a new texture is filled: smooth, leave, or a colour."""
+    if text in HOLES:
+        return text
+    try:
+        return color(text)
+    except ArgumentError as error:
+        raise ArgumentError(f"{error}, nor {' or '.join(HOLES)}") from None
+
+
+def subdivision(text: str) -> tuple[int, str]:
+    """Read LEVELS or LEVELS,limit: how often a cage is divided, and its rest positions."""
+    levels, comma, rest = text.partition(",")
+    return whole_number(levels), one_of("hull", "limit")(rest) if comma else "hull"
+
+
+def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[str], tuple[float, ...]]:
+    """Return a reader of finite numbers with commas between."""
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            numbers = tuple(float(number) for number in text.split(","))
+        except ValueError:
+            raise ArgumentError(f"{text!r} is not numbers with commas between") from None
+        if not all(abs(number) < _INFINITE for number in numbers):
+            raise ArgumentError(f"{text} has numbers that are not finite")
+        if not fits(numbers):
+            raise ArgumentError(f"{text!r} is not {like}")
+        return numbers
+
+    return read
+
+
+position = _numbers("X,Y,Z, like 0,0.5,1", lambda given: len(given) == 3)
+box = _numbers("x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1", lambda given: len(given) == 6)
+grid = _numbers(
+    "x0,y0,z0,x1,y1,z1,EDGE, like -1,-1,-1,1,1,1,0.02", lambda given: len(given) == 7 and given[6] > 0.0
+)
+levels = _numbers(
+    "BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2",
+    lambda given: len(given) in (2, 3) and 0 <= given[0] < given[1] <= 1 and 0 < given[-1] <= 100,
+)
+_sphere = _numbers("X,Y,Z,RADIUS, like 0,0.5,1,0.2", lambda given: len(given) == 4 and given[3] > 0.0)
+_sizes = _numbers(
+    "a size above zero, nor three like 1,1,0.5", lambda given: len(given) in (1, 3) and min(given) > 0.0
+)
+
+
+def sizes(text: str) -> float | tuple[float, ...]:
+    """Read a size, or one for each direction."""
+    given = _sizes(text)
+    return given if len(given) == 3 else given[0]
+
+
+def direction(text: str) -> tuple[float, ...]:
+    """Read a direction: three numbers that are not all zero."""
+    numbers = position(text)
+    if not any(numbers):
+        raise ArgumentError("must not be 0,0,0")
+    return numbers
+
+
+def disc(text: str) -> Disc:
+    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z]."""
+    place, *settings = text.split(":")
+    numbers = _sphere(place)
+    up = None
+    for setting in settings:
+        if setting.startswith("up="):
+            up = direction(setting.removeprefix("up="))
+        elif setting != "conformal":
+            raise ArgumentError(f"{setting!r} is neither conformal nor up=X,Y,Z")
+    return Disc(numbers[:3], numbers[3], up, "conformal" in settings)
+
+
+def file_and_amount(text: str) -> tuple[Path | Address, float]:
+    """Read a texture's file and a number from 0 to 1, after the last =."""
+    name, equals, number = text.rpartition("=")
+    if not (name and equals):
+        raise ArgumentError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
+    return texture_file(name), opacity(number)
+
+
+def camera(text: str) -> tuple[Path, str | None]:
+    """Read a file of cameras, and the name of one after a #; both names may contain more #."""
+    whole = file_here(text)
+    places = [place for place, letter in enumerate(text) if letter == "#" and place > 0]
+    if not places or whole.exists():
+        return whole, None
+    place = next((place for place in places if Path(text[:place]).exists()), places[0])
+    name = text[place + 1 :]
+    if not name:
+        raise ArgumentError(f"{text!r} names no camera; write FILE#NAME, or FILE")
+    return Path(text[:place]), name
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Read a picture's width and height, with a comma or an x between."""
+    try:
+        width, height = (int(number) for number in re.split("[,x×]", text))
+    except ValueError:
+        raise ArgumentError(f"{text!r} is not WIDTH,HEIGHT, like 1024,768") from None
+    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
+        raise ArgumentError(f"{text} is not from 1 to {MOST_PIXELS} pixels each way")
+    return width, height
+
+
+def color(text: str) -> tuple[int, int, int]:
+    """Read a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
+    try:
+        if re.fullmatch(_SOLID, text):
+            numbers = list(bytes.fromhex(text[1:]))
+        else:
+            numbers = [int(number) for number in text.split(",")]
+        red, green, blue = numbers * 3 if len(numbers) == 1 else numbers
+    except ValueError:
+        raise ArgumentError(f"{text!r} is not R,G,B from 0 to 255, nor #rrggbb") from None
+    if not all(0 <= number <= 255 for number in numbers):
+        raise ArgumentError(f"{text} is not from 0 to 255")
+    return red, green, blue
+
+
+def _is_texture(name: str) -> bool:
+    return name.lower().endswith(TEXTURE_ENDINGS)

@@ -1,0 +1,230 @@
+"""Previews: panels side by side, from the side that shows most, with captions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from octex.arrays import Float32s, Floats, Uint8s
+from octex.cameras.camera import Camera
+from octex.channels import encode, linear_to_srgb
+from octex.drawing.directions import USUAL, Viewpoint
+from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
+from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
+from octex.drawing.soft_light import background
+from octex.errors import ArgumentError
+from octex.files import replacing
+from octex.tree.octree import distinct
+from octex.view.shading import face_normals
+
+if TYPE_CHECKING:
+    from octex.drawing.environment import Environment
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+
+def write_preview(
+    path: str | Path,
+    texture: OctreeTexture | None,
+    surface: Surface | None = None,
+    *,
+    size: tuple[int, int] = (1600, 880),
+    direction: npt.ArrayLike | None = None,
+    up: npt.ArrayLike = (0.0, 1.0, 0.0),
+    zoom: float = 1.0,
+    channel: str | None = None,
+    light: Environment | None = None,
+    bump: tuple[str, float] | None = None,
+    supersample: int = 3,
+) -> None:
+    """Draw a model next to its octree texture as a PNG file.
+
+    texture        its colours are on the right; None: draw the model alone
+    surface        the model; None: draw the texture's leaves, and the cubes of a coarser level
+    size           (width, height) in pixels
+    direction      (3,) from the model to the camera; None: the side that shows most
+    up             (3,) direction that points up in the picture
+    zoom           enlarges; 1 shows the whole model
+    channel        default: base colour in the light, or else the channel that is most like a colour
+    light          reflected by metal, roughness, occlusion and normal maps; None: soft light on base colour
+    bump           (channel, height): bend the normals as if the surface rose by the channel times height
+    supersample    samples along each side of a pixel
+
+    A file at ``path`` is replaced once the picture is complete. Raises OutputError if the file cannot be
+    written, and ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
+    for an unknown channel.
+    """
+    view = Viewpoint(direction, up, zoom)
+    codes = draw_preview(
+        texture, surface, size, supersample, view=view, channel=channel, light=light, bump=bump
+    )
+    write_png(path, codes)
+
+
+def draw_preview(
+    texture: OctreeTexture | None,
+    surface: Surface | None = None,
+    size: tuple[int, int] = (1600, 880),
+    supersample: int = 3,
+    *,
+    note: str = "",
+    view: Viewpoint = USUAL,
+    channel: str | None = None,
+    light: Environment | None = None,
+    bump: tuple[str, float] | None = None,
+) -> Uint8s:
+    """Return the picture of ``write_preview`` as sRGB codes (height, width, 3).
+
+    ``note`` is added to the texture's caption.
+    """
+    room = caption_height(size[1])
+    if surface is not None:
+        placed = surface if texture is None else surface.placed_in(texture)
+        channel, looks = shaders_of(texture, placed, channel, light is not None, bump)
+        captions = [source_caption(placed, channel)]
+        if texture is not None:
+            captions.append(texture_caption(texture, channel, note))
+        panel_size = size[0] // len(looks), size[1]
+        camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
+        films = film_surface(placed, camera, looks, supersample, light)
+        panels = [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
+    elif texture is not None:
+        channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
+        camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), room, view)
+        level = visible_level(texture, camera, pixels=10.0)
+        draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
+        fine, coarse = draw(bump=bump), draw(level=level, cubes=True)
+        cells = count_text(texture.level(level).tree.n_leaves, "cell")
+        panels = [
+            Panel(fine, *texture_caption(texture, channel, note)),
+            Panel(coarse, f"level {level}", cells),
+        ]
+    else:
+        raise ArgumentError("a preview needs a surface, or a texture, or both")
+    for panel in panels:  # a zoomed model reaches below
+        panel.picture[-room:] = background(*panel.picture.shape[:2])[-room:]
+    return np.hstack([np.asarray(captioned(panel)) for panel in panels])
+
+
+def shaders_of(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    channel: str | None,
+    materials: bool,
+    bump: tuple[str, float] | None,
+) -> tuple[str, list[Shader]]:
+    """Return the channel to show, which both have, and shaders of the model and of the texture."""
+    formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
+    channel = Shown.of(formats, channel).channel.name
+    own = bump
+    if own is not None and texture is not None and own[0] not in [form.name for form in surface.channels]:
+        own = None  # a model without the channel is drawn smooth next to the texture that has it
+    looks = [source_shader(surface, channel, materials=materials, bump=own)]
+    if texture is not None:
+        looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
+    return channel, looks
+
+
+def write_png(path: str | Path, codes: Uint8s) -> None:
+    """Write sRGB codes (height, width, 3 or 4) as a file, or leave the old one; raises OutputError."""
+    with replacing(path) as file:
+        Image.fromarray(codes).save(file, "PNG")
+
+
+class Panel(NamedTuple):
+    """A picture with its caption."""
+
+    picture: Float32s  # (height, width, 3)   linear light
+    title: str
+    subtitle: str
+
+
+def surface_camera(
+    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
+) -> Camera:
+    """Return a camera that sees a model, by default from the side that shows most, above a caption's room."""
+    normals = rest_normals(surface)
+
+    def unlit(camera: Camera) -> Floats:
+        picture = np.full((camera.height * camera.width, 3), np.nan)
+        for pixels, hits in visible_hits(surface, camera, normals):
+            picture[pixels] = linear_to_srgb(look(hits).unlit())
+        return picture.reshape(camera.height, camera.width, 3)
+
+    points = surface.vertices[distinct(surface.triangles.ravel())]
+    return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
+
+
+def leaf_camera(
+    textures: Sequence[OctreeTexture],
+    channel: str | None,
+    size: tuple[int, int],
+    room: int = 0,
+    view: Viewpoint = USUAL,
+) -> Camera:
+    """Return a camera that sees textures, by default from the side on which the first shows most."""
+    # Coarse cells are enough to find out where the model is and where to look at it from.
+    coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
+    every = [Leaves.of(texture) for texture in coarse]
+    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
+
+    def unlit(camera: Camera) -> Floats:
+        seen = first.seen(camera).cube
+        picture = np.full((*seen.shape, 3), np.nan)
+        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
+        return picture
+
+    points = np.concatenate(
+        [leaves.corners + far for leaves in every for far in (0.0, leaves.edges[:, None])]
+    )
+    return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)
+
+
+def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
+    """Return a title and a subtitle for a picture of a model."""
+    return surface.name, f"{named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
+
+
+def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
+    """Return a title and a subtitle for a picture of a texture."""
+    facts = texture_facts(texture) + (f", {note}" if note else "")
+    return f"octree, depth {texture.tree.max_depth}", named(channel) + facts
+
+
+def texture_facts(texture: OctreeTexture) -> str:
+    """Return how large a texture is."""
+    return f"{count_text(texture.tree.n_leaves, 'leaf', 'leaves')}, {texture.nbytes / 1e6:.3g} MB"
+
+
+def named(channel: str) -> str:
+    """Return what to begin a caption with, if it is not about base colour."""
+    return "" if channel == "base_color" else f"{channel}: "
+
+
+def count_text(number: int, one: str, many: str = "") -> str:
+    """Return a number with its noun."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
+def caption_height(height: int) -> int:
+    """Return the height of a caption at the bottom of a picture so high."""
+    return max(height // 11, 24)
+
+
+def captioned(panel: Panel, room: int | None = None) -> Image.Image:
+    """Return a panel with its caption at the top of the ``room`` at its bottom."""
+    picture = Image.fromarray(encode(panel.picture, "uint8", "srgb"))
+    strip = caption_height(picture.height)
+    title, subtitle = ImageFont.load_default(strip * 0.36), ImageFont.load_default(strip * 0.28)
+    draw = ImageDraw.Draw(picture)
+    middle, top = picture.width // 2, picture.height - (room or strip)
+    draw.text((middle, top + strip * 0.05), panel.title, (12, 12, 14), title, "ma")
+    draw.text((middle, top + strip * 0.50), panel.subtitle, (40, 40, 44), subtitle, "ma")
+    return picture

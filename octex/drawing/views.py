@@ -1,0 +1,147 @@
+"""Pictures of one camera: a model or leaves in some light, and views to paint on."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from octex.arrays import Uint8s
+from octex.channels import encode
+from octex.drawing.directions import Viewpoint
+from octex.drawing.hits import Hits, rest_normals, visible_hits
+from octex.drawing.panels import leaf_camera, surface_camera, write_png
+from octex.drawing.pictures import film_surface, render_leaves, render_surface
+from octex.drawing.shaders import Appearance, Bump, Shader, source_shader, texture_shader
+from octex.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from octex.cameras.camera import Camera
+    from octex.drawing.environment import Environment
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
+
+
+def render(
+    texture: OctreeTexture | None,
+    surface: Surface | None = None,
+    camera: Camera | None = None,
+    *,
+    path: str | Path | None = None,
+    size: tuple[int, int] = (1024, 1024),
+    direction: npt.ArrayLike | None = None,
+    up: npt.ArrayLike = (0.0, 1.0, 0.0),
+    zoom: float = 1.0,
+    channel: str | None = None,
+    level: int | None = None,
+    cubes: bool = False,
+    light: Environment | None = None,
+    bump: Bump | None = None,
+    supersample: int = 3,
+) -> Uint8s:
+    """Draw a model as a texture colours it, or the texture's leaves.
+
+    texture        its colours; None: the surface's own, from its images
+    surface        the model; None: draw the leaves
+    camera         default: one of ``size`` that sees all from ``direction``, see ``write_preview``
+    path           also write the picture to this PNG file
+    channel        default: base colour in the light, or else the channel that is most like a colour
+    level          read this level of the texture; of leaves by default the deepest that a pixel shows
+    cubes          draw the leaves as cubes, also if there is a surface
+    light          reflected by metal, roughness, occlusion and normal maps; None: soft light on base colour
+    bump           (channel, height): bend the normals as if the surface rose by the channel times height
+    supersample    samples along each side of a pixel, averaged in linear light
+
+    Returns an sRGB image (height, width, 3) over a grey backdrop, uint8. Transparent surface shows what is
+    behind it. Raises ArgumentError for neither a texture nor a surface, without leaves or channels to draw,
+    and for an unknown channel; OutputError if the file cannot be written.
+    """
+    if texture is None and surface is None:
+        raise ArgumentError("a picture needs a texture, or a surface, or both")
+    if camera is None:
+        camera = camera_of(texture, surface, size, Viewpoint(direction, up, zoom), channel)
+    if surface is not None and (texture is None or not cubes):
+        materials = light is not None
+        if texture is None:
+            look = source_shader(surface, channel, materials=materials, bump=bump)
+        else:
+            surface = surface.placed_in(texture)
+            shown = texture if level is None else texture.level(level)
+            look = texture_shader(shown, channel, materials=materials, bump=bump)
+        picture = render_surface(surface, camera, look, supersample, light)
+    else:
+        assert texture is not None
+        picture = render_leaves(
+            texture, camera, level=level, cubes=cubes, supersample=supersample, channel=channel, light=light,
+            bump=None if cubes else bump,
+        )  # fmt: skip
+    codes = encode(picture, "uint8", "srgb")
+    if path is not None:
+        write_png(path, codes)
+    return codes
+
+
+def camera_of(
+    texture: OctreeTexture | None,
+    surface: Surface | None,
+    size: tuple[int, int],
+    view: Viewpoint,
+    channel: str | None = None,
+) -> Camera:
+    """Return a camera that sees a model, or without one the leaves of a texture."""
+    if surface is not None:
+        look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
+        placed = surface if texture is None else surface.placed_in(texture)
+        return surface_camera(placed, look, size, view=view)
+    assert texture is not None
+    return leaf_camera([texture], channel, size, view=view)
+
+
+def draw_paintable(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    camera: Camera,
+    channel: str,
+    *,
+    lit: bool = False,
+    light: Environment | None = None,
+    bump: Bump | None = None,
+) -> Uint8s:
+    """Draw a channel at the pixels' centres, to be painted on: sRGB codes and alpha (height, width, 4).
+
+    Alpha is the texture's, and 0 next to the model; colours are not multiplied by it. Unless ``lit``, only
+    the nearest layer is drawn, without light. Without a texture the model is grey.
+    """
+
+    def grey(hits: Hits) -> Appearance:
+        return Appearance(np.full((len(hits.width), 3), 0.5))
+
+    look: Shader = grey
+    if texture is not None:
+        surface = surface.placed_in(texture)
+        look = texture_shader(texture, channel, materials=light is not None, bump=bump)
+    codes = np.zeros((camera.height, camera.width, 4), np.uint8)
+    if lit:
+        color, coverage = film_surface(surface, camera, [look], 1, light)[0].exposure()
+        codes[..., :3] = encode(color / np.maximum(coverage, 1e-9), "uint8", "srgb")
+        codes[..., 3:] = encode(coverage, "uint8", "data")
+    else:
+        flat = codes.reshape(-1, 4)
+        for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
+            appearance = look(hits)
+            flat[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
+            cover = appearance.coverage
+            flat[seen, 3] = 255 if cover is None else encode(cover, "uint8", "data")
+    codes[codes[..., 3] == 0] = 0
+    return codes
+
+
+def as_png(codes: Uint8s) -> bytes:
+    """Return codes (height, width, 3 or 4) as the content of a PNG file."""
+    file = io.BytesIO()
+    Image.fromarray(codes).save(file, "PNG")
+    return file.getvalue()

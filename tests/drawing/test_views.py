@@ -1,0 +1,144 @@
+"""octex.render: pictures of a texture, a model or both, from a camera or a direction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import octex
+from octex.channels import encode
+from octex.drawing import render_leaves, render_surface, source_shader, texture_shader
+from octex.errors import ArgumentError, OutputError
+from octex.source.surface import Surface
+from tests.conftest import needs_jit
+from tests.make.command import result, run
+
+pytestmark = needs_jit
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+COLORS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    made = octex.Surface.from_arrays(CORNERS, triangles, colors=COLORS, name="square")
+    return made.with_sources({"roughness": 0.3})
+
+
+@pytest.fixture(scope="module")
+def texture(surface: Surface) -> octex.OctreeTexture:
+    return octex.convert(surface, 5)
+
+
+@pytest.fixture(scope="module")
+def camera() -> octex.Camera:
+    return octex.Camera.fitted(CORNERS, (0.2, 0.1, 1.0), size=(48, 36))
+
+
+def codes(light: np.ndarray) -> np.ndarray:
+    return encode(light, "uint8", "srgb")
+
+
+def test_a_picture_is_what_its_shader_shows_as_srgb_codes(
+    surface: Surface, texture: octex.OctreeTexture, camera: octex.Camera
+) -> None:
+    found = octex.render(texture, surface, camera)
+    assert (found.dtype, found.shape) == (np.uint8, (36, 48, 3))
+    np.testing.assert_array_equal(found, codes(render_surface(surface, camera, texture_shader(texture))))
+    np.testing.assert_array_equal(
+        octex.render(None, surface, camera, channel="roughness"),
+        codes(render_surface(surface, camera, source_shader(surface, "roughness"))),
+    )
+    coarse = texture_shader(texture.level(2))
+    np.testing.assert_array_equal(
+        octex.render(texture, surface, camera, level=2), codes(render_surface(surface, camera, coarse))
+    )
+    studio, bump = octex.Environment.studio(), ("roughness", 0.1)
+    look = texture_shader(texture, materials=True, bump=bump)
+    np.testing.assert_array_equal(
+        octex.render(texture, surface, camera, light=studio, bump=bump),
+        codes(render_surface(surface, camera, look, light=studio)),
+    )
+
+
+def test_leaves_are_drawn_without_a_model_and_cubes_also_with_one(
+    surface: Surface, texture: octex.OctreeTexture, camera: octex.Camera
+) -> None:
+    np.testing.assert_array_equal(
+        octex.render(texture, camera=camera, supersample=1),
+        codes(render_leaves(texture, camera, supersample=1)),
+    )
+    cubes = codes(render_leaves(texture, camera, level=3, cubes=True))
+    for model in (None, surface):
+        np.testing.assert_array_equal(octex.render(texture, model, camera, level=3, cubes=True), cubes)
+
+
+def test_without_a_camera_the_whole_model_is_seen_and_a_file_is_written(
+    surface: Surface, texture: octex.OctreeTexture, tmp_path: Path
+) -> None:
+    path, way = tmp_path / "a.png", (0.2, 0.1, 1.0)
+    found = octex.render(texture, surface, path=path, size=(48, 36), direction=way, zoom=1.5)
+    np.testing.assert_array_equal(np.asarray(Image.open(path)), found)
+    camera = octex.Camera.fitted(CORNERS, way, size=(48, 36)).zoomed(1.5)
+    np.testing.assert_array_equal(found, octex.render(texture, surface, camera))
+    for given in ((None, surface), (texture, None)):
+        usual = octex.render(*given, size=(48, 36))
+        assert usual.shape == (36, 48, 3)
+        assert np.ptp(usual.astype(int), axis=2).max() > 100
+    with pytest.raises(OutputError, match="nowhere"):
+        octex.render(texture, surface, path=tmp_path / "nowhere" / "a.png", size=(8, 8))
+
+
+def test_nothing_to_draw_is_refused(texture: octex.OctreeTexture) -> None:
+    with pytest.raises(ArgumentError, match="a texture, or a surface, or both"):
+        octex.render(None)
+    with pytest.raises(ArgumentError, match="unknown channel 'height'"):
+        octex.render(texture, channel="height", size=(8, 8))
+
+
+def test_the_command_draws_every_kind(
+    texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    stored, model, eye = tmp_path / "a.octex", tmp_path / "a.obj", tmp_path / "eye.json"
+    texture.save(stored)
+    rows = [f"v {x} {y} {z} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(CORNERS, COLORS, strict=True)]
+    model.write_text("\n".join([*rows, "f 1 2 3", "f 1 3 4"]))
+    octex.write_cameras(eye, {"front": camera})
+    loaded = octex.load_surface(model)
+
+    def drawn(*words: object) -> np.ndarray:
+        path = tmp_path / "drawn.png"
+        at = next((n for n, word in enumerate(words) if str(word).startswith("--")), len(words))
+        result(capsys, "draw", *words[:at], path, *words[at:], "--force", "--quiet")
+        return np.asarray(Image.open(path))
+
+    front = ["--camera", f"{eye}#front"]
+    view = drawn(stored, model, "--as", "view", *front)
+    np.testing.assert_array_equal(view, octex.render(texture, loaded, camera))
+    np.testing.assert_array_equal(
+        drawn(stored, "--as", "cells", "--level", 3, *front),
+        octex.render(texture, None, camera, level=3, cubes=True),
+    )
+    # Panels of a camera whose pictures have a size are as large as they fit.
+    assert drawn(stored, model, "--size", "96,60", *front).shape == (60, 96, 3)
+    assert drawn(model, "--size", "48,60", *front).shape == (60, 48, 3)
+    both = drawn(stored, model, "--as", "difference", "--size", "150,60", "--channel", "base_color")
+    assert both.shape == (60, 150, 3)
+    two = drawn(stored, stored, "--as", "difference", "--size", "150,60")
+    assert two.shape == (120, 150, 3)  # also roughness
+    for words, message in (
+        ([], "OUTPUT is missing"),
+        (["x.png"], "--as panels needs a TEXTURE"),
+        ([model, "x.png", "--as", "cells"], "--as cells needs a TEXTURE"),
+        ([stored, "x.png", "--as", "paint"], "--as paint needs a MODEL"),
+        ([stored, stored, "x.png"], "is a texture too; --as difference draws how two differ"),
+        ([model, "x.png", "--level", 3], "--level is a level of a TEXTURE"),
+        ([stored, model, "x.png", "--camera-out", "c.json"], "--camera-out has no meaning with --as panels"),
+        ([stored, model, "x.jpg"], "OUTPUT has the ending '.jpg'; octex writes .png here"),
+    ):
+        assert run("draw", *words) == 2
+        assert message in capsys.readouterr().err
