@@ -51,11 +51,7 @@ class Tables(NamedTuple):
     normal_rows: Int32s  # (triangles, 3)
     tangents: Float32s  # (rows, 4)
     tangent_rows: Int32s  # (triangles, 3)
-
-
-class SourceColumns(NamedTuple):
-    """The first column of the channels that are more than offset + gain × lane; −1 for none."""
-
+    # The first column of the channels that are more than offset + gain × lane; −1 for none.
     base_color: int
     alpha: int
     normal: int
@@ -117,7 +113,6 @@ def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32
 @kernel
 def evaluate(
     tables: Tables,
-    columns: SourceColumns,
     images: Images,
     footprints: Float64s,
     filter: int | None,
@@ -196,21 +191,21 @@ def evaluate(
         for column in range(values.shape[1]):
             lane = lanes[tables.lanes[material, column]]
             values[i, column] = tables.offsets[material, column] + tables.gains[material, column] * lane
-        if columns.base_color >= 0 and has_colors:
-            values[i, columns.base_color] *= np.float32(red)
-            values[i, columns.base_color + 1] *= np.float32(green)
-            values[i, columns.base_color + 2] *= np.float32(blue)
-        if columns.alpha >= 0:
-            coverage = float(lanes[tables.lanes[material, columns.alpha]])
+        if tables.base_color >= 0 and has_colors:
+            values[i, tables.base_color] *= np.float32(red)
+            values[i, tables.base_color + 1] *= np.float32(green)
+            values[i, tables.base_color + 2] *= np.float32(blue)
+        if tables.alpha >= 0:
+            coverage = float(lanes[tables.lanes[material, tables.alpha]])
             if mode == OPAQUE:
                 coverage = 1.0
             elif mode == BLEND:
                 coverage *= alpha
             elif not thresholded:
                 coverage = 1.0 if coverage >= threshold else 0.0
-            values[i, columns.alpha] = coverage
-        if columns.normal >= 0:
-            _turn(tables, triangle, shares, width == 0.0, values, i, columns.normal)
+            values[i, tables.alpha] = coverage
+        if tables.normal >= 0:
+            _turn(tables, triangle, shares, width == 0.0, values, i, tables.normal)
 
 
 @inlined

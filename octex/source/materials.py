@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from threading import Lock
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames, stacked
-from octex.source.evaluate import SourceColumns, Tables, evaluate, measure, texel_edges
+from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
 from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
@@ -59,6 +59,11 @@ class Material(NamedTuple):
     cutoff: float = 0.5  # of "mask": the least alpha that covers
     name: str = ""
     double_sided: bool = False
+
+    @property
+    def textures(self) -> list[Texture]:
+        """The images of all inputs."""
+        return [each.texture for each in self.inputs.values() if each.texture is not None]
 
     @property
     def normal_slot(self) -> int | None:
@@ -109,6 +114,7 @@ class MaterialSource(Source):
     ) -> None:
         self.materials = list(materials)
         self.triangle_materials = triangle_materials
+        self._used = [self.materials[number] for number in np.unique(triangle_materials)]
         self._rest = rest
         self._triangles = triangles
         self.colors = colors
@@ -116,7 +122,7 @@ class MaterialSource(Source):
         self._frames = frames
         self._name = name
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
-        self._prepared: _Prepared | None = None
+        self._prepared: tuple[Tables, Images] | None = None
         self._footprints: Float64s | None = None
         self._texel_edges = np.empty(0, np.float32)
         self._check()
@@ -137,19 +143,9 @@ class MaterialSource(Source):
         widths: Float32s,
     ) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
-        prepared, footprints = self._ready()
-        values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
-        evaluate(
-            prepared.tables,
-            prepared.columns,
-            prepared.images,
-            footprints,
-            told(self._filter),
-            triangles,
-            barycentric,
-            widths,
-            values,
-        )
+        tables, images, footprints = self._ready()
+        values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
+        evaluate(tables, images, footprints, told(self._filter), triangles, barycentric, widths, values)
         return values
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -189,11 +185,8 @@ class MaterialSource(Source):
         other._prepared = other._footprints = None
         return other
 
-    def _used(self) -> list[Material]:
-        return [self.materials[i] for i in np.unique(self.triangle_materials)]
-
     def _stated(self) -> list[str]:
-        used = self._used()
+        used = self._used
         names = {"base_color"}.union(*(material.inputs for material in used)) - {"alpha"}
         if any(material.alpha_mode != "opaque" for material in used):
             names.add("alpha")
@@ -205,7 +198,7 @@ class MaterialSource(Source):
         if form.space != "srgb":
             return form
         most = max(
-            (_brightest(material.inputs[name]) for material in self._used() if name in material.inputs),
+            (_brightest(material.inputs[name]) for material in self._used if name in material.inputs),
             default=1.0,
         )
         if name == "base_color" and self.colors is not None and len(self.colors.values):
@@ -221,8 +214,7 @@ class MaterialSource(Source):
             self.colors is None or np.isfinite(self.colors.values).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
-        textures = (each.texture for material in self._used() for each in material.inputs.values())
-        last = max((texture.slot for texture in textures if texture is not None), default=-1)
+        last = max((each.slot for material in self._used for each in material.textures), default=-1)
         if last >= len(self.coordinates):
             raise ModelError(
                 f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
@@ -230,31 +222,27 @@ class MaterialSource(Source):
         for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():
                 continue
-            reads = [
-                any(each.texture is not None and each.texture.slot == slot for each in m.inputs.values())
-                for m in self.materials
-            ]
+            reads = [any(t.slot == slot for t in material.textures) for material in self.materials]
             textured = np.array(reads, np.bool_)[self.triangle_materials]
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _ready(self) -> tuple[_Prepared, Float64s]:
+    def _ready(self) -> tuple[Tables, Images, Float64s]:
         """Return what the kernels read, made on the first use."""
         prepared, footprints = self._prepared, self._footprints
         if prepared is not None and footprints is not None:
-            return prepared, footprints
+            return *prepared, footprints
         with _preparing:
-            prepared = self._prepared = self._prepared or self._tables()
+            tables, images = self._prepared = self._prepared or self._tables()
             footprints = self._footprints
             if footprints is None:
-                tables = prepared.tables
                 footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
                 measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
-                self._texel_edges = texel_edges(tables, prepared.images, footprints)
+                self._texel_edges = texel_edges(tables, images, footprints)
                 self._footprints = footprints
-        return prepared, footprints
+        return tables, images, footprints
 
-    def _tables(self) -> _Prepared:
+    def _tables(self) -> tuple[Tables, Images]:
         names = [form.name for form in self._channels]
         ends = [0, *np.cumsum([form.components for form in self._channels]).tolist()]
         first_column = {
@@ -285,6 +273,11 @@ class MaterialSource(Source):
         stored = store(shelf.pictures, LEVELS_OF[self._filter])
         stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
+        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
+        colors = self.colors or nothing
+        normals, tangents = (nothing, nothing) if self._frames is None else self._frames
+        coordinates, rows = stacked([nowhere, *self.coordinates])
         tables = Tables(
             materials=self.triangle_materials,
             first_stacks=np.array(shelf.first_stacks, np.int32),
@@ -296,10 +289,17 @@ class MaterialSource(Source):
             alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self.materials], np.uint8),
             alpha_factors=np.array([_alpha_factor(m) for m in self.materials], np.float32),
             cutoffs=np.array([m.cutoff for m in self.materials], np.float32),
-            **self._bound(),
+            colors=colors.values,
+            color_rows=colors.rows,
+            coordinates=coordinates,
+            coordinate_rows=np.stack(rows)[1:],
+            normals=normals.values,
+            normal_rows=normals.rows,
+            tangents=tangents.values,
+            tangent_rows=tangents.rows,
+            **{name: first_column.get(name, -1) for name in ("base_color", "alpha", "normal")},
         )
-        places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
-        return _Prepared(tables, SourceColumns(*places), stored.images)
+        return tables, stored.images
 
     def _vertex_alpha(self, number: int) -> float:
         """Return the mean alpha of the vertex colours under a material."""
@@ -307,32 +307,6 @@ class MaterialSource(Source):
             return 1.0
         rows = self.colors.rows[self.triangle_materials == number]
         return float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
-
-    def _bound(self) -> dict[str, Any]:
-        """Return what is bound to corners, as the tables name it."""
-        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
-        colors = self.colors or nothing
-        normals, tangents = (nothing, nothing) if self._frames is None else self._frames
-        values, rows = stacked([nowhere, *self.coordinates])
-        return {
-            "colors": colors.values,
-            "color_rows": colors.rows,
-            "coordinates": values,
-            "coordinate_rows": np.stack(rows)[1:],
-            "normals": normals.values,
-            "normal_rows": normals.rows,
-            "tangents": tangents.values,
-            "tangent_rows": tangents.rows,
-        }
-
-
-class _Prepared(NamedTuple):
-    """What the kernels read."""
-
-    tables: Tables
-    columns: SourceColumns
-    images: Images
 
 
 class _Shelf:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _COSINE_ROUNDING = 1e-6
 class Placeable(ABC):
     """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
 
+    _latest: tuple[Float64s, Int32s, Source] | None = None
+
     @abstractmethod
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
         """Return a source of one channel for a surface, and what provenance says of it.
@@ -29,6 +31,13 @@ class Placeable(ABC):
         ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
         ImageError or ArgumentError for what cannot be laid on that surface.
         """
+
+    def _shared(self, mesh: Mesh, make: Callable[[], Source]) -> Source:
+        """Return what ``make`` returns for a mesh: the same source for all channels, one after another."""
+        latest = self._latest
+        if latest is None or latest[0] is not mesh.rest or latest[1] is not mesh.triangles:
+            latest = self._latest = mesh.rest, mesh.triangles, make()
+        return latest[2]
 
 
 def least_cosine(degrees: float) -> float:
@@ -47,10 +56,6 @@ class SpatialSource(Source):
         self._rest = rest
         self._triangles = triangles
 
-    def is_on(self, mesh: Mesh) -> bool:
-        """Say whether it was laid on this mesh."""
-        return self._rest is mesh.rest and self._triangles is mesh.triangles
-
     @abstractmethod
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.
@@ -60,19 +65,22 @@ class SpatialSource(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        return self.at(*self.placed(triangles, barycentric), widths)
-
-    def placed(self, triangles: Int32s, barycentric: Float64s) -> tuple[Float64s, Float64s]:
-        """Return the rest positions (n, 3) of points of triangles, and the normals there as for ``at``."""
-        points, normals = np.empty((2, len(triangles), 3))
-        _place(self._rest, self._triangles, triangles, barycentric, points, normals)
-        return points, normals
+        return self.at(*placed(self._rest, self._triangles, triangles, barycentric), widths)
 
     def with_rest(self, rest: Float64s) -> SpatialSource:
         """Return the same values by position, on other rest positions (n, 3)."""
         other = copy.copy(self)
         other._rest = rest
         return other
+
+
+def placed(
+    rest: Float64s, faces: Int32s, triangles: Int32s, barycentric: Float64s
+) -> tuple[Float64s, Float64s]:
+    """Return the rest positions (n, 3) of points of triangles, and the unit normals of their faces there."""
+    points, normals = np.empty((2, len(triangles), 3))
+    _place(rest, faces, triangles, barycentric, points, normals)
+    return points, normals
 
 
 @kernel

@@ -131,7 +131,7 @@ class OnCage(OfAnother):
         rest: Float64s,
         triangles: Int32s,
     ) -> None:
-        self._source = source
+        super().__init__(source)
         self._parents = parents.astype(np.int32)
         self._shares = shares
         self._hull = hull
@@ -145,16 +145,16 @@ class OnCage(OfAnother):
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         places = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
-        return self._source.evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
+        return self._inputs[0].evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._source.texel_edges(self._parents[triangles]) / self._stretch[triangles]
+        return self._inputs[0].texel_edges(self._parents[triangles]) / self._stretch[triangles]
 
     def with_rest(self, rest: Float64s) -> OnCage:
         """Return the same source with widths measured on other rest positions (n, 3)."""
         parents = self._parents.astype(np.int64)
-        return OnCage(self._source, parents, self._shares, self._hull, rest, self._triangles)
+        return OnCage(self._inputs[0], parents, self._shares, self._hull, rest, self._triangles)
 
 
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:

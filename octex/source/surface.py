@@ -12,7 +12,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, NORMAL, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Picked, Source, by_channel
@@ -22,7 +22,7 @@ from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
-from octex.source.joined import FaceNormals, Joined, Member
+from octex.source.joined import Joined
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
 from octex.source.overrides import override_source
@@ -169,10 +169,6 @@ class Surface(Mesh):
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
         triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
-        parts = [
-            Member(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
-            for n, each in enumerate(surfaces)
-        ]
         rest = np.concatenate([each.rest for each in surfaces])
         faces = np.concatenate(
             [each.triangles + np.int32(first) for each, first in zip(surfaces, vertices, strict=False)]
@@ -182,7 +178,7 @@ class Surface(Mesh):
         return cls(
             np.concatenate([each.vertices for each in surfaces]),
             faces,
-            Joined(parts, FaceNormals((NORMAL,), rest, faces)),
+            Joined([each.source for each in surfaces], vertices, triangles, rest, faces),
             rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
             polygons=Polygons.joined([(each.polygons, len(each.triangles)) for each in surfaces]),
             name=name,

@@ -16,8 +16,8 @@ from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_array, as_entries, as_path, as_positive, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
-from octex.npz import read_npz
 from octex.source.materials import MOST_IN_FLOAT16
+from octex.source.models.reading import npz_arrays
 from octex.source.vxz import ENDING, unpack_vxz
 
 #: The endings of files of voxels; a .npz may be one of points instead.
@@ -103,7 +103,7 @@ class Voxels:
                 arrays: dict[str, Array] = {"coords": coords, **found, "origin": np.full(3, -0.5)}
                 arrays["size"] = np.array(1.0)
             else:
-                arrays = _read_npz(path)
+                arrays = npz_arrays(path)
         place = next((each for each in _COORDS if each in arrays), None)
         if place is None:
             raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
@@ -210,11 +210,3 @@ def is_voxels(path: Path) -> bool:
             return not {f"{each}.npy" for each in _COORDS}.isdisjoint(archive.namelist())
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
         return False
-
-
-def _read_npz(path: Path) -> dict[str, Array]:
-    with open_file(path) as file:
-        try:
-            return read_npz(file)
-        except ValueError as error:
-            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None

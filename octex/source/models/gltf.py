@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import json
 import warnings
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Array, Float64s, Floats, Int64s
 from octex.errors import ModelError, ModelWarning
 from octex.source.corners import Corners
 from octex.source.models.gltf_file import Document, Json, as_object, local_matrix, scene_nodes
 from octex.source.models.gltf_materials import read_materials
-from octex.source.models.gltf_motion import Placed, motion_of, pose_of
+from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
 from octex.source.models.reading import Description, Options, Part, assembled
 from octex.source.motion import Motion
 from octex.source.surface import Surface
@@ -51,48 +49,36 @@ def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     return _Scene(document, Options(materials=False)).motion(rate)
 
 
-class _Shape(NamedTuple):
-    """The triangles of a mesh primitive, and where the file keeps the rest of it."""
-
-    positions: Float64s
-    triangles: Int32s
-    material: int | None
-    attributes: Json
-    decoded: dict[str, Array]  # what of them an extension has
-    targets: list[Any]  # of morphs
-    name: str
-
-
 class _Scene:
     """Collects the primitives of all nodes into one surface."""
 
     def __init__(self, document: Document, options: Options) -> None:
         self._document = document
         self._options = options
-        self._shapes: dict[int, list[_Shape]] = {}
+        self._meshes: dict[int, list[Primitive]] = {}
 
     def surface(self) -> Surface:
         document, options = self._document, self._options
         shown = self._shown()
         if not shown:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-        known = read_materials(document, (shape.material for _, shape in shown), options)
+        known = read_materials(document, (each.primitive.material for each in shown), options)
         numbers = {number: place for place, number in enumerate(known)}
         is_mapped = any(each.material.normal_slot is not None for each in known.values())
-        is_smooth = any("NORMAL" in shape.attributes for _, shape in shown)
+        is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
         has_frames = is_mapped or (options.normals and is_smooth)
         parts: dict[str, Part] = {}
-        for _, shape in shown:
-            if shape.name not in parts:
-                part = self._part(shape, known[shape.material], has_frames)
-                number = np.full(len(shape.triangles), numbers[shape.material], np.int32)
-                parts[shape.name] = part._replace(materials=number)
+        for primitive in (each.primitive for each in shown):
+            if primitive.name not in parts:
+                part = self._part(primitive, known[primitive.material], has_frames)
+                number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
+                parts[primitive.name] = part._replace(materials=number)
         posed = None
         if options.pose is not None:
             pose = pose_of(document, options.pose)
-            posed = np.concatenate([pose.positions(placed) for placed, _ in shown])
+            posed = np.concatenate([pose.positions(each) for each in shown])
         return assembled(
-            [parts[shape.name]._replace(matrix=placed.matrix) for placed, shape in shown],
+            [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
             [each.material for each in known.values()],
             options,
             document.name,
@@ -102,24 +88,18 @@ class _Scene:
 
     def motion(self, rate: float) -> Motion | None:
         """Return how all vertices move, so many frames a second; None without animations."""
-        return motion_of(self._document, [placed for placed, _ in self._shown()], rate)
+        return motion_of(self._document, self._shown(), rate)
 
-    def _shown(self) -> list[tuple[Placed, _Shape]]:
+    def _shown(self) -> list[Placed]:
         """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
         return [
-            (
-                Placed(
-                    number, copy, matrix @ copy, shape.positions, shape.targets,
-                    partial(self._attribute, shape), f"{self._document.name}: {shape.name}",
-                ),
-                shape,
-            )
+            Placed(number, copy, matrix @ copy, primitive)
             for number, node, matrix in scene_nodes(self._document)
             if "mesh" in node
             for copy in self._copies(node)
-            for shape in self._mesh(node["mesh"])
-            if len(shape.triangles)
-        ]  # fmt: skip
+            for primitive in self._mesh(node["mesh"])
+            if len(primitive.triangles)
+        ]
 
     def _provenance(self) -> dict[str, str]:
         """Return what the file says of its origin and licence, and the digests of the files it refers to."""
@@ -146,65 +126,64 @@ class _Scene:
         count = min((len(rows) for rows in columns.values()), default=0)
         return [local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
-    def _mesh(self, number: int) -> list[_Shape]:
-        if number not in self._shapes:
-            name = f"meshes[{number}].primitives"
+    def _mesh(self, number: int) -> list[Primitive]:
+        if number not in self._meshes:
+            what = f"{self._document.name}: meshes[{number}].primitives"
             entries = [
-                as_object(entry, f"{self._document.name}: {name}[{index}]")
+                as_object(entry, f"{what}[{index}]")
                 for index, entry in enumerate(self._document.item("meshes", number)["primitives"])
             ]
-            self._shapes[number] = [
-                self._shape(entry, f"{name}[{index}]")
+            self._meshes[number] = [
+                self._primitive(entry, f"{what}[{index}]")
                 for index, entry in enumerate(entries)
                 if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
                 and "POSITION" in entry["attributes"]
             ]
-        return self._shapes[number]
+        return self._meshes[number]
 
-    def _shape(self, entry: Json, name: str) -> _Shape:
+    def _primitive(self, entry: Json, name: str) -> Primitive:
         document = self._document
         attributes = entry["attributes"]
-        triangles, decoded = document.draco(entry, f"{document.name}: {name}") or (None, {})
+        triangles, decoded = document.draco(entry, name) or (None, {})
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             positions = positions.astype(np.float64)
         if not np.isfinite(positions).all():
-            raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
+            raise ModelError(f"{name} has vertices that are not finite; repair the model")
         indices = self._indices(entry, triangles, len(positions), name)
         mode = entry.get("mode", _TRIANGLES) if triangles is None else _TRIANGLES
         number = entry.get("material") if self._options.materials else None
-        return _Shape(
-            positions, _triangles(indices, mode).astype(np.int32), number, attributes, decoded,
-            entry.get("targets", []), name,
+        return Primitive(
+            document, name, positions, _triangles(indices, mode).astype(np.int32), number, attributes,
+            decoded, entry.get("targets", []),
         )  # fmt: skip
 
     def _indices(self, entry: Json, triangles: Array | None, count: int, name: str) -> Int64s:
         """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""
-        document = self._document
         if triangles is not None:
             indices = triangles.reshape(-1)
         elif "indices" in entry:
-            indices = document.accessor(entry["indices"], (1,))[:, 0]
+            indices = self._document.accessor(entry["indices"], (1,))[:, 0]
         else:
             return np.arange(count)
         if indices.dtype.kind == "f":
-            raise ModelError(f"{document.name}: the indices of {name} are not integers; export it again")
+            raise ModelError(f"{name} has indices that are not integers; export it again")
         low, high = indices.min(initial=0), indices.max(initial=0)
         if len(indices) and not 0 <= low <= high < count:
             raise ModelError(
-                f"{document.name}: {name} uses vertex {low if low < 0 else high}, but there are {count}; "
+                f"{name} uses vertex {low if low < 0 else high}, but there are {count}; "
                 "export the model again"
             )
         if high == np.iinfo(indices.dtype).max:
             raise ModelError(
-                f"{document.name}: {name} uses vertex {high}, but {indices.dtype.name} indices keep this "
+                f"{name} uses vertex {high}, but {indices.dtype.name} indices keep this "
                 "number for the end of a strip (3.7.2.1); export it with wider indices"
             )
         return indices.astype(np.int64)
 
-    def _part(self, shape: _Shape, known: Description, has_frames: bool) -> Part:
-        """Read what a shape's material needs, and what may be of use without one."""
-        positions, triangles = shape.positions, shape.triangles
+    def _part(self, primitive: Primitive, known: Description, has_frames: bool) -> Part:
+        """Read what a primitive's material needs, and what may be of use without one."""
+        positions, triangles = primitive.positions, primitive.triangles
         part = Part(positions, triangles, np.zeros(len(triangles), np.int32))
         if not self._options.materials:
             return part
@@ -212,13 +191,13 @@ class _Scene:
         def bound(rows: Floats | None) -> Corners | None:
             return None if rows is None else Corners(rows.astype(np.float32), triangles)
 
-        colors = self._attribute(shape, "COLOR_0", (3, 4))
+        colors = primitive.attribute("COLOR_0", (3, 4))
         if colors is not None and colors.shape[1] == 3:
             colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
-        uv = self._attribute(shape, "TEXCOORD_0", (2,))
+        uv = primitive.attribute("TEXCOORD_0", (2,))
         coordinates = []
         for slot in known.slots:
-            read = uv if slot.name == "TEXCOORD_0" else self._attribute(shape, slot.name, (2,))
+            read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
             if read is None:
                 text = (
                     f"{self._document.name}: a textured material is of meshes without {slot.name}, which read"
@@ -229,29 +208,15 @@ class _Scene:
                 coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
         frames = None
         if has_frames:
-            normals, place = bound(self._attribute(shape, "NORMAL", (3,))), known.material.normal_slot
+            normals, place = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
             tangents = mapped = None
             if place is not None:  # tangents mean something only below a normal map
-                tangents, mapped = bound(self._attribute(shape, "TANGENT", (4,))), coordinates[place]
+                tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[place]
             frames = corner_frames(positions, triangles, normals, tangents, mapped)
-        is_smooth = "NORMAL" in shape.attributes
+        is_smooth = "NORMAL" in primitive.attributes
         return Part(
             positions, triangles, part.materials, bound(colors), coordinates, bound(uv), frames, is_smooth
         )
-
-    def _attribute(self, shape: _Shape, name: str, components: tuple[int, ...]) -> Float64s | None:
-        """Return a vertex attribute, None if the primitive has none of this name."""
-        if name not in shape.attributes:
-            return None
-        rows = self._document.accessor(shape.attributes[name], components, shape.decoded.get(name))
-        with np.errstate(invalid="ignore"):
-            rows = rows.astype(np.float64)
-        if len(rows) != len(shape.positions):
-            raise ModelError(
-                f"{self._document.name}: {shape.name} {name} has {len(rows)} rows "
-                f"for {len(shape.positions)} vertices"
-            )
-        return rows
 
 
 def _triangles(indices: Int64s, mode: int) -> Int64s:

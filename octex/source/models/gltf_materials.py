@@ -62,14 +62,8 @@ class _Part(NamedTuple):
         return as_numbers(self.entry.get(key, default), len(default), f"{self.name}.{key}", _FARTHEST)
 
 
-class _Reference(NamedTuple):
-    """A use of a texture: the place of its image in the file, its sampler, and its coordinates."""
-
-    image: str | int
-    wrap_u: int
-    wrap_v: int
-    nearest: bool
-    slot: Slot
+#: A use of a texture: its image, which is being decoded, wraps of u and v, flat texels, and its coordinates.
+_Reference = tuple[Future[Texels], int, int, bool, Slot]
 
 
 def read_materials(
@@ -87,19 +81,15 @@ def read_materials(
             number: {name: images.begin(each) for name, each in uses.items() if options.wants_image(name)}
             for number, (_, uses) in described.items()
         }
-        return {
-            number: _bound(material, references[number], images)
-            for number, (material, _) in described.items()
-        }
+        return {number: _bound(material, references[number]) for number, (material, _) in described.items()}
 
 
-def _bound(material: Material, references: dict[str, _Reference], images: _Images) -> Description:
+def _bound(material: Material, references: dict[str, _Reference]) -> Description:
     """Give a material its textures."""
     slots: dict[Slot, int] = {}
     inputs = dict(material.inputs)
-    for name, (image, wrap_u, wrap_v, nearest, slot) in references.items():
-        place = slots.setdefault(slot, len(slots))
-        texture = Texture(images.texels(image), wrap_u, wrap_v, nearest, place)
+    for name, (image, *sampler, slot) in references.items():
+        texture = Texture(image.result(), *sampler, slots.setdefault(slot, len(slots)))
         inputs[name] = inputs[name]._replace(texture=texture)
     return Description(material._replace(inputs=inputs), tuple(slots))
 
@@ -220,24 +210,16 @@ class _Images:
                 raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
             wraps.append(_WRAPS[code])
         is_nearest = sampler.get("magFilter") == _NEAREST
-        return _Reference(self._read(source), wraps[0], wraps[1], is_nearest, _slot(use))
+        return self._read(source), wraps[0], wraps[1], is_nearest, _slot(use)
 
-    def texels(self, place: str | int) -> Texels:
-        """Return an image that was begun."""
-        return self._decoding[place].result()
-
-    def _read(self, number: int) -> str | int:
-        """Read an image and have it decoded, unless it is; return its place, which other images may share."""
+    def _read(self, number: int) -> Future[Texels]:
+        """Read an image and have it decoded, unless another one at its place in the file is."""
         document = self._document
         entry = document.item("images", number)
         what = f"images[{number}]"
         name = f"{document.name}: {what}"
-        place: str | int
-        if "bufferView" in entry:
-            place = entry["bufferView"]
-        elif "uri" in entry:
-            place = entry["uri"]
-        else:
+        place: str | int | None = entry.get("bufferView", entry.get("uri"))
+        if place is None:
             raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
         if place not in self._decoding:
             if isinstance(place, str):
@@ -246,4 +228,4 @@ class _Images:
             else:
                 data = bytes(document.view(place)[0])
             self._decoding[place] = self._executor.submit(decode_image, data, name)
-        return place
+        return self._decoding[place]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from octex.errors import ModelError, ModelWarning
+from octex.files import open_file
+from octex.npz import read_npz
 from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.images.decode import global_settings
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
@@ -51,6 +54,15 @@ def parse_numbers(text: str) -> Float64s | None:
             return np.fromstring(text, np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
+
+
+def npz_arrays(path: Path, names: Container[str] | None = None) -> dict[str, Array]:
+    """Return the arrays of an .npz file, or those of some names. Raises ModelError."""
+    with open_file(path) as file:
+        try:
+            return read_npz(file, names)
+        except ValueError as error:
+            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
 
 
 def whole_numbers(values: Array) -> Int64s:
