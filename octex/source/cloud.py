@@ -186,10 +186,10 @@ class _FromPoints(SpatialSource):
 
     def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
         self._ready = ready
-        self._radius = 0.0 if cloud.radius is None else cloud.radius
-        self._nearest = None if cloud.radius is not None else np.inf
-        if cloud.distance is not None:
-            self._nearest = cloud.distance
+        self._radius = cloud.radius or 0.0
+        self._nearest = cloud.distance
+        if cloud.radius is None and cloud.distance is None:
+            self._nearest = np.inf
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
         self._least_cosine = least_cosine(cloud.max_angle)
         self._is_translucent = cloud.is_translucent

@@ -270,8 +270,8 @@ class MaterialSource(Source):
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        stored = store(shelf.pictures, LEVELS_OF[self._filter])
-        stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
+        images, layout_of = store(shelf.pictures, LEVELS_OF[self._filter])
+        stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
         nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
@@ -299,7 +299,7 @@ class MaterialSource(Source):
             tangent_rows=tangents.rows,
             **{name: first_column.get(name, -1) for name in ("base_color", "alpha", "normal")},
         )
-        return tables, stored.images
+        return tables, images
 
     def _vertex_alpha(self, number: int) -> float:
         """Return the mean alpha of the vertex colours under a material."""

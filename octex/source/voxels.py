@@ -166,9 +166,8 @@ class Voxels:
         if array.dtype.kind not in "iu" or array.size not in (1, count):
             what = f"{array.dtype} {array.shape}"
             raise ArgumentError(f"{self.name}: depth must be a whole number, or one a voxel, not {what}")
-        low, high = int(array.min()), int(array.max())
-        if low < 0 or high > _DEEPEST:
-            worst = low if low < 0 else high
+        worst = array.min() if array.min() < 0 else array.max()
+        if not 0 <= worst <= _DEEPEST:
             raise ArgumentError(f"{self.name}: depth must be from 0 to {_DEEPEST}, not {worst}")
         return np.broadcast_to(array.reshape(-1), count).astype(np.uint8)
 

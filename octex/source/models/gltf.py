@@ -167,7 +167,8 @@ class _Scene:
         else:
             return np.arange(count)
         if indices.dtype.kind == "f":
-            raise ModelError(f"{name} has indices that are not integers; export it again")
+            what = name.replace(": ", ": the indices of ", 1)
+            raise ModelError(f"{what} are not integers; export it again")
         low, high = indices.min(initial=0), indices.max(initial=0)
         if len(indices) and not 0 <= low <= high < count:
             raise ModelError(

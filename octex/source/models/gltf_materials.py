@@ -81,17 +81,16 @@ def read_materials(
             number: {name: images.begin(each) for name, each in uses.items() if options.wants_image(name)}
             for number, (_, uses) in described.items()
         }
-        return {number: _bound(material, references[number]) for number, (material, _) in described.items()}
-
-
-def _bound(material: Material, references: dict[str, _Reference]) -> Description:
-    """Give a material its textures."""
-    slots: dict[Slot, int] = {}
-    inputs = dict(material.inputs)
-    for name, (image, *sampler, slot) in references.items():
-        texture = Texture(image.result(), *sampler, slots.setdefault(slot, len(slots)))
-        inputs[name] = inputs[name]._replace(texture=texture)
-    return Description(material._replace(inputs=inputs), tuple(slots))
+        known: dict[int | None, Description] = {}
+        for number, (material, _) in described.items():
+            slots: dict[Slot, int] = {}
+            inputs = dict(material.inputs)
+            for name, (image, wrap_u, wrap_v, nearest, slot) in references[number].items():
+                place = slots.setdefault(slot, len(slots))
+                texture = Texture(image.result(), wrap_u, wrap_v, nearest, place)
+                inputs[name] = inputs[name]._replace(texture=texture)
+            known[number] = Description(material._replace(inputs=inputs), tuple(slots))
+        return known
 
 
 def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Part]]:
@@ -188,8 +187,7 @@ class _Images:
     """The images of a document, decoded by an executor from the moment they are asked for."""
 
     def __init__(self, document: Document, executor: Executor) -> None:
-        self._document = document
-        self._executor = executor
+        self._document, self._executor = document, executor
         self._decoding: dict[str | int, Future[Texels]] = {}
 
     def begin(self, use: _Part) -> _Reference:
@@ -203,14 +201,12 @@ class _Images:
         if source is None:
             raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
         sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
-        wraps = []
-        for axis in ("wrapS", "wrapT"):
-            code = sampler.get(axis, 10497)
+        wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
+        for axis, code in wraps.items():
             if code not in _WRAPS:
                 raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
-            wraps.append(_WRAPS[code])
-        is_nearest = sampler.get("magFilter") == _NEAREST
-        return self._read(source), wraps[0], wraps[1], is_nearest, _slot(use)
+        wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
+        return self._read(source), wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, _slot(use)
 
     def _read(self, number: int) -> Future[Texels]:
         """Read an image and have it decoded, unless another one at its place in the file is."""

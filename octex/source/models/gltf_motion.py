@@ -168,15 +168,11 @@ def pose_of(document: Document, pose: str) -> Pose:
             time = np.nan
         if 0.0 <= time <= moves.length:
             return Pose(document, moves.fields_at(time))
-        last = _seconds(moves.length)
+        last = np.float32(moves.length)
         fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
     lengths = lengths_of(document).items()
-    listing = ", ".join(f"{each} (0 to {_seconds(length)} s)" for each, length in lengths)
+    listing = ", ".join(f"{each} (0 to {np.float32(length)} s)" for each, length in lengths)
     raise ArgumentError(f"{document.name}{fault}; it has {listing}")
-
-
-def _seconds(time: float) -> str:
-    return str(np.float32(time))
 
 
 class Primitive(NamedTuple):

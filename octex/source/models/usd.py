@@ -43,7 +43,12 @@ def load_usd(path: Path, options: Options) -> Surface:
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
     try:
         stage = Usd.Stage.Open(str(path.absolute()))
-        _refuse_absolute(stage, path.name)
+        # It may be given away to name others' files.
+        for layer in stage.GetUsedLayers():
+            for each in filter(is_absolute, layer.GetCompositionAssetDependencies()):
+                raise ModelError(
+                    f"{path.name} refers to {each}; absolute paths are not followed; name it from its folder"
+                )
         faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
         if faults:
             more = f" … and {len(faults) - 1} more like that" if len(faults) > 1 else ""
@@ -56,16 +61,6 @@ def load_usd(path: Path, options: Options) -> Surface:
         del quiet
 
 
-def _refuse_absolute(stage: Any, name: str) -> None:
-    """Refuse a stage that is composed of files at absolute places: it may be given away to name others'."""
-    for layer in stage.GetUsedLayers():
-        for each in layer.GetCompositionAssetDependencies():
-            if is_absolute(each):
-                raise ModelError(
-                    f"{name} refers to {each}; absolute paths are not followed; name it from its folder"
-                )
-
-
 class _Scene:
     """Collects the meshes of a stage into one surface."""
 
@@ -76,9 +71,8 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
         self._materials = Materials(name, options)
-        self._lacking: dict[
-            str, dict[str, None]
-        ] = {}  # meshes without coordinates that are asked for, by name
+        # Meshes without coordinates that are asked for, by the coordinates' name.
+        self._lacking: dict[str, dict[str, None]] = {}
 
     def surface(self) -> Surface:
         """Return all that is shown."""
