@@ -66,6 +66,22 @@ class Material(NamedTuple):
         return [each.texture for each in self.inputs.values() if each.texture is not None]
 
     @property
+    def alpha_factor(self) -> float:
+        """What its alpha is multiplied by."""
+        return self.inputs["alpha"].factor[0] if "alpha" in self.inputs else 1.0
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the base colour's own image holds how much of it there is."""
+        color, alpha = self.inputs.get("base_color"), self.inputs.get("alpha")
+        if self.alpha_mode == "opaque" or color is None or alpha is None or alpha.lanes[0] != 3:
+            return False
+        if color.texture is None or alpha.texture is None:
+            return False
+        texels = color.texture.texels
+        return alpha.texture.texels is texels and is_translucent(texels)
+
+    @property
     def normal_slot(self) -> int | None:
         """The set of texture coordinates that its normal map is read at; None without such a map."""
         entry = self.inputs.get("normal")
@@ -243,20 +259,18 @@ class MaterialSource(Source):
         return tables, images, footprints
 
     def _tables(self) -> tuple[Tables, Images]:
-        names = [form.name for form in self._channels]
-        ends = [0, *np.cumsum([form.components for form in self._channels]).tolist()]
-        first_column = {
-            form.name: end - form.components for form, end in zip(self._channels, ends[1:], strict=True)
-        }
+        sizes = [form.components for form in self._channels]
+        ends = np.cumsum([0, *sizes]).tolist()
+        first_column = {form.name: end for form, end in zip(self._channels, ends, strict=False)}
         count = len(self.materials)
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        shelf = _Shelf(self.materials, [self._vertex_alpha(number) for number in range(count)])
+        shelf = _Shelf()
         for number, material in enumerate(self.materials):
-            lane_of = shelf.add(number, names)
-            for form in self._channels:
-                columns = slice(first_column[form.name], first_column[form.name] + form.components)
+            lane_of = shelf.add(material, list(first_column), self._threshold(number))
+            for form, first in zip(self._channels, ends, strict=False):
+                columns = slice(first, first + form.components)
                 entry = material.inputs.get(form.name)
                 if form.space == "direction":
                     straight = entry is None or entry.texture is None
@@ -275,8 +289,6 @@ class MaterialSource(Source):
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
         nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
-        colors = self.colors or nothing
-        normals, tangents = (nothing, nothing) if self._frames is None else self._frames
         coordinates, rows = stacked([nowhere, *self.coordinates])
         tables = Tables(
             materials=self.triangle_materials,
@@ -287,34 +299,32 @@ class MaterialSource(Source):
             gains=gains,
             offsets=offsets,
             alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self.materials], np.uint8),
-            alpha_factors=np.array([_alpha_factor(m) for m in self.materials], np.float32),
+            alpha_factors=np.array([m.alpha_factor for m in self.materials], np.float32),
             cutoffs=np.array([m.cutoff for m in self.materials], np.float32),
-            colors=colors.values,
-            color_rows=colors.rows,
+            colors=self.colors or nothing,
             coordinates=coordinates,
             coordinate_rows=np.stack(rows)[1:],
-            normals=normals.values,
-            normal_rows=normals.rows,
-            tangents=tangents.values,
-            tangent_rows=tangents.rows,
+            frames=self._frames or Frames(nothing, nothing),
             **{name: first_column.get(name, -1) for name in ("base_color", "alpha", "normal")},
         )
         return tables, images
 
-    def _vertex_alpha(self, number: int) -> float:
-        """Return the mean alpha of the vertex colours under a material."""
-        if self.colors is None or self.materials[number].alpha_mode != "mask":
-            return 1.0
-        rows = self.colors.rows[self.triangle_materials == number]
-        return float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
+    def _threshold(self, number: int) -> float:
+        """Return the texel's alpha from which on a mask covers, by the mean vertex alpha; −1 for no mask."""
+        material = self.materials[number]
+        if material.alpha_mode != "mask":
+            return -1.0
+        factor = material.alpha_factor
+        if self.colors is not None:
+            rows = self.colors.rows[self.triangle_materials == number]
+            factor *= float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
+        return material.cutoff / factor if factor > 0 else np.inf
 
 
 class _Shelf:
     """The images that materials read, each once, and the stacks in which each material reads them."""
 
-    def __init__(self, materials: Sequence[Material], vertex_alphas: Sequence[float]) -> None:
-        self._materials = materials
-        self._vertex_alphas = vertex_alphas
+    def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
@@ -322,17 +332,25 @@ class _Shelf:
         self.stacks: list[tuple[int, int, int, int, int, int]] = []
         self.images: list[int] = []
 
-    def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
+    def add(self, material: Material, names: Sequence[str], threshold: float) -> dict[str, int]:
         """Add the images of a material for some channels; return the first lane of each channel's image."""
-        material = self._materials[number]
         stacks: dict[tuple[object, int, int, bool, int], dict[int, list[str]]] = {}
         for name in names:
             entry = material.inputs.get(name)
             if entry is None or entry.texture is None:
                 continue
             texels, wrap_u, wrap_v, nearest, slot = entry.texture
+            is_direction = CHANNELS[name].space == "direction"
+            is_covered = name in ("base_color", "alpha") and material.is_covered
+            is_light = CHANNELS[name].space == "srgb" or is_covered
+            cut = threshold if is_covered else -1.0
+            key = id(texels), is_light, is_covered, cut, entry.factor if is_direction else None
+            if key not in self._numbers:
+                self._numbers[key] = len(self.pictures)
+                stored = unit_directions(texels, entry.factor) if is_direction else texels
+                self.pictures.append(Picture(stored, is_light, is_covered, cut))
             way = texels.shape[:2], wrap_u, wrap_v, nearest, slot
-            stacks.setdefault(way, {}).setdefault(self._image(number, name, texels), []).append(name)
+            stacks.setdefault(way, {}).setdefault(self._numbers[key], []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
         for (_, wrap_u, wrap_v, nearest, slot), readers in stacks.items():
@@ -344,40 +362,6 @@ class _Shelf:
                 lane += 4
         self.first_stacks.append(len(self.stacks))
         return lane_of
-
-    def _image(self, number: int, name: str, texels: Texels) -> int:
-        """Return the number of the image that a channel of a material reads."""
-        material = self._materials[number]
-        entry = material.inputs[name]
-        space = CHANNELS[name].space
-        covering = name in ("base_color", "alpha") and _is_covered(material)
-        threshold = -1.0
-        if covering and material.alpha_mode == "mask":
-            factor = _alpha_factor(material) * self._vertex_alphas[number]
-            threshold = material.cutoff / factor if factor > 0 else np.inf
-        is_light = space == "srgb" or covering
-        key = (id(texels), is_light, covering, threshold, entry.factor if space == "direction" else None)
-        if key not in self._numbers:
-            if space == "direction":
-                texels = unit_directions(texels, entry.factor)
-            self._numbers[key] = len(self.pictures)
-            self.pictures.append(Picture(texels, is_light, covering, threshold))
-        return self._numbers[key]
-
-
-def _is_covered(material: Material) -> bool:
-    """Say whether the base colour's own image holds how much of it there is."""
-    color, alpha = material.inputs.get("base_color"), material.inputs.get("alpha")
-    if material.alpha_mode == "opaque" or color is None or alpha is None:
-        return False
-    if color.texture is None or alpha.texture is None or alpha.lanes[0] != 3:
-        return False
-    texels = color.texture.texels
-    return alpha.texture.texels is texels and is_translucent(texels)
-
-
-def _alpha_factor(material: Material) -> float:
-    return material.inputs["alpha"].factor[0] if "alpha" in material.inputs else 1.0
 
 
 def light_format(form: ChannelFormat, most: float) -> ChannelFormat:

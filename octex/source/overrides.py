@@ -51,12 +51,7 @@ class FunctionSource(SpatialSource):
         self._what = f"the function {name_of(function)} of {form.name}"
         self._takes_normals = takes_both(function, self._what, "positions", "normals")
 
-    def at(
-        self,
-        points: Float64s,
-        normals: Float64s,
-        widths: Float32s,  # noqa: ARG002
-    ) -> Float32s:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:  # noqa: ARG002
         """Return values (n, components) at rest positions (n, 3)."""
         [form] = self.channels
         if len(points) == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -73,16 +73,16 @@ def subdivide(
     values = limits(level, scheme)
     faces, corners = _triangles(level, scheme, cage)
     triangles = level.corners[corners].astype(np.int32)
-    on_cage = cage.located(level.faces[faces], level.domain[corners])
+    parents, shares, positions = cage.located(level.faces[faces], level.domain[corners])
     hull = np.empty((len(values), 3))
-    hull[triangles] = on_cage.positions
+    hull[triangles] = positions
     resting = values[:, 3:] if is_posed and rest == "limit" else values[:, :3]
     polygons = None
     if scheme == "catmull-clark":
         polygons = Polygons(faces.astype(np.int32), (corners % 4).astype(np.int32))
     uv = None
     if mesh.uv is not None:
-        at_corners = np.einsum("mkc,mcx->mkx", on_cage.shares, mesh.uv.values[mesh.uv.rows[on_cage.parents]])
+        at_corners = np.einsum("mkc,mcx->mkx", shares, mesh.uv.values[mesh.uv.rows[parents]])
         rows = np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
         uv = Corners(at_corners.reshape(-1, 2).astype(np.float32), rows)
     made = Mesh(
@@ -91,7 +91,7 @@ def subdivide(
     )  # fmt: skip
     if not isinstance(mesh, Surface):
         return made
-    source = OnCage(mesh.source, on_cage.parents, on_cage.shares, hull, made.rest, made.triangles)
+    source = OnCage(mesh.source, parents, shares, hull, made.rest, made.triangles)
     said = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
     return Surface._on(made, source, {**mesh.provenance, "subdivided": said})
 
@@ -123,14 +123,9 @@ class OnCage(OfAnother):
     """
 
     def __init__(
-        self,
-        source: Source,
-        parents: Int64s,
-        shares: Float64s,
-        hull: Float64s,
-        rest: Float64s,
+        self, source: Source, parents: Int64s, shares: Float64s, hull: Float64s, rest: Float64s,
         triangles: Int32s,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(source)
         self._parents = parents.astype(np.int32)
         self._shares = shares
@@ -160,14 +155,6 @@ class OnCage(OfAnother):
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
     """Return the roots of the areas of triangles (m,)."""
     return np.asarray(np.sqrt(np.linalg.norm(area_vectors(positions[triangles]), axis=1)))
-
-
-class _Places(NamedTuple):
-    """Where triangles lie on a cage."""
-
-    parents: Int64s  # (m,)   the cage's triangles
-    shares: Float64s  # (m, 3, 3)   barycentric coordinates of their corners there
-    positions: Float64s  # (m, 3, 3)   of their corners, at rest
 
 
 class _Cage:
@@ -220,8 +207,12 @@ class _Cage:
         missing = 6 - within.sum(axis=1)  # the corner that the first triangle lacks
         return np.asarray((self.sizes == 4) & (missing % 2 == 0))
 
-    def located(self, faces: Int64s, points: Float64s) -> _Places:
-        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage's triangles."""
+    def located(self, faces: Int64s, points: Float64s) -> tuple[Int64s, Float64s, Float64s]:
+        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage.
+
+        Return the cage's triangles (m,), the corners' barycentric coordinates there (m, 3, 3), and their
+        positions at rest (m, 3, 3).
+        """
         parents = self._holding(faces, points.mean(axis=1))
         shares = self._shares(parents[:, None], points)
         positions = np.einsum("mkc,mcx->mkx", shares, self._rest[parents])
@@ -234,7 +225,7 @@ class _Cage:
             each = np.einsum("nc,ncx->nx", self._shares(own, flat), self._rest[own]).reshape(-1, 3, 3)
             positions[some] = each
             shares[some] = _shares_in_space(self._rest[parents[some]], each, shares[some])
-        return _Places(parents, shares, positions)
+        return parents, shares, positions
 
     def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
         """Return the triangle of its face that holds each point (n, 2)."""

@@ -138,7 +138,9 @@ class Surface(Mesh):
             nearest = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
             texture = Texture(as_texels(image), *wraps, nearest)
         if uv is not None:
-            coordinates = _corner_coordinates(uv, faces, len(positions))
+            bound = as_reals(uv, "uv", (len(positions), 2), (len(faces), 3, 2))
+            rows = faces if bound.ndim == 2 else np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+            coordinates = Corners(flip_v(bound.reshape(-1, 2)), rows)
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
             translucent |= texture is not None and is_translucent(texture.texels)
@@ -147,15 +149,9 @@ class Surface(Mesh):
         inputs = {"base_color": Input(full[:3], texture), "alpha": Input(full[3:], texture, (3,))}
         material = Material(inputs, alpha, cutoff)
         source = MaterialSource(
-            [material],
-            np.zeros(len(faces), np.int32),
-            placed,
-            faces,
-            colors=corners,
-            coordinates=[] if coordinates is None else [coordinates],
-            name=name,
-            filter=filter,
-        )
+            [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners,
+            coordinates=[] if coordinates is None else [coordinates], name=name, filter=filter,
+        )  # fmt: skip
         return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
 
     @classmethod
@@ -388,20 +384,16 @@ class Surface(Mesh):
             raise ArgumentError(f"samples have barycentric coordinates that are not below {FARTHEST:g}")
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
-        source = self._only(channel)
+        if channel not in self._single:  # kept ready for the next time
+            needs_all = channel == ALPHA.name and self.source.has_gaps
+            self._single[channel] = self.source if needs_all else self.source.only([channel])
+        source = self._single[channel]
         values = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
             np.ascontiguousarray(samples.barycentric, np.float64),
             widths,
         )
         return by_channel(source.channels, values)[channel]
-
-    def _only(self, channel: str) -> Source:
-        """Return a source of one channel, kept ready for the next time."""
-        if channel not in self._single:
-            needs_all = channel == ALPHA.name and self.source.has_gaps
-            self._single[channel] = self.source if needs_all else self.source.only([channel])
-        return self._single[channel]
 
     def evaluate_all(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
@@ -414,15 +406,6 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
-
-
-def _corner_coordinates(uv: npt.ArrayLike, triangles: Int32s, vertices: int) -> Corners:
-    """Bind coordinates with v up, per vertex or per corner."""
-    array = as_reals(uv, "uv", (vertices, 2), (len(triangles), 3, 2))
-    rows = triangles
-    if array.ndim == 3:
-        rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    return Corners(flip_v(array.reshape(-1, 2)), rows)
 
 
 def flip_v(uv: Floats) -> Float32s:

@@ -150,7 +150,14 @@ class Materials:
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
             self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
         if (place, change) not in self._texels:
-            self._texels[place, change] = _changed(self._texels[place, ""], change)
+            texels = self._texels[place, ""]
+            if texels.dtype.kind != "f":  # light of floats stays
+                codes = np.arange(65536) / 65535.0
+                is_light = change == "to sRGB"
+                table = encode(codes if is_light else srgb_to_linear(codes), "uint16", "srgb" if is_light else "data")
+                alpha, texels = texels[..., 3], np.asarray(table[texels], np.uint16)
+                texels[..., 3] = alpha
+            self._texels[place, change] = texels
         return self._texels[place, change]
 
 
@@ -158,20 +165,6 @@ def _plain() -> Description:
     """Return the material of what has none: its displayColor, or white."""
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
     return Description(material, reads_color=True)
-
-
-def _changed(texels: Texels, change: str) -> Texels:
-    """Return an image with its colours encoded as sRGB, or decoded; light of floats stays."""
-    if texels.dtype.kind == "f":
-        return texels
-    codes = np.arange(65536) / 65535.0
-    if change == "to sRGB":
-        table = encode(codes, "uint16", "srgb")
-    else:
-        table = encode(srgb_to_linear(codes), "uint16", "data")
-    made = table[texels]
-    made[..., 3] = texels[..., 3]
-    return np.asarray(made, np.uint16)
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
