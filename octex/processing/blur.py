@@ -11,7 +11,7 @@ from octex.arrays import Float32s, Float64s, Uint8s
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_number
 from octex.editing.averages import average_plain, coverage, weighted_means
-from octex.processing.edit import centres_of, names_of, noted, with_values
+from octex.processing.edit import Centres, names_of, noted, with_values
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.children import node_cells
@@ -46,7 +46,7 @@ def blur(
         return texture
     tree = texture.tree
     arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
-    made = {name: Channel(texture.channels[name].format, *own) for name, own in arrays.items()}
+    made = {name: Channel(texture.channels[name].format, *stored) for name, stored in arrays.items()}
     is_leaf = np.ones(tree.n_cells, np.bool_)
     is_leaf[node_cells(tree.arrays)] = False
     rows = rows_of(tree.split)
@@ -58,22 +58,22 @@ def blur(
     edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
     left = np.repeat(np.maximum(1 - width / edges, 0), np.diff(first)).astype(np.float32)
     average_plain(tree, left)
-    codes = np.concatenate([codes for codes, _ in tree.walk()])
+    centres_of = Centres(tree, texture.placement)
     faces = tree.arrays.flags & np.uint8(FACING_FLAGS)
     for part, numbers, cells, facings in (
         (0, plain, plain, faces[plain]),
         (1, *rows),
         (2, np.arange(kept.size), kept, faces[kept]),
     ):
-        centres = centres_of(texture, codes[cells], cells)
+        centres = centres_of[cells]
         blurred = _sampled(texture, names, centres, facings, width, threads, executor)
         some = np.flatnonzero(left[cells] > 0)
         field = _sampled(texture, names, centres[some], facings[some], None, threads, executor)
         for name in names:
-            form, own = made[name].format, arrays[name][part]
-            old = decode(own[numbers[some]], form.space)
+            form, stored = made[name].format, arrays[name][part]
+            old = decode(stored[numbers[some]], form.space)
             blurred[name][some] += left[cells[some], None] * (old - field[name])
-            own[numbers] = encode(blurred[name], form.dtype, form.space)
+            stored[numbers] = encode(blurred[name], form.dtype, form.space)
     _average_facings(texture, made, rows, left)
     parts = left[:, None].astype(np.float64)
     change = dict.fromkeys(names, lambda cells, values, means: parts[cells] * (values - means))
@@ -101,8 +101,8 @@ def _sampled(
             centres[chosen], names, width=width, normals=facing, normalize=False, threads=threads,
             executor=executor,
         )  # fmt: skip
-        for name, own in values.items():
-            sampled[name][chosen] = own
+        for name, stored in values.items():
+            sampled[name][chosen] = stored
     return sampled
 
 

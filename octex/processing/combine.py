@@ -144,14 +144,14 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
         form = channel.format
         if name not in second.channels and name != ALPHA.name:
             continue
-        found = second.channels.get(name) or _opaque(second.tree, form)
-        meanings = [each.space in ("srgb", "linear") or each.space for each in (form, found.format)]
-        if form.components != found.format.components or meanings[0] != meanings[1]:
+        beside = second.channels.get(name) or _opaque(second.tree, form)
+        meanings = [each.space in ("srgb", "linear") or each.space for each in (form, beside.format)]
+        if form.components != beside.format.components or meanings[0] != meanings[1]:
             raise ArgumentError(
                 f"channel {name!r} has {form.components} components of {form.space} in one texture and "
-                f"{found.format.components} of {found.format.space} in the other"
+                f"{beside.format.components} of {beside.format.space} in the other"
             )
-        one[name], other[name] = channel, in_format(found, form)
+        one[name], other[name] = channel, in_format(beside, form)
     if ALPHA.name in second.channels and ALPHA.name not in first.channels:
         other[ALPHA.name] = second.channels[ALPHA.name]
         one[ALPHA.name] = _opaque(first.tree, other[ALPHA.name].format)
@@ -161,8 +161,8 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
             f"{', '.join(second.channels) or 'none'}"
         )
     made = [
-        OctreeTexture(each.tree, own, each.placement, each.bounds)
-        for each, own in ((first, one), (second, other))
+        OctreeTexture(each.tree, channels, each.placement, each.bounds)
+        for each, channels in ((first, one), (second, other))
     ]
     return made[0], made[1]
 
@@ -202,7 +202,7 @@ def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
     """
     leaves: list[Int64s] = []
     skirts: list[Int64s] = []
-    alone: list[Int64s] = []  # surface that the other lacks
+    lacked: list[Int64s] = []  # surface that the other lacks
     for level, (codes, is_node) in enumerate(tree.walk()):
         where = locate(over, codes, level)
         is_lacking = ~is_node & ~where.is_leaf & (where.levels < level)
@@ -211,8 +211,8 @@ def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
         is_left = np.where(where.is_leaf, where.levels == level, ~is_node & ~is_skirt)
         leaves.append(codes[is_left])
         skirts.append(codes[is_skirt])
-        alone.append(codes[is_lacking & ~is_skirt])
-    for level, own in enumerate(skirts):
-        stays = own[are_beside(own, alone, level)]
+        lacked.append(codes[is_lacking & ~is_skirt])
+    for level, codes in enumerate(skirts):
+        stays = codes[are_beside(codes, lacked, level)]
         leaves[level] = np.sort(np.concatenate([leaves[level], stays]), kind="stable")
     return leaves

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from octex.editing.averages import Change, average, coverage, difference, residu
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
+from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 
 #: The name in the metadata under which operations are listed, as JSON.
@@ -50,10 +52,22 @@ def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> lis
     return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
 
 
-def centres_of(texture: OctreeTexture, codes: Int64s, cells: Int64s, tree: Octree | None = None) -> Float64s:
-    """Return the centres (n, 3), at rest, of cells (n,) of some Morton codes, by default of the texture's."""
-    levels = np.searchsorted((tree or texture.tree).arrays.level_cells, cells, side="right") - 1
-    return texture.placement.to_rest((decode_cells(codes) + 0.5) * np.ldexp(1.0, -levels)[:, None])
+class Centres:
+    """The centres of a tree's cells, at rest."""
+
+    def __init__(self, tree: Octree, placement: Placement) -> None:
+        self._tree, self._placement = tree, placement
+
+    @cached_property
+    def codes(self) -> Int64s:
+        """The Morton codes of all cells (cells,)."""
+        return np.concatenate([codes for codes, _ in self._tree.walk()])
+
+    def __getitem__(self, cells: Int64s | range) -> Float64s:
+        chosen = np.asarray(cells, np.int64)
+        levels = np.searchsorted(self._tree.arrays.level_cells, chosen, side="right") - 1
+        places = (decode_cells(self.codes[chosen]) + 0.5) * np.ldexp(1.0, -levels)[:, None]
+        return self._placement.to_rest(places)
 
 
 def edited(
@@ -103,10 +117,10 @@ def with_values(
         texture.tree, {**texture.channels, **made}, texture.placement, texture.bounds, metadata
     )
     for name in sorted(made, key=lambda name: name != ALPHA.name):
-        own = change.get(name, difference)
+        of_channel = change.get(name, difference)
         if ALPHA.name in made and name != ALPHA.name:
-            own = _covered(own, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
-        average(after, made[name], residuals(texture, name, change=own))
+            of_channel = _covered(of_channel, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
+        average(after, made[name], residuals(texture, name, change=of_channel))
     return after
 
 

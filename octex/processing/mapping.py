@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from octex.arrays import Array, Float32s, Float64s, Int64s
 from octex.channels import ALPHA, decode, encode
 from octex.errors import ArgumentError
 from octex.functions import answer, name_of, takes_both
-from octex.processing.edit import centres_of, edited, names_of
+from octex.processing.edit import Centres, edited, names_of
 from octex.texture import Channel, OctreeTexture
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
@@ -46,29 +45,14 @@ def map_values(
     if not callable(f):
         raise ArgumentError(f"f must be a function of values, not {f!r}")
     names = names_of(texture, channel)
-    centres = _Centres(texture)
-    return edited(texture, names, lambda own: _Mapped(f, own, centres), "map", function=name_of(f))
-
-
-class _Centres:
-    """Where cells are; found when it is first asked."""
-
-    def __init__(self, texture: OctreeTexture) -> None:
-        self._texture = texture
-
-    @cached_property
-    def _codes(self) -> Int64s:
-        return np.concatenate([codes for codes, _ in self._texture.tree.walk()])
-
-    def __getitem__(self, cells: Int64s | range) -> Float64s:
-        chosen = np.asarray(cells, np.int64)
-        return centres_of(self._texture, self._codes[chosen], chosen)
+    centres = Centres(texture.tree, texture.placement)
+    return edited(texture, names, lambda each: _Mapped(f, each, centres), "map", function=name_of(f))
 
 
 class _Mapped:
     """A function on the values of one channel."""
 
-    def __init__(self, f: ValueFunction, channel: Channel, centres: _Centres) -> None:
+    def __init__(self, f: ValueFunction, channel: Channel, centres: Centres) -> None:
         self._f, self._form, self._centres = f, channel.format, centres
         self._what = f"channel {self._form.name!r}: {name_of(f)}"
         self._wants_positions = takes_both(f, self._what, "values", "positions")
@@ -77,16 +61,16 @@ class _Mapped:
         """Map values as stored, which are those of ``cells``, or one a cell."""
         form = self._form
         mapped = np.empty_like(values)
-        for here, own in _blocks(len(values), cells):
-            mapped[here] = encode(self._of(decode(values[here], form.space), own), form.dtype, form.space)
+        for here, chosen in _blocks(len(values), cells):
+            mapped[here] = encode(self._of(decode(values[here], form.space), chosen), form.dtype, form.space)
         return mapped
 
     def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
         """Return how far f of values is from f of means."""
         apart = np.empty_like(values)
-        for here, own in _blocks(len(values), cells):
-            apart[here] = self._of(values[here].astype(np.float32), own)
-            apart[here] -= self._of(means[here].astype(np.float32), own)
+        for here, chosen in _blocks(len(values), cells):
+            apart[here] = self._of(values[here].astype(np.float32), chosen)
+            apart[here] -= self._of(means[here].astype(np.float32), chosen)
         return apart
 
     def _of(self, values: Float32s, cells: Int64s | range) -> Float64s:

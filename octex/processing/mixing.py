@@ -18,7 +18,7 @@ from octex.editing.refined import refined_below, refined_rows
 from octex.editing.split import rows_facing
 from octex.functions import answer
 from octex.parallel import ordered_map, sharing, start
-from octex.processing.edit import centres_of
+from octex.processing.edit import Centres
 from octex.processing.union import NOTHING, Origins, find_made, take, unite
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import shared_codes
@@ -81,10 +81,10 @@ class Side:
 
     def coefficients(self, nodes: Int64s) -> dict[str, Float32s]:
         """Return what nodes (n,) keep or could keep, decoded: values, but for those of kept nodes."""
-        values, own = self.values(nodes), self.origins.cells[nodes]
+        values, where = self.values(nodes), self.origins.cells[nodes]
         cells = self.texture.tree.kept.cells.astype(np.int64)
-        kept = np.flatnonzero(among(own, cells))
-        rows = np.searchsorted(cells, own[kept])
+        kept = np.flatnonzero(among(where, cells))
+        rows = np.searchsorted(cells, where[kept])
         for name, channel in self.texture.channels.items():
             values[name][kept] = decode(channel.kept_values[rows], channel.format.space)
         return values
@@ -92,9 +92,9 @@ class Side:
     def rows(self, cells: Int64s, bits: Uint8s) -> dict[str, Float32s]:
         """Return what cells (n,), ascending, show facings, decoded."""
         values, where = self.values(cells), self.origins.cells[cells]
-        own, below = np.flatnonzero(where > NOTHING), np.flatnonzero(where < NOTHING)
+        present, below = np.flatnonzero(where > NOTHING), np.flatnonzero(where < NOTHING)
         for name, channel in self.texture.channels.items():
-            values[name][own] = rows_facing(self.texture, channel, where[own], bits[own])
+            values[name][present] = rows_facing(self.texture, channel, where[present], bits[present])
         for level, here in enumerate(self._cells.by_level(cells[below]) if self._below.size else ()):
             chosen = below[np.isin(cells[below], here)]
             codes = self._cells.codes[cells[chosen]]
@@ -142,14 +142,14 @@ class Mixing:
         self._tree, *origins = unite(first.tree, second.tree)
         arrays = self._tree.arrays
         self._nodes = node_cells(arrays)
-        codes = np.concatenate([codes for codes, _ in self._tree.walk()])
-        self._cells = Cells(codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells)
+        self._centres = Centres(self._tree, first.placement)
+        self._cells = Cells(self._centres.codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells)
         # What is taken whole or not at all needs no values below the other's leaves.
         self._sides = [
-            Side(texture, own, self._cells, amount != unused, executor)
-            for texture, own, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
+            Side(texture, each, self._cells, amount != unused, executor)
+            for texture, each, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
         ]
-        has_first, has_second = (own.cells != NOTHING for own in origins)
+        has_first, has_second = (each.cells != NOTHING for each in origins)
         self._both = has_first & has_second
         self._share = has_second.astype(np.float32)  # of the second, in the colour of cells
 
@@ -267,7 +267,7 @@ class Mixing:
         """Return how much of the second there is to be in cells (n,), 0 … 1."""
         if isinstance(self._amount, float):
             return np.full(cells.size, self._amount, np.float32)
-        centres = centres_of(self._texture, self._cells.codes[cells], cells, self._tree)
+        centres = self._centres[cells]
         if isinstance(self._amount, OctreeTexture):
             return np.clip(self._amount.sample(centres, next(iter(self._amount.channels)))[:, 0], 0, 1)
         assert self._amount is not None

@@ -54,15 +54,13 @@ def levels(
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
     """
+    every = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
 
     def tone_of(form: ChannelFormat) -> Tone:
         low, high, power, below, above = (
-            _per_component(form, name, value, most)
-            for name, value, most in (
-                ("black", black, 1.0), ("white", white, 1.0), ("gamma", gamma, _MOST_GAMMA),
-                ("out_black", out_black, 1.0), ("out_white", out_white, 1.0),
-            )
-        )  # fmt: skip
+            _per_component(form, name, value, _MOST_GAMMA if name == "gamma" else 1.0)
+            for name, value in every.items()
+        )
         if (low >= high).any() or (power <= 0).any():
             raise ArgumentError(
                 f"levels of {form.name!r} need black below white and gamma above zero, "
@@ -77,8 +75,7 @@ def levels(
 
         return tone
 
-    given = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
-    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in given.items()}
+    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in every.items()}
     return _edited(texture, channel, tone_of, "levels", how)
 
 
@@ -97,8 +94,10 @@ def curves(
     """
 
     def tone_of(form: ChannelFormat) -> Tone:
-        own = _curves_of(form, points)
-        return lambda values: np.stack([_monotone(each, values[:, k]) for k, each in enumerate(own)], axis=1)
+        of_components = _curves_of(form, points)
+        return lambda values: np.stack(
+            [_monotone(each, values[:, k]) for k, each in enumerate(of_components)], axis=1
+        )
 
     listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
     return _edited(texture, channel, tone_of, "curves", {"points": listed})
@@ -115,7 +114,7 @@ def _edited(
     for name in names:
         if texture.channels[name].format.space == "direction":
             raise ArgumentError(f"channel {name!r} holds directions, which have no {operation}")
-    return edited(texture, names, lambda own: _Toned(own.format, tone_of(own.format)), operation, **how)
+    return edited(texture, names, lambda each: _Toned(each.format, tone_of(each.format)), operation, **how)
 
 
 class _Toned:
@@ -171,8 +170,8 @@ def look_up_codes(codes: ChannelCodes, tables: ChannelCodes, toned: ChannelCodes
 
 
 def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
-    given = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
-    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(given, form.components)])
+    numbers = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
+    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(numbers, form.components)])
 
 
 def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:

@@ -189,9 +189,9 @@ class MappedSource(SpatialSource):
         return other
 
 
-def _three(given: float | Sequence[float], name: str, least: float) -> Float64s:
+def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:
     """Return a number for each direction."""
-    numbers = np.broadcast_to(as_reals(given, name, (3,), *([()] if name == "size" else [])), 3)
+    numbers = np.broadcast_to(as_reals(values, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])
 
 

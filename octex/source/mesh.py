@@ -71,7 +71,13 @@ class Mesh:
             raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
         self.uv = uv and _locked_corners(uv)
         self.frames = frames and _locked_frames(frames)
-        self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
+        if not isinstance(polygons, (Polygons, NoneType)):
+            raise ArgumentError(f"{name}: polygons must be Polygons, or None")
+        shapes = ((len(self.triangles),), (len(self.triangles), 3))
+        for array, shape in zip(polygons or (), shapes, strict=False):
+            if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
+                raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {shapes}")
+        self.polygons = polygons and Polygons(*(_owned(array, np.int32) for array in polygons))
         self.creases = None if creases is None else as_creases(creases, len(self.vertices), name)
         self.name = name
         used = self._used(self.triangles)
@@ -241,9 +247,9 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
     return array
 
 
-def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
+def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     """Return triangles (m, 3) of so many vertices, or raise ModelError."""
-    triangles = as_array(given)
+    triangles = as_array(array_like)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
     if len(triangles) == 0:
@@ -255,24 +261,13 @@ def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     return _owned(triangles, np.int32)
 
 
-def _owned(given: npt.ArrayLike, dtype: type) -> Array:
+def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
     """Return a read-only array of one's own: a copy, unless it is one already."""
-    if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
-        return np.asarray(given, dtype, order="C")
-    array: Array = np.array(given, dtype, order="C")
+    if isinstance(array_like, np.ndarray) and array_like.base is None and not array_like.flags.writeable:
+        return np.asarray(array_like, dtype, order="C")
+    array: Array = np.array(array_like, dtype, order="C")
     array.flags.writeable = False
     return array
-
-
-def _as_polygons(polygons: Polygons, triangles: int, name: str) -> Polygons:
-    """Return polygons that nobody else can change, or raise ArgumentError."""
-    if not isinstance(polygons, Polygons):
-        raise ArgumentError(f"{name}: polygons must be Polygons, or None")
-    wanted = ((triangles,), (triangles, 3))
-    for array, shape in zip(polygons, wanted, strict=True):
-        if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
-            raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {wanted}")
-    return Polygons(*(_owned(array, np.int32) for array in polygons))
 
 
 def as_creases(creases: Creases, vertices: int, name: str) -> Creases:

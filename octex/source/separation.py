@@ -32,10 +32,10 @@ def separation_of(mesh: Mesh, margin: float, found: Overlaps | None = None) -> s
         raise ArgumentError(f"found must be what overlapping_parts returns, not {found!r}")
     if found.margin < margin or len(found.parts) != len(mesh.triangles):
         raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
-    near = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
-    if not near:
+    pairs = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
+    if not pairs:
         return None
-    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, found.parts), near, margin)
+    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, found.parts), pairs, margin)
     moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
     return json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
 
@@ -76,12 +76,12 @@ def _digest(parts: Int32s) -> str:
     return hashlib.sha256(parts.astype("<i4").tobytes()).hexdigest()
 
 
-def _offsets(low: Float64s, high: Float64s, near: Iterable[tuple[int, int]], margin: float) -> Float64s:
+def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
     """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
     # Classes without near parts in one, the largest first: class 0 is what stays.
     sizes = np.ptp([low, high], axis=0).max(axis=1)
     neighbours: dict[int, set[int]] = {}
-    for a, b in near:
+    for a, b in pairs:
         neighbours.setdefault(a, set()).add(b)
         neighbours.setdefault(b, set()).add(a)
     classes = np.zeros(len(low), np.int64)

@@ -54,7 +54,7 @@ def subdivide(
     as_choice(rest, RESTS, "rest")
     if scheme is not None:
         as_choice(scheme, SCHEMES, "scheme")
-    given = mesh.creases if creases is None else as_creases(creases, len(mesh.vertices), mesh.name)
+    sharp = mesh.creases if creases is None else as_creases(creases, len(mesh.vertices), mesh.name)
     cage = _Cage(mesh)
     if scheme is None:
         scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
@@ -67,7 +67,7 @@ def subdivide(
     values = mesh.vertices
     if is_posed and rest == "limit":
         values = np.concatenate([mesh.vertices, mesh.rest], axis=1)
-    level = cage.level(values, given)
+    level = cage.level(values, sharp)
     for _ in range(levels):
         level = divided(level, scheme)
     values = limits(level, scheme)
@@ -221,8 +221,8 @@ class _Cage:
         if len(some):
             owners = np.repeat(faces[some], 3)
             flat = points[some].reshape(-1, 2)
-            own = self._holding(owners, flat)
-            each = np.einsum("nc,ncx->nx", self._shares(own, flat), self._rest[own]).reshape(-1, 3, 3)
+            chosen = self._holding(owners, flat)
+            each = np.einsum("nc,ncx->nx", self._shares(chosen, flat), self._rest[chosen]).reshape(-1, 3, 3)
             positions[some] = each
             shares[some] = _shares_in_space(self._rest[parents[some]], each, shares[some])
         return parents, shares, positions
@@ -233,11 +233,11 @@ class _Cage:
         counts = self._counts[faces]
         best = np.full(len(faces), -np.inf)
         for k in range(int(counts.max()) if counts.max() > 1 else 0):
-            own = np.flatnonzero(counts > k)
-            triangles = self._order[self._starts[faces[own]] + k]
-            inside = self._shares(triangles, points[own]).min(axis=1)
-            better = inside > best[own]
-            best[own[better]], parents[own[better]] = inside[better], triangles[better]
+            chosen = np.flatnonzero(counts > k)
+            triangles = self._order[self._starts[faces[chosen]] + k]
+            inside = self._shares(triangles, points[chosen]).min(axis=1)
+            better = inside > best[chosen]
+            best[chosen[better]], parents[chosen[better]] = inside[better], triangles[better]
         return parents
 
     def _shares(self, triangles: Int64s, points: Float64s) -> Float64s:
@@ -264,7 +264,7 @@ def _domain(sizes: Int64s) -> Float64s:
 def _shares_in_space(triangles: Float64s, points: Float64s, otherwise: Float64s) -> Float64s:
     """Return barycentric coordinates (n, k, 3) of points (n, k, 3) in the planes of triangles (n, 3, 3)."""
     sides = triangles[:, 1:] - triangles[:, :1]
-    found = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
-    shares = np.concatenate([1 - found.sum(axis=2, keepdims=True), found], axis=2)
+    along = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
+    shares = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
     flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
     return np.where(flat[:, None, None], shares, otherwise)

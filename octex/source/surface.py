@@ -341,10 +341,10 @@ class Surface(Mesh):
         if not isinstance(metadata, Mapping):
             raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
         separation = metadata.get(SEPARATION)
-        own = self.provenance.get(SEPARATION)
-        if own == separation:
+        moves = self.provenance.get(SEPARATION)
+        if moves == separation:
             return self
-        if separation is None or own is not None:
+        if separation is None or moves is not None:
             raise ArgumentError(
                 f"{self.name} is separated, and the texture is not, or otherwise; use the surface as it was"
             )

@@ -235,7 +235,8 @@ def _finish_tangents(
             if x == 0.0 and y == 0.0 and z == 0.0:
                 a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
                 axis = 0 if a <= b and a <= c else 1 if b <= c else 2
-                x, y, z = _in_plane((float(axis == 0), float(axis == 1), float(axis == 2)), normal)
+                along = (1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0)
+                x, y, z = _in_plane(along, normal)
             values[row, 0], values[row, 1], values[row, 2] = x, y, z
             values[row, 3] = 1.0 if row % 2 else -1.0
 

@@ -55,7 +55,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     if not parts:
         raise ModelError(f"{name} has no voxels")
     names = parts[0][1]
-    values = {each: np.concatenate([found[each] for _, found in parts]) for each in names}
+    values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
     return np.concatenate([coords for coords, _ in parts]), values
 
 
@@ -63,13 +63,13 @@ def _chunk(
     data: memoryview, chunk: dict[str, Any], header: dict[str, Any]
 ) -> tuple[Int64s, dict[str, Array]]:
     first, length = chunk["ptr"]
-    own = data[first : first + length]
+    content = data[first : first + length]
 
     def part(key: str) -> Uint8s:
         begin, size = chunk[key]
-        if begin < 0 or size < 0 or begin + size > len(own):
+        if begin < 0 or size < 0 or begin + size > len(content):
             raise ValueError(f"{key} reaches outside of its chunk")
-        return np.frombuffer(_unpacked(own[begin : begin + size], header["compression"]), np.uint8)
+        return np.frombuffer(_unpacked(content[begin : begin + size], header["compression"]), np.uint8)
 
     edge = int(header["chunk_size"])
     depth = edge.bit_length() - 1
@@ -78,22 +78,22 @@ def _chunk(
     masks = part("svo")
     count = int(bit_counts(masks).sum())
     coords = np.empty((count, 3), np.int64)
-    found = _walk(masks, depth, coords)
-    if found < 0:
+    leaves = _walk(masks, depth, coords)
+    if leaves < 0:
         raise ValueError("its octree ends early, or has more than it says")
-    coords = coords[:found]
+    coords = coords[:leaves]
     widths = {str(each): int(width) for each, width in header["attr"]}
     style = header["attr_interleave"]
     values: dict[str, Array] = {}
     if style == "all":
-        rows = part("attr").reshape(found, sum(widths.values()))
+        rows = part("attr").reshape(leaves, sum(widths.values()))
         ends = np.cumsum([*widths.values()])
         values = dict(zip(widths, np.split(rows, ends[:-1], axis=1), strict=True))
     elif style == "as_is":
-        values = {each: part(each).reshape(found, width) for each, width in widths.items()}
+        values = {each: part(each).reshape(leaves, width) for each, width in widths.items()}
     else:
         for each, width in widths.items():
-            values[each] = np.stack([part(f"{each}_{i}").reshape(found) for i in range(width)], axis=1)
+            values[each] = np.stack([part(f"{each}_{i}").reshape(leaves) for i in range(width)], axis=1)
     place = np.array(chunk["idx"], np.int64).reshape(3)
     return coords + place * edge, values
 

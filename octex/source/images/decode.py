@@ -123,15 +123,15 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     return _finite(spread(array), "the image")
 
 
-def read_image(given: object) -> tuple[Texels, dict[str, str]]:
+def read_image(image: object) -> tuple[Texels, dict[str, str]]:
     """Return the texels of a file, a Pillow image or an array, and its name with the hash of its content.
 
     Raises ImageError as ``decode_image`` and ``as_texels`` do, and for a file that cannot be read.
     """
-    if not is_path(given):
-        texels = as_texels(given)  # type: ignore[arg-type]
+    if not is_path(image):
+        texels = as_texels(image)  # type: ignore[arg-type]
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
-    path = as_path(given, "image")
+    path = as_path(image, "image")
     texels, data = read_image_file(path)
     return texels, {path.name: hashlib.sha256(data).hexdigest()}
 

@@ -128,14 +128,14 @@ def _unpacked(data: bytes, header: _Header, size: int, name: str) -> bytes:
 
 def _metadata(data: bytes) -> dict[bytes, bytes]:
     """Return the values of keys, without the zero at their ends."""
-    found = {}
+    entries = {}
     at = 0
     while at + 4 <= len(data):
         (length,) = struct.unpack_from("<I", data, at)
         key, _, value = data[at + 4 : at + 4 + length].partition(b"\0")
-        found[key] = value.rstrip(b"\0")
+        entries[key] = value.rstrip(b"\0")
         at += 4 + length + -length % 4
-    return found
+    return entries
 
 
 def _universal(data: bytes, name: str, header: _Header) -> Texels:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.models.gltf_file import Document, Json, as_object, scene_nodes
 from octex.source.motion import Animation, Links, Motion
@@ -371,7 +371,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     positions = np.concatenate(
         [each.primitive.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
     )
-    return Motion(positions, bones.links(), *bones.targets(), made, faults)
+    return Motion(positions, *bones.links(), made, faults)
 
 
 class _Bones:
@@ -409,25 +409,16 @@ class _Bones:
             raise ModelError("moves vertices beyond all numbers; export it again")
         return bones, weights
 
-    def links(self) -> Links:
-        """Return what bones move the vertices."""
-        counts, numbers, shares = [], [], []
+    def links(self) -> tuple[Links, Links, Float64s]:
+        """Return what bones move the vertices, and what targets add to them and to their normals."""
+        joints, targets, turns = [], [], []
         for each, first, n_bones in zip(self._placed, self._first, self._skins, strict=True):
-            count = len(each.primitive.positions)
-            joints, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
-            if n_bones:
-                joints, weights = influences(each.primitive, n_bones)
-            chosen = weights > 0
-            counts.append(chosen.sum(axis=1))
-            numbers.append(joints[chosen] + first)
-            shares.append(weights[chosen])
-        return Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
-
-    def targets(self) -> tuple[Links, Float64s]:
-        """Return what targets add to the vertices and to their normals, where they add anything."""
-        counts, numbers, shares, turns = [], [], [], []
-        for each in self._placed:
             primitive = each.primitive
+            count = len(primitive.positions)
+            numbers, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
+            if n_bones:
+                numbers, weights = influences(primitive, n_bones)
+            joints.append((weights > 0, numbers + first, weights))
             offsets = _offsets(primitive, "POSITION") @ each.matrix[:3, :3].T
             turned = np.zeros_like(offsets)
             normals = primitive.attribute("NORMAL", (3,))
@@ -437,13 +428,21 @@ class _Bones:
                 turned = _offsets(primitive, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
                 raise ModelError(f"{primitive.name} has targets that are not finite; export it again")
-            chosen = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
-            counts.append(chosen.sum(axis=1))
-            numbers.append(np.nonzero(chosen)[1] + self._weights[each.node][0])
-            shares.append(offsets[chosen])
-            turns.append(turned[chosen])
-        links = Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
-        return links, np.concatenate(turns)
+            moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
+            every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
+            targets.append((moves, every, offsets))
+            turns.append(turned[moves])
+        return _links(joints), _links(targets), np.concatenate(turns)
+
+
+def _links(parts: Sequence[tuple[Bools, Int64s, Float64s]]) -> Links:
+    """Return the entries (n, k) of one part after another: which there are, their numbers and shares."""
+    counts = np.concatenate([chosen.sum(axis=1) for chosen, _, _ in parts])
+    return Links(
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.concatenate([numbers[chosen] for chosen, numbers, _ in parts]),
+        np.concatenate([shares[chosen] for chosen, _, shares in parts]),
+    )
 
 
 def _offsets(primitive: Primitive, attribute: str) -> Float64s:
@@ -453,7 +452,3 @@ def _offsets(primitive: Primitive, attribute: str) -> Float64s:
         if added is not None:
             offsets[:, number] = added
     return offsets
-
-
-def _firsts(counts: Sequence[Int64s]) -> Int64s:
-    return np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)

@@ -128,6 +128,6 @@ def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
         return None
     colors = np.full((len(left), 4), np.nan)
     for column in range(4):
-        given = colored & (left > column)
-        colors[given, column] = rows.values[(rows.starts + skip)[given] + column]
+        has_column = colored & (left > column)
+        colors[has_column, column] = rows.values[(rows.starts + skip)[has_column] + column]
     return guessed_colors(colors)

@@ -113,9 +113,9 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
 def beside(folder: Path, name: str) -> Path | None:
     """Find a file by a path relative to a folder, or by its name there if the path leads nowhere."""
     windows = PureWindowsPath(name)
-    for given in (name, windows.as_posix(), windows.name):
+    for spelling in (name, windows.as_posix(), windows.name):
         try:
-            candidate = referred(folder, given)
+            candidate = referred(folder, spelling)
             if candidate.is_file():
                 return candidate
         except (OSError, ValueError):
@@ -306,8 +306,8 @@ def _parse_map(text: str, where: str) -> _Map | None:
         rest = rest.lstrip()
 
     def numbers(option: str, *defaults: float) -> tuple[float, ...]:
-        given = _floats(options[option], len(defaults), f"{where} {option}") if option in options else []
-        return (*given, *defaults[len(given) :])
+        values = _floats(options[option], len(defaults), f"{where} {option}") if option in options else []
+        return (*values, *defaults[len(values) :])
 
     lane = options.get("-imfchan", "z").lower()
     if lane not in ("l", "z", *_LANES):

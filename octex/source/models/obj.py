@@ -298,11 +298,11 @@ def _coordinates(
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, not numbers where there are none."""
     _check(rows, len(text.normals), name, "normal")
-    given = _numbers(text.normals, 3, name, "vn")[:, :3]
+    listed = _numbers(text.normals, 3, name, "vn")[:, :3]
     lacking = (rows < 0).any(axis=1)
     if lacking.all():
         return None
     count = int(lacking.sum())
     bound = rows.astype(np.int32)
-    bound[lacking] = len(given) + np.arange(count, dtype=np.int32)[:, None]
-    return Corners(np.concatenate([given, np.full((count, 3), np.nan)]).astype(np.float32), bound)
+    bound[lacking] = len(listed) + np.arange(count, dtype=np.int32)[:, None]
+    return Corners(np.concatenate([listed, np.full((count, 3), np.nan)]).astype(np.float32), bound)

@@ -213,10 +213,10 @@ class _Package:
             raise ModelError(
                 f"{self._name} places the same parts too many times; export it with fewer copies"
             )
-        given = item.get("transform")
-        if given is None:
+        transform = item.get("transform")
+        if transform is None:
             return meshes
-        matrix = np.array(given.split(), np.float64).reshape(4, 3)
+        matrix = np.array(transform.split(), np.float64).reshape(4, 3)
         linear, offset, order = matrix[:3], matrix[3], winding(matrix[:3])
         return [
             _Mesh(
@@ -231,8 +231,8 @@ class _Package:
         used = [(face.get("v1"), face.get("v2"), face.get("v3")) for face in faces]
         triangles = np.array(used, np.int64).reshape(-1, 3)
         rows, images = np.zeros((len(faces), 3), np.int64), np.zeros(len(faces), np.int32)
-        own, index = entry.get("pid", ""), entry.get("pindex", "0")
-        groups = np.array([face.get("pid", own) for face in faces])
+        default, index = entry.get("pid", ""), entry.get("pindex", "0")
+        groups = np.array([face.get("pid", default) for face in faces])
         bound = [
             (first := face.get("p1", index), face.get("p2", first), face.get("p3", first)) for face in faces
         ]
