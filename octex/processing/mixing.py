@@ -117,7 +117,9 @@ class Side:
         return self._has_flag(self.origins.cells[nodes], KEPT) | (self.origins.nodes < NOTHING)
 
     def _has_flag(self, where: Int64s, flag: int) -> Bools:
-        return (where > NOTHING) & (self.texture.tree.arrays.flags[np.maximum(where, 0)] & flag != 0)
+        return np.asarray(
+            (where > NOTHING) & (self.texture.tree.arrays.flags[np.maximum(where, 0)] & flag != 0)
+        )
 
     def residuals(self, name: str, nodes: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
         """Return the residuals of nodes of the union and of rows of theirs; see `residuals_at`."""

@@ -110,7 +110,7 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     unchecked = [
         Unchecked(part, len(members[part]), solid)
         for part, solid in enumerate(solids)
-        if isinstance(solid, str)
+        if solid == "open" or solid == "not manifold" or solid == "without volume"
     ]
     return Overlaps(margin, parts, tuple(sorted(pairs)), tuple(unchecked))
 

@@ -194,11 +194,11 @@ class Document:
         what = f"{self.name}: bufferViews[{index}]"
         extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
         name = next((name for name in MESHOPT if name in extensions), None)
-        is_plain = name is None  # or has plain bytes too, which may be read
         if name is not None and name not in self._required:
             has_binary = entry["buffer"] == 0 and self._binary is not None
-            is_plain = "uri" in self.item("buffers", entry["buffer"]) or has_binary
-        if is_plain:
+            if "uri" in self.item("buffers", entry["buffer"]) or has_binary:
+                name = None  # plain bytes are there too
+        if name is None:
             return self._range(entry, what), entry.get("byteStride")
         if index not in self._decoded:
             coded = as_object(extensions[name], f"{what}.extensions.{name}")

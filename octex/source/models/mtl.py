@@ -83,9 +83,9 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
                 missing.append(line)
     stated = set(options.channels or ())
     stated.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
-    for name, each in materials.items():
-        inputs = {k: v for k, v in each.material.inputs.items() if k not in each.assumed - stated}
-        materials[name] = each._replace(material=each.material._replace(inputs=inputs))
+    for name, known in materials.items():
+        inputs = {k: v for k, v in known.material.inputs.items() if k not in known.assumed - stated}
+        materials[name] = known._replace(material=known.material._replace(inputs=inputs))
     return Library(materials, images.files, missing)
 
 
