@@ -8,7 +8,6 @@ import zipfile
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,15 +18,11 @@ from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
 from octex.nearest.points import Points
+from octex.source.base import Placeable, Source, SpatialSource, least_cosine
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
 from octex.source.models.ply import ply_points
 from octex.source.models.reading import npz_arrays, parse_numbers
-from octex.source.spatial import Placeable, SpatialSource, least_cosine
-
-if TYPE_CHECKING:
-    from octex.source.base import Source
-
 
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")

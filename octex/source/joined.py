@@ -8,9 +8,8 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, NORMAL, ChannelFormat
-from octex.source.base import Combined, Source, by_channel, in_order
+from octex.source.base import Combined, Source, by_channel, in_order, placed
 from octex.source.materials import DEFAULTS
-from octex.source.spatial import placed
 
 
 class Joined(Source):

@@ -22,14 +22,13 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.base import Source
+from octex.source.base import Placeable, Source, SpatialSource, placed
 from octex.source.images.decode import read_image
 from octex.source.images.filters import FILTERS, LEVELS_OF, MOST_VARIANCE, find_taps, footprint, told
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable, SpatialSource, placed
 from octex.source.tangents import carried
 from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, times
 

@@ -13,10 +13,9 @@ from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
-from octex.source.base import Combined, Source
+from octex.source.base import Combined, Placeable, Source, SpatialSource, least_cosine
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable, SpatialSource, least_cosine
 from octex.source.surface import Surface, as_surface
 
 

@@ -21,11 +21,11 @@ from octex.channels import CHANNELS
 from octex.cli.arguments import AXES, PROJECTIONS
 from octex.cli.convert import main
 from octex.errors import ArgumentError, ImageError
+from octex.source.base import placed
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
 from octex.source.mapped import FRAMES, KINDS, MappedImage, MappedSource
-from octex.source.spatial import placed
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.command import refusal

@@ -16,10 +16,9 @@ from octex.errors import ModelError
 from octex.formats.ptex.field import TexelField
 from octex.formats.ptex.patches import check_fit, patches_of
 from octex.formats.ptex.reader import PtexFile, all_texels
-from octex.source.base import Source
+from octex.source.base import Placeable, Source
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable
 
 #: The metadata in which octex notes the channels that the numbers of a texel are, as JSON.
 CHANNELS_KEY = "octex:channels"
