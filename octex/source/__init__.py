@@ -9,7 +9,7 @@ corners     what is bound to the corners of triangles
 tangents    frames of normals and tangents there; vectors: what kernels share
 overrides   channels of one's own: functions, images, numbers; mapped: images laid on by position
 transfer    another model's nearest surface; cloud: coloured points
-voxels      values in cells of a grid, a texture by themselves; vxz: O-Voxel's files
+voxels      values in cells of a grid, a texture by themselves
 surface     triangles with a source; joined: several as one
 implicit    where a function is zero, as triangles
 subdivided  limit surfaces of cages; subdivision: their rules

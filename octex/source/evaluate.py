@@ -147,12 +147,13 @@ def evaluate(
                     shared[row, 2 * corner] = tables.coordinates[at, 0]
                     shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
                 level = images.layouts[tables.stacks[stack, 0], 0]
-                unit = footprints[slot, triangle]
-                foot_of_one = footprint(
-                    unit[0], unit[1], unit[2], images.levels[level, 1], images.levels[level, 2]
+                shared[row, 6], shared[row, 7], shared[row, 8], shared[row, 9], shared[row, 10] = footprint(
+                    footprints[slot, triangle, 0],
+                    footprints[slot, triangle, 1],
+                    footprints[slot, triangle, 2],
+                    images.levels[level, 1],
+                    images.levels[level, 2],
                 )
-                for k in range(5):
-                    shared[row, 6 + k] = foot_of_one[k]
                 widest = min(widest, MOST_VARIANCE / max(shared[stack - first, 10], 1e-200))
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         shares = (b0, b1, b2)
