@@ -216,6 +216,8 @@ def _divide_by_alpha(texels: Texels) -> None:
     alpha = texels[..., 3:]
     most = 65535.0 if texels.dtype == np.uint16 else 1.0
     partial = (alpha > 0) & (alpha != most)
+    if not partial.any():
+        return
     with np.errstate(over="ignore"):
         colors = np.divide(texels[..., :3] * np.float64(most), alpha, where=partial, out=None)
     if texels.dtype == np.uint16:
@@ -227,6 +229,8 @@ def _placed(texels: Array, spec: Any, name: str) -> Array:
     """Return the display window of an image whose texels are those of the data window."""
     down, right = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = spec.full_height, spec.full_width
+    if (down, right, height, width) == (0, 0, *texels.shape[:2]):
+        return texels
     inside = texels[max(-down, 0) : max(height - down, 0), max(-right, 0) : max(width - right, 0)]
     if inside.size == 0:
         raise ImageError(f"{name}: the data window lies outside of the display window; save it again")
