@@ -418,7 +418,7 @@ class _Bones:
             numbers, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
             if n_bones:
                 numbers, weights = influences(primitive, n_bones)
-            joints.append((weights > 0, numbers + first, weights))
+            joints.append(_entries(weights > 0, numbers + first, weights))
             offsets = _offsets(primitive, "POSITION") @ each.matrix[:3, :3].T
             turned = np.zeros_like(offsets)
             normals = primitive.attribute("NORMAL", (3,))
@@ -430,19 +430,20 @@ class _Bones:
                 raise ModelError(f"{primitive.name} has targets that are not finite; export it again")
             moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
             every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
-            targets.append((moves, every, offsets))
+            targets.append(_entries(moves, every, offsets))
             turns.append(turned[moves])
         return _links(joints), _links(targets), np.concatenate(turns)
 
 
-def _links(parts: Sequence[tuple[Bools, Int64s, Float64s]]) -> Links:
-    """Return the entries (n, k) of one part after another: which there are, their numbers and shares."""
-    counts = np.concatenate([chosen.sum(axis=1) for chosen, _, _ in parts])
-    return Links(
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        np.concatenate([numbers[chosen] for chosen, numbers, _ in parts]),
-        np.concatenate([shares[chosen] for chosen, _, shares in parts]),
-    )
+def _entries(chosen: Bools, numbers: Int64s, shares: Float64s) -> tuple[Int64s, Int64s, Float64s]:
+    """Return how many entries (n, k) each vertex (n,) has, their numbers and their shares."""
+    return chosen.sum(axis=1), numbers[chosen], shares[chosen]
+
+
+def _links(parts: Sequence[tuple[Int64s, Int64s, Float64s]]) -> Links:
+    """Return the entries of one part after another."""
+    counts, numbers, shares = map(np.concatenate, zip(*parts, strict=True))
+    return Links(np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), numbers, shares)
 
 
 def _offsets(primitive: Primitive, attribute: str) -> Float64s:
