@@ -21,7 +21,7 @@ from octex.errors import ExitCode
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.parallel import Progress
-from octex.source.vxz import unpack_vxz
+from octex.source.voxels import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells

@@ -3,15 +3,13 @@
 Every operation takes textures and returns a new one. Averages are made anew where what is below them changes:
 the area-weighted means of children, and what the node differed by from that before (see editing.averages).
 
+edit        other values: what they are above leaves, and what provenance says
 mapping     every value through a function
 tone        levels and curves, through tables
 blur        means over the surface around each leaf
-union       the tree of the cells of two trees, and where each of them comes from
-combine     one texture on another, and anything between the two
-resize      another depth, or a part of space
 cast        other types, fewer channels
-edit        other values: what they are above leaves, and what provenance says
+resize      another depth, or a part of space
+combine     one texture on another, and anything between the two, without what is hidden
 mixing      two textures mixed, cell by cell of their union
-sides       what each of the two has there
-hidden      what one has that the other, laid over it wholly, hides
+union       the tree of the cells of two trees, and where each of them comes from
 """

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from octex.arrays import Array
 from octex.channels import ONE, ChannelFormat, check_range, decode, encode
 from octex.checks import as_choice, as_entries, as_names
 from octex.errors import ArgumentError
 from octex.processing.edit import noted
 from octex.texture import Channel, OctreeTexture, as_texture
+
+#: Values that are recoded at once.
+_BLOCK = 1 << 14
 
 
 def cast(
@@ -51,27 +53,23 @@ def channel_as(channel: Channel, dtype: str | None) -> Channel:
     form = channel.format
     if dtype is None or dtype == form.dtype:
         return channel
-    is_integer = dtype.startswith("u")
     space = form.space
-    if not is_integer and space == "srgb":
+    if dtype.startswith("float") and space == "srgb":
         space = "linear"
-    elif is_integer and space == "linear" and form.dtype.startswith("float"):
+    elif dtype.startswith("u") and space == "linear" and form.dtype.startswith("float"):
         space = "srgb"
     return in_format(channel, form._replace(dtype=dtype, space=space))
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:
     """Return a channel as another format of as many components stores it. Raises ArgumentError."""
-    if form == channel.format:
+    before = channel.format
+    if form == before:
         return channel
-    return Channel(form, *(_recoded(values, channel.format, form) for values in channel[1:]))
-
-
-def _recoded(values: Array, form: ChannelFormat, made: ChannelFormat) -> Array:
-    found = np.empty(values.shape, made.dtype)
-    for begin in range(0, len(values), 1 << 14):
-        here = slice(begin, begin + (1 << 14))
-        block = decode(values[here], form.space)
-        check_range(block, form, made.dtype)
-        found[here] = encode(block, made.dtype, made.space)
-    return found
+    arrays = [np.empty(values.shape, form.dtype) for values in channel[1:]]
+    for values, recoded in zip(channel[1:], arrays, strict=True):
+        for begin in range(0, len(values), _BLOCK):
+            block = decode(values[begin : begin + _BLOCK], before.space)
+            check_range(block, before, form.dtype)
+            recoded[begin : begin + _BLOCK] = encode(block, form.dtype, form.space)
+    return Channel(form, *arrays)

@@ -6,16 +6,22 @@ from concurrent.futures import Executor
 
 import numpy as np
 
+from octex.arrays import Int64s
 from octex.channels import ALPHA, ONE, ChannelFormat
 from octex.checks import as_flag, as_number
+from octex.editing.carried import carried
+from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
 from octex.parallel import workers
 from octex.processing.cast import in_format
 from octex.processing.edit import noted
-from octex.processing.hidden import without_hidden
 from octex.processing.mixing import Amount, Mixing
 from octex.source.separation import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
+from octex.tree.areas import SKIRT
+from octex.tree.beside import are_beside
+from octex.tree.edit import locate, rebuilt
+from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 
 
@@ -103,9 +109,9 @@ def _united(
     )
     if first.tree.n_leaves and second.tree.n_leaves:
         if amount == 0.0:
-            second = without_hidden(second, first)
+            second = _without_hidden(second, first)
         elif amount == 1.0:
-            first = without_hidden(first, second)
+            first = _without_hidden(first, second)
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
         return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)
@@ -138,14 +144,14 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
         form = channel.format
         if name not in second.channels and name != ALPHA.name:
             continue
-        found = second.channels.get(name) or _opaque(second.tree, form)
-        meanings = [each.space in ("srgb", "linear") or each.space for each in (form, found.format)]
-        if form.components != found.format.components or meanings[0] != meanings[1]:
+        beside = second.channels.get(name) or _opaque(second.tree, form)
+        meanings = [each.space in ("srgb", "linear") or each.space for each in (form, beside.format)]
+        if form.components != beside.format.components or meanings[0] != meanings[1]:
             raise ArgumentError(
                 f"channel {name!r} has {form.components} components of {form.space} in one texture and "
-                f"{found.format.components} of {found.format.space} in the other"
+                f"{beside.format.components} of {beside.format.space} in the other"
             )
-        one[name], other[name] = channel, in_format(found, form)
+        one[name], other[name] = channel, in_format(beside, form)
     if ALPHA.name in second.channels and ALPHA.name not in first.channels:
         other[ALPHA.name] = second.channels[ALPHA.name]
         one[ALPHA.name] = _opaque(first.tree, other[ALPHA.name].format)
@@ -155,8 +161,8 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
             f"{', '.join(second.channels) or 'none'}"
         )
     made = [
-        OctreeTexture(each.tree, own, each.placement, each.bounds)
-        for each, own in ((first, one), (second, other))
+        OctreeTexture(each.tree, channels, each.placement, each.bounds)
+        for each, channels in ((first, one), (second, other))
     ]
     return made[0], made[1]
 
@@ -165,3 +171,48 @@ def _opaque(tree: Octree, form: ChannelFormat) -> Channel:
     """Return an alpha of 1 for a tree."""
     rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
     return Channel(form, *(np.full((count, 1), ONE[form.dtype], form.dtype) for count in rows))
+
+
+def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:
+    """Return a texture without what another hides, laid over it; leaves of both face as the other's."""
+    edited = rebuilt(texture.tree, _not_hidden(texture.tree, over.tree))
+    texture = texture.with_cells(edited.tree, carried(texture, edited))
+    tree = texture.tree
+    flags = tree.arrays.flags.copy()
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        where = locate(over.tree, codes, level)
+        both = np.flatnonzero(~is_node & where.is_leaf & (where.levels == level))
+        cells = both + int(tree.arrays.level_cells[level])
+        facings = over.tree.arrays.flags[where.cells[both]] & np.uint8(FACING_FLAGS)
+        flags[cells] = flags[cells] & np.uint8(0xFF ^ FACING_FLAGS) | facings
+    split = tree.split.cells.astype(np.int64)
+    turned = split[flags[split] != tree.arrays.flags[split]]
+    flags[turned] &= np.uint8(0xFF ^ SPLIT)
+    texture = without_split(texture, turned)
+    tree = texture.tree
+    tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, tree.kept)
+    return refaced(texture.with_cells(tree, texture.channels))
+
+
+def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
+    """Return the codes of the leaves that another tree does not hide, by level.
+
+    Nodes become leaves where the other has leaves. A skirt that the other lacks goes, unless it is beside
+    surface that the other lacks: it would move the other's field.
+    """
+    leaves: list[Int64s] = []
+    skirts: list[Int64s] = []
+    lacked: list[Int64s] = []  # surface that the other lacks
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        where = locate(over, codes, level)
+        is_lacking = ~is_node & ~where.is_leaf & (where.levels < level)
+        first, end = tree.arrays.level_cells[level : level + 2]
+        is_skirt = is_lacking & (tree.arrays.areas[first:end] == SKIRT)
+        is_left = np.where(where.is_leaf, where.levels == level, ~is_node & ~is_skirt)
+        leaves.append(codes[is_left])
+        skirts.append(codes[is_skirt])
+        lacked.append(codes[is_lacking & ~is_skirt])
+    for level, codes in enumerate(skirts):
+        stays = codes[are_beside(codes, lacked, level)]
+        leaves[level] = np.sort(np.concatenate([leaves[level], stays]), kind="stable")
+    return leaves

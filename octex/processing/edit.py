@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Float64s, Int64s
 from octex.channels import ALPHA
+from octex.checks import as_choice, as_names
 from octex.editing.averages import Change, average, coverage, difference, residuals
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from octex.tree.split import rows_of
 
 #: The name in the metadata under which operations are listed, as JSON.
 PROCESSED = "processed"
 #: Alphas that differ by less count as alike: half an 8-bit code.
 _FAINT = np.float32(0.5 / 255)
+
+
+class Edit(Protocol):
+    """What becomes of the values of one channel."""
+
+    def stored(self, values: Array, cells: Int64s | None) -> Array:
+        """Return what stored values (n, components) become: those of ``cells``, or one a cell."""
+
+    def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+        """Return what residuals become: see ``averages.Change``."""
 
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
@@ -26,6 +43,55 @@ def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[st
         before = metadata[PROCESSED]
     listed = before if isinstance(before, list) else [before]
     return {**metadata, PROCESSED: json.dumps([*listed, {"operation": operation, **how}])}
+
+
+def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
+    """Return the names of channels to work on, None for all. Raises ArgumentError, also for no texture."""
+    as_texture(texture)
+    names = list(texture.channels) if channel is None else as_names(channel, "channel")
+    return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
+
+
+class Centres:
+    """The centres of a tree's cells, at rest."""
+
+    def __init__(self, tree: Octree, placement: Placement) -> None:
+        self._tree, self._placement = tree, placement
+
+    @cached_property
+    def codes(self) -> Int64s:
+        """The Morton codes of all cells (cells,)."""
+        return np.concatenate([codes for codes, _ in self._tree.walk()])
+
+    def __getitem__(self, cells: Int64s | range) -> Float64s:
+        chosen = np.asarray(cells, np.int64)
+        levels = np.searchsorted(self._tree.arrays.level_cells, chosen, side="right") - 1
+        places = (decode_cells(self.codes[chosen]) + 0.5) * np.ldexp(1.0, -levels)[:, None]
+        return self._placement.to_rest(places)
+
+
+def edited(
+    texture: OctreeTexture,
+    names: Sequence[str],
+    edit_of: Callable[[Channel], Edit],
+    operation: str,
+    **how: object,
+) -> OctreeTexture:
+    """Return a texture with an edit of the values of some channels: of cells, rows and kept coefficients."""
+    tree = texture.tree
+    owners, kept = rows_of(tree.split).cells, tree.kept.cells.astype(np.int64)
+    made: dict[str, Channel] = {}
+    change: dict[str, Change] = {}
+    for name in names:
+        before = texture.channels[name]
+        edit = edit_of(before)
+        made[name] = before._replace(
+            values=edit.stored(before.values, None),
+            split_values=edit.stored(before.split_values, owners),
+            kept_values=edit.stored(before.kept_values, kept),
+        )
+        change[name] = edit.changed
+    return with_values(texture, made, change, noted(texture.metadata, operation, channels=list(made), **how))
 
 
 def with_values(
@@ -41,20 +107,20 @@ def with_values(
     the averages of all channels weigh by the new one; a node that gets more opaque keeps as much of its
     residual as it was opaque before.
     """
-    made = dict(made)
-    if ALPHA.name in made:
-        for name, channel in texture.channels.items():
-            if name not in made:
-                made[name] = channel._replace(
-                    values=channel.values.copy(), split_values=channel.split_values.copy()
-                )
-    channels = {**texture.channels, **made}
-    after = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
+    others = {
+        name: channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
+        for name, channel in texture.channels.items()
+        if ALPHA.name in made and name not in made
+    }
+    made = {**made, **others}
+    after = OctreeTexture(
+        texture.tree, {**texture.channels, **made}, texture.placement, texture.bounds, metadata
+    )
     for name in sorted(made, key=lambda name: name != ALPHA.name):
-        own = change.get(name, difference)
+        of_channel = change.get(name, difference)
         if ALPHA.name in made and name != ALPHA.name:
-            own = _covered(own, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
-        average(after, made[name], residuals(texture, name, change=own))
+            of_channel = _covered(of_channel, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
+        average(after, made[name], residuals(texture, name, change=of_channel))
     return after
 
 

@@ -60,14 +60,11 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
     n_new = sum(count * (8 ** (depth + 1 - level) // 7) for level, count in enumerate(counts))
     if tree.n_cells + n_new > MAX_CELLS:
         raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can number")
+    leaves = [codes[~is_node] for codes, is_node in tree.walk()]
     met: list[Int64s] = [np.empty(0, np.int64)]
-    for codes, is_node in tree.walk():
-        above = np.sort(np.concatenate([met[-1], codes[~is_node]]))
-        if len(met) > depth:
-            break
+    for level in range(depth):
+        above = np.sort(np.concatenate([met[level], *leaves[level : level + 1]]))
         met.append((above[:, None] << 3 | np.arange(8)).reshape(-1))
-    while len(met) <= depth:
-        met.append((met[-1][:, None] << 3 | np.arange(8)).reshape(-1))
     edited = raised(tree, [*[met[0]] * depth, met[depth]], met, [])
     tree = edited.tree
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
@@ -121,14 +118,14 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     low, high = np.maximum(corners[0], texture.bounds[0]), np.minimum(corners[1], texture.bounds[1])
     bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
     metadata = noted(texture.metadata, "crop", box=corners.tolist())
-    channels = carried(texture, edited)
-    made = refaced(OctreeTexture(edited.tree, channels, texture.placement, bounds, metadata))
+    left = carried(texture, edited)
+    made = refaced(OctreeTexture(edited.tree, left, texture.placement, bounds, metadata))
     above = [distinct(codes >> 3) for codes in with_all_above(lost)[1:]]
     nodes = nodes_at(made.tree, above)
     cut = nodes.numbers >= 0
     nodes, old = nodes.of(cut), nodes_at(tree, above).of(cut)
     channels = {
-        name: each._replace(values=channels[name].values, split_values=each.split_values.copy())
+        name: each._replace(values=left[name].values, split_values=each.split_values.copy())
         for name, each in made.channels.items()
     }
     whole = with_summed_areas(made.tree, nodes)
@@ -136,6 +133,5 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     rows = rows_of(whole.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
-        left = residuals_at(texture, name, old, owners, rows.bits)
-        average(made, channels[name], left, nodes)
+        average(made, channels[name], residuals_at(texture, name, old, owners, rows.bits), nodes)
     return made

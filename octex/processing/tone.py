@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, ChannelCodes, Float64s, Floats
+from octex.arrays import Array, ChannelCodes, Float64s, Floats, Int64s
 from octex.channels import (
     ALPHA,
     ONE,
@@ -21,12 +21,10 @@ from octex.channels import (
     srgb_to_linear,
 )
 from octex.checks import as_number, as_reals
-from octex.editing.averages import Change
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.processing.edit import noted, with_values
-from octex.processing.mapping import names_of
-from octex.texture import Channel, OctreeTexture
+from octex.processing.edit import edited, names_of
+from octex.texture import OctreeTexture
 
 #: A number for all components, or one for each.
 PerComponent = float | Sequence[float]
@@ -56,15 +54,13 @@ def levels(
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
     """
+    every = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
 
     def tone_of(form: ChannelFormat) -> Tone:
         low, high, power, below, above = (
-            _per_component(form, name, value, most)
-            for name, value, most in (
-                ("black", black, 1.0), ("white", white, 1.0), ("gamma", gamma, _MOST_GAMMA),
-                ("out_black", out_black, 1.0), ("out_white", out_white, 1.0),
-            )
-        )  # fmt: skip
+            _per_component(form, name, value, _MOST_GAMMA if name == "gamma" else 1.0)
+            for name, value in every.items()
+        )
         if (low >= high).any() or (power <= 0).any():
             raise ArgumentError(
                 f"levels of {form.name!r} need black below white and gamma above zero, "
@@ -79,9 +75,8 @@ def levels(
 
         return tone
 
-    given = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
-    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in given.items()}
-    return _toned(texture, channel, tone_of, "levels", how)
+    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in every.items()}
+    return _edited(texture, channel, tone_of, "levels", how)
 
 
 def curves(
@@ -99,103 +94,84 @@ def curves(
     """
 
     def tone_of(form: ChannelFormat) -> Tone:
-        own = _curves_of(form, points)
-        return lambda values: np.stack([_monotone(each, values[:, k]) for k, each in enumerate(own)], axis=1)
+        of_components = _curves_of(form, points)
+        return lambda values: np.stack(
+            [_monotone(each, values[:, k]) for k, each in enumerate(of_components)], axis=1
+        )
 
     listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
-    return _toned(texture, channel, tone_of, "curves", {"points": listed})
+    return _edited(texture, channel, tone_of, "curves", {"points": listed})
 
 
-def _toned(
+def _edited(
     texture: OctreeTexture,
     channel: str | Sequence[str],
     tone_of: Callable[[ChannelFormat], Tone],
     operation: str,
     how: dict[str, Any],
 ) -> OctreeTexture:
-    made: dict[str, Channel] = {}
-    change: dict[str, Change] = {}
-    for name in names_of(texture, channel):
-        before = texture.channels[name]
-        if before.format.space == "direction":
+    names = names_of(texture, channel)
+    for name in names:
+        if texture.channels[name].format.space == "direction":
             raise ArgumentError(f"channel {name!r} holds directions, which have no {operation}")
-        tone = tone_of(before.format)
-        of_stored = _stored(before.format, tone)
-        made[name] = before._replace(
-            values=of_stored(before.values),
-            split_values=of_stored(before.split_values),
-            kept_values=of_stored(before.kept_values),
-        )
-        change[name] = _change(before.format, tone)
-    metadata = noted(texture.metadata, operation, channels=list(made), **how)
-    return with_values(texture, made, change, metadata)
+    return edited(texture, names, lambda each: _Toned(each.format, tone_of(each.format)), operation, **how)
 
 
-def _stored(form: ChannelFormat, tone: Tone) -> Callable[[Array], Array]:
-    """Return what maps stored values to stored values: by tables for integers."""
-    if not form.dtype.startswith("u"):
-        return lambda values: encode(
-            _toned_light(form, tone, decode(values, form.space)), form.dtype, form.space
-        )
-    codes = np.repeat(np.arange(ONE[form.dtype] + 1)[:, None] / ONE[form.dtype], form.components, axis=1)
-    table = np.rint(np.clip(tone(codes), 0, 1) * ONE[form.dtype]).astype(form.dtype)
-    columns = np.ascontiguousarray(table.T)
-    is_same = bool((columns == columns[0]).all())
+class _Toned:
+    """A tone on the values of one channel; of integers by tables, between whose codes it is straight."""
 
-    def look_up(values: Array) -> Array:
-        found = np.empty_like(values)
-        if is_same:
-            look_up_codes(values.reshape(-1), columns[0], found.reshape(-1))
+    def __init__(self, form: ChannelFormat, tone: Tone) -> None:
+        self._form, self._tone = form, tone
+        self._has_tables = form.dtype.startswith("u")
+        if self._has_tables:
+            one = ONE[form.dtype]
+            codes = np.repeat(np.arange(one + 1)[:, None] / one, form.components, axis=1)
+            self._codes = np.ascontiguousarray(np.rint(np.clip(tone(codes), 0, 1) * one).astype(form.dtype).T)
+            self._light = decode_table(form.dtype, form.space)
+            light = np.repeat(self._light[:, None], form.components, axis=1)
+            self._toned_light = self._of(light).astype(np.float32)
+
+    def stored(self, values: Array, _cells: Int64s | None) -> Array:
+        """Map values as stored."""
+        form = self._form
+        if not self._has_tables:
+            return encode(self._of(decode(values, form.space)), form.dtype, form.space)
+        toned = np.empty_like(values)
+        if (self._codes == self._codes[0]).all():
+            look_up_codes(values.reshape(-1, 1), self._codes[:1], toned.reshape(-1, 1))
         else:
-            _look_up_each(values, columns, found)
-        return found
+            look_up_codes(values, self._codes, toned)
+        return toned
 
-    return look_up
+    def changed(self, _cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+        """Return how far toned values are from toned means."""
+        if not self._has_tables:
+            return self._of(values) - self._of(means)
+        columns = [
+            np.interp(values[:, k], self._light, toned) - np.interp(means[:, k], self._light, toned)
+            for k, toned in enumerate(self._toned_light.T)
+        ]
+        return np.stack(columns, axis=1)
+
+    def _of(self, values: Floats) -> Float64s:
+        """Map decoded values: light by way of sRGB's curve."""
+        wide = values.astype(np.float64)
+        if self._form.space == "data":
+            return np.asarray(self._tone(wide))
+        return np.asarray(srgb_to_linear(self._tone(linear_to_srgb(wide))), np.float64)
 
 
 @kernel
-def look_up_codes(codes: ChannelCodes, table: ChannelCodes, found: ChannelCodes) -> None:
-    """Look up codes (n,) in a table."""
-    for n in range(codes.size):
-        found[n] = table[codes[n]]
-
-
-@kernel
-def _look_up_each(codes: ChannelCodes, tables: ChannelCodes, found: ChannelCodes) -> None:
+def look_up_codes(codes: ChannelCodes, tables: ChannelCodes, toned: ChannelCodes) -> None:
     """Look up codes (n, components) in the tables of components."""
     for n in range(codes.shape[0]):
         for k in range(codes.shape[1]):
-            found[n, k] = tables[k, codes[n, k]]
-
-
-def _change(form: ChannelFormat, tone: Tone) -> Change:
-    """Return how residuals change: of integers by a table; between codes a tone is taken to be straight."""
-    if not form.dtype.startswith("u"):
-        return lambda _cells, values, means: (
-            _toned_light(form, tone, values) - _toned_light(form, tone, means)
-        )
-    light = decode_table(form.dtype, form.space)
-    mapped = _toned_light(form, tone, np.repeat(light[:, None], form.components, axis=1)).astype(np.float32)
-    return lambda _cells, values, means: np.stack(
-        [
-            np.interp(values[:, k], light, own) - np.interp(means[:, k], light, own)
-            for k, own in enumerate(mapped.T)
-        ],
-        axis=1,
-    )
-
-
-def _toned_light(form: ChannelFormat, tone: Tone, values: Floats) -> Float64s:
-    """Map decoded values: light by way of sRGB's curve."""
-    wide = values.astype(np.float64)
-    if form.space == "data":
-        return np.asarray(tone(wide))
-    return np.asarray(srgb_to_linear(tone(linear_to_srgb(wide))), np.float64)
+            toned[n, k] = tables[k, codes[n, k]]
 
 
 def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
-    given = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
-    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(given, form.components)])
+    numbers = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
+    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(numbers, form.components)])
 
 
 def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:

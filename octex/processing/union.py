@@ -30,11 +30,6 @@ class Origins(NamedTuple):
     cells: Int64s  # (cells,)   the same cell there; or NOTHING; or BELOW − the leaf that it is in
     nodes: Int64s  # (nodes,)   the same node there; or NOTHING; or BELOW − the leaf that it is or is in
 
-    @property
-    def sources(self) -> Int64s:
-        """The cells themselves, or the leaves above them; 0 for nothing."""
-        return np.where(self.cells < NOTHING, BELOW - self.cells, np.maximum(self.cells, 0))
-
 
 class Union(NamedTuple):
     """The union of two trees."""

@@ -2,14 +2,14 @@
 
 images/     image files decoded, their levels stored, footprints read by filters
 models/     glTF, USD, OBJ, PLY, OFF, STL and 3MF files read
-base        what a source is; sources combined
+base        what a source is: combined ones, those by position, what is laid on surfaces
 materials   the source that model files have; evaluate: its kernels
 mesh        triangles and their polygons, posed and at rest; points on them
 corners     what is bound to the corners of triangles
 tangents    frames of normals and tangents there; vectors: what kernels share
 overrides   channels of one's own: functions, images, numbers; mapped: images laid on by position
-spatial     sources by position; transfer: another model's nearest surface; cloud: coloured points
-voxels      values in cells of a grid, a texture by themselves; vxz: O-Voxel's files
+transfer    another model's nearest surface; cloud: coloured points
+voxels      values in cells of a grid, a texture by themselves
 surface     triangles with a source; joined: several as one
 implicit    where a function is zero, as triangles
 subdivided  limit surfaces of cages; subdivision: their rules

@@ -1,4 +1,7 @@
-"""What a surface point's value comes from: a source. A new kind of source is one more class of this form."""
+"""What a surface point's value comes from: a source. A new kind of source is one more class of this form.
+
+Spatial sources give values by where in space a point lies; placeable things turn into sources on a surface.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,20 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import ALPHA, CHANNELS, ChannelFormat
+from octex.jit import kernel
+from octex.source.mesh import Mesh
+from octex.source.vectors import between, cross_product, edges_from, length_of
 
 
 class Source(ABC):
-    """Anything that gives values to points of a surface."""
+    """Anything that gives values to points of a surface.
+
+    It may read other sources, ``_inputs``: it has gaps where they have, and is prepared and filtered as they
+    are.
+    """
 
     _channels: tuple[ChannelFormat, ...]
+    _inputs: tuple[Source, ...] = ()
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -33,7 +44,7 @@ class Source(ABC):
     @property
     def has_gaps(self) -> bool:
         """Whether it may know nothing of some points: its channel ``alpha`` is 0 there."""
-        return False
+        return any(source.has_gaps for source in self._inputs)
 
     @property
     def alpha_is_coverage(self) -> bool:
@@ -47,16 +58,18 @@ class Source(ABC):
         """
         return np.zeros(len(triangles), np.float32)
 
-    def prepare(self) -> None:  # noqa: B027
+    def prepare(self) -> None:
         """Make what the first lookup would make, so that other processes get it with the source."""
+        for source in self._inputs:
+            source.prepare()
 
     def with_rest(self, rest: Float64s) -> Source:  # noqa: ARG002
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
         return self
 
-    def with_filter(self, name: str) -> Source:  # noqa: ARG002
+    def with_filter(self, name: str) -> Source:
         """Return the same source with its images read by another filter."""
-        return self
+        return self._reading([source.with_filter(name) for source in self._inputs]) if self._inputs else self
 
     def only(self, names: Sequence[str]) -> Source:
         """Return the same source with these of its channels alone, and ``alpha`` if they have gaps.
@@ -65,43 +78,32 @@ class Source(ABC):
         """
         return Combined(dict.fromkeys(names, self), [self])
 
+    def _reading(self, inputs: Sequence[Source]) -> Self:
+        """Return the same source with other inputs."""
+        other = copy.copy(self)
+        other._inputs = tuple(inputs)
+        return other
+
 
 class OfAnother(Source):
     """Gives another source's values, found at other triangles: its channels and gaps are that one's."""
 
-    _source: Source
+    def __init__(self, source: Source) -> None:
+        self._inputs = (source,)
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The channels, in the order of the values' columns."""
-        return self._source.channels
-
-    @property
-    def has_gaps(self) -> bool:
-        """Whether the other source may know nothing of some points."""
-        return self._source.has_gaps
+        return self._inputs[0].channels
 
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether the other's ``alpha`` says no more than where it knows something."""
-        return self._source.alpha_is_coverage
-
-    def prepare(self) -> None:
-        """Prepare the other source."""
-        self._source.prepare()
-
-    def with_filter(self, name: str) -> Self:
-        """Return the same source with the other's images read by another filter."""
-        return self._of(self._source.with_filter(name))
+        return self._inputs[0].alpha_is_coverage
 
     def only(self, names: Sequence[str]) -> Self:
         """Return the same source with these of its channels alone."""
-        return self._of(self._source.only(names))
-
-    def _of(self, source: Source) -> Self:
-        other = copy.copy(self)
-        other._source = source
-        return other
+        return self._reading([self._inputs[0].only(names)])
 
 
 class Picked(OfAnother):
@@ -112,24 +114,24 @@ class Picked(OfAnother):
     """
 
     def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
-        self._source = source
+        super().__init__(source)
         self._triangles = triangles
         self._vertices = vertices
         self._rest = rest
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        return self._source.evaluate(self._triangles[triangles], barycentric, widths)
+        return self._inputs[0].evaluate(self._triangles[triangles], barycentric, widths)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._source.texel_edges(self._triangles[triangles])
+        return self._inputs[0].texel_edges(self._triangles[triangles])
 
     def with_rest(self, rest: Float64s) -> Picked:
         """Return the same source on other rest positions of the picked vertices (v, 3)."""
         whole = self._rest.copy()
         whole[self._vertices] = rest
-        return Picked(self._source.with_rest(whole), self._triangles, self._vertices, whole)
+        return Picked(self._inputs[0].with_rest(whole), self._triangles, self._vertices, whole)
 
 
 def in_order(names: Sequence[str]) -> list[str]:
@@ -152,12 +154,13 @@ class Combined(Source):
     """
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
-        self._sources = {name: sources[name] for name in in_order(list(sources))}
-        self._every = list({id(source): source for source in [*self._sources.values(), *others]}.values())
-        self._gaps = [source for source in self._every if source.has_gaps]
+        self._inputs = tuple({id(source): source for source in [*sources.values(), *others]}.values())
+        #: The number of each channel's source, and of those with gaps.
+        self._places = {name: self._inputs.index(sources[name]) for name in in_order(list(sources))}
+        self._gaps = [place for place, source in enumerate(self._inputs) if source.has_gaps]
         forms = {
-            name: next(form for form in source.channels if form.name == name)
-            for name, source in self._sources.items()
+            name: next(form for form in self._inputs[place].channels if form.name == name)
+            for name, place in self._places.items()
         }
         if self._gaps:
             forms.setdefault(ALPHA.name, ALPHA)
@@ -165,61 +168,141 @@ class Combined(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, components), each from its source."""
-        by_source = {
-            id(source): by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
-            for source in self._every
-        }
-        columns = {name: by_source[id(source)][name] for name, source in self._sources.items()}
-        for source in self._gaps:
+        values = [
+            by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
+            for source in self._inputs
+        ]
+        columns = {name: values[place][name] for name, place in self._places.items()}
+        for place in self._gaps:
             alpha = columns.get(ALPHA.name, np.float32(1.0))
-            columns[ALPHA.name] = alpha * (by_source[id(source)][ALPHA.name] > 0)
+            columns[ALPHA.name] = alpha * (values[place][ALPHA.name] > 0)
         nothing = np.empty((len(triangles), 0), np.float32)
         return np.hstack([nothing, *(columns[form.name] for form in self._channels)])
 
     @property
-    def has_gaps(self) -> bool:
-        """Whether any of the sources may know nothing of some points."""
-        return bool(self._gaps)
-
-    @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` says no more than where all of the sources know something."""
-        alpha = self._sources.get(ALPHA.name)
-        return self.has_gaps and (alpha is None or alpha.alpha_is_coverage)
+        place = self._places.get(ALPHA.name)
+        return self.has_gaps and (place is None or self._inputs[place].alpha_is_coverage)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the finest of the sources' texels."""
         edges = np.full(len(triangles), np.inf, np.float32)
-        for source in self._every:
+        for source in self._inputs:
             np.minimum(edges, source.texel_edges(triangles), out=edges)
         return edges
 
-    def prepare(self) -> None:
-        """Prepare all sources."""
-        for source in self._every:
-            source.prepare()
-
     def with_rest(self, rest: Float64s) -> Combined:
         """Return the same sources on other rest positions (n, 3)."""
-        return self._each(lambda source: source.with_rest(rest))
-
-    def with_filter(self, name: str) -> Combined:
-        """Return the same sources with their images read by another filter."""
-        return self._each(lambda source: source.with_filter(name))
+        return self._reading([source.with_rest(rest) for source in self._inputs])
 
     def only(self, names: Sequence[str]) -> Source:
         """Return these channels alone; sources that give none of them are dropped, and their gaps with them.
 
         ``alpha`` without a source of its own, and no name at all, ask for the gaps of all.
         """
-        wanted = {name: source for name, source in self._sources.items() if name in names}
-        asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._sources)
-        kept = [*wanted.values(), *(self._gaps if asks_for_gaps else [])]
-        return Combined(wanted, kept)._each(
-            lambda source: source.only([name for name, each in wanted.items() if each is source])
-        )
+        wanted = {name: place for name, place in self._places.items() if name in names}
+        asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._places)
+        places = dict.fromkeys([*wanted.values(), *(self._gaps if asks_for_gaps else [])])
+        sources = {
+            place: self._inputs[place].only([name for name, each in wanted.items() if each == place])
+            for place in places
+        }
+        return Combined({name: sources[place] for name, place in wanted.items()}, list(sources.values()))
 
-    def _each(self, change: Callable[[Source], Source]) -> Combined:
-        changed = {id(source): change(source) for source in self._every}
-        sources = {name: changed[id(source)] for name, source in self._sources.items()}
-        return Combined(sources, list(changed.values()))
+    def _reading(self, inputs: Sequence[Source]) -> Combined:
+        return Combined({name: inputs[place] for name, place in self._places.items()}, inputs)
+
+
+#: By how much a cosine of normals in single precision may seem less than it is.
+_COSINE_ROUNDING = 1e-6
+
+
+class Placeable(ABC):
+    """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
+
+    _latest: tuple[Float64s, Int32s, Source] | None = None
+
+    @abstractmethod
+    def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
+        """Return a source of one channel for a surface, and what provenance says of it.
+
+        ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
+        ImageError or ArgumentError for what cannot be laid on that surface.
+        """
+
+    def _shared(self, mesh: Mesh, make: Callable[[], Source]) -> Source:
+        """Return what ``make`` returns for a mesh: the same source for all channels, one after another."""
+        latest = self._latest
+        if latest is None or latest[0] is not mesh.rest or latest[1] is not mesh.triangles:
+            latest = self._latest = mesh.rest, mesh.triangles, make()
+        return latest[2]
+
+
+def least_cosine(degrees: float) -> float:
+    """Return the cosine of an angle that normals are to agree within, less what it may be rounded by."""
+    return float(np.cos(np.radians(degrees))) - _COSINE_ROUNDING
+
+
+class SpatialSource(Source):
+    """Gives values to rest positions and face normals.
+
+    ``rest`` (n, 3) positions and ``triangles`` (m, 3) are those of the surface.
+    """
+
+    def __init__(self, channels: Sequence[ChannelFormat], rest: Float64s, triangles: Int32s) -> None:
+        self._channels = tuple(channels)
+        self._rest = rest
+        self._triangles = triangles
+
+    @abstractmethod
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.
+
+        ``normals`` (n, 3) are those of the faces at rest, of length 1; zeros on triangles without area.
+        """
+
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        return self.at(*placed(self._rest, self._triangles, triangles, barycentric), widths)
+
+    def with_rest(self, rest: Float64s) -> SpatialSource:
+        """Return the same values by position, on other rest positions (n, 3)."""
+        other = copy.copy(self)
+        other._rest = rest
+        return other
+
+
+def placed(
+    rest: Float64s, faces: Int32s, triangles: Int32s, barycentric: Float64s
+) -> tuple[Float64s, Float64s]:
+    """Return the rest positions (n, 3) of points of triangles, and the unit normals of their faces there."""
+    points, normals = np.empty((2, len(triangles), 3))
+    _place(rest, faces, triangles, barycentric, points, normals)
+    return points, normals
+
+
+@kernel
+def _place(
+    rest: Float64s,
+    faces: Int32s,
+    triangles: Int32s,
+    barycentric: Float64s,
+    points: Float64s,
+    normals: Float64s,
+) -> None:
+    """Fill in the positions and unit normals of points of triangles."""
+    last = -1
+    x = y = z = 0.0
+    for n in range(triangles.size):
+        triangle = int(triangles[n])
+        shares = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+        points[n, 0], points[n, 1], points[n, 2] = between(rest, faces, triangle, shares)
+        if triangle != last:
+            last = triangle
+            e, f = edges_from(rest, faces, triangle)
+            x, y, z = cross_product(e, f)
+            length = length_of((x, y, z))
+            if length > 0.0:
+                x, y, z = x / length, y / length, z / length
+        normals[n, 0], normals[n, 1], normals[n, 2] = x, y, z

@@ -8,7 +8,6 @@ import zipfile
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,16 +18,11 @@ from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
 from octex.nearest.points import Points
-from octex.npz import read_npz
+from octex.source.base import Placeable, Source, SpatialSource, least_cosine
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
 from octex.source.models.ply import ply_points
-from octex.source.models.reading import parse_numbers
-from octex.source.spatial import Placeable, SpatialSource, least_cosine
-
-if TYPE_CHECKING:
-    from octex.source.base import Source
-
+from octex.source.models.reading import npz_arrays, parse_numbers
 
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
@@ -100,7 +94,6 @@ class PointCloud(Placeable):
         self.radius = None if radius is None else as_number(radius, "radius", 0.0, np.inf)
         self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
         self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
-        self._latest: _FromPoints | None = None
 
     @classmethod
     def load(
@@ -167,25 +160,20 @@ class PointCloud(Placeable):
         """
         if form.name not in ("base_color", "alpha"):
             raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
-        latest = self._latest
-        if latest is None or not latest.is_on(mesh):
-            self._check_radius()
-            latest = self._latest = _FromPoints(self, self._ready, mesh.rest, mesh.triangles)
-        return latest, {f"source_{form.name}": f"points of {self.name}"}
+        return self._shared(mesh, lambda: self._laid_on(mesh)), {
+            f"source_{form.name}": f"points of {self.name}"
+        }
 
-    def _check_radius(self) -> None:
-        if self.radius is None:
-            return
-        spacing = self.spacing
-        if not spacing > 0.0:
-            return
-        around = min(np.pi * (self.radius / spacing) ** 2, len(self))
-        if around > _MOST_AROUND:
-            least = spacing * np.sqrt(_MOST_AROUND / np.pi)
-            raise ArgumentError(
-                f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one below "
-                f"{least:.3g}"
-            )
+    def _laid_on(self, mesh: Mesh) -> _FromPoints:
+        if self.radius is not None and (spacing := self.spacing) > 0.0:
+            around = min(np.pi * (self.radius / spacing) ** 2, len(self))
+            if around > _MOST_AROUND:
+                least = spacing * np.sqrt(_MOST_AROUND / np.pi)
+                raise ArgumentError(
+                    f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one "
+                    f"below {least:.3g}"
+                )
+        return _FromPoints(self, self._ready, mesh.rest, mesh.triangles)
 
 
 class _FromPoints(SpatialSource):
@@ -193,10 +181,10 @@ class _FromPoints(SpatialSource):
 
     def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
         self._ready = ready
-        self._radius = 0.0 if cloud.radius is None else cloud.radius
-        self._nearest = None if cloud.radius is not None else np.inf
-        if cloud.distance is not None:
-            self._nearest = cloud.distance
+        self._radius = cloud.radius or 0.0
+        self._nearest = cloud.distance
+        if cloud.radius is None and cloud.distance is None:
+            self._nearest = np.inf
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
         self._least_cosine = least_cosine(cloud.max_angle)
         self._is_translucent = cloud.is_translucent
@@ -258,17 +246,12 @@ def _read_npz(path: Path) -> _Arrays:
     with open_file(path) as file:
         if not zipfile.is_zipfile(file):
             raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
-        try:
-            arrays = read_npz(file, {name for names in _NAMES.values() for name in names})
-        except ValueError as error:
-            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
-    found = {
-        kind: next((arrays[name] for name in names if name in arrays), None) for kind, names in _NAMES.items()
-    }
+    arrays = npz_arrays(path, {name for names in _NAMES.values() for name in names})
+    chosen = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
     for kind in ("points", "colors"):
-        if found[kind] is None:
+        if not chosen[kind]:
             raise ModelError(f"{path.name} has no array {kind!r}; save it with np.savez(…, {kind}=…)")
-    return found["points"], found["colors"], found["normals"]  # type: ignore[return-value]
+    return arrays[chosen["points"]], arrays[chosen["colors"]], arrays.get(chosen["normals"])
 
 
 def _read_xyz(path: Path) -> _Arrays:

@@ -54,6 +54,13 @@ def area_vectors(corners: Float64s) -> Float64s:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
+def unit_normals(corners: Float64s) -> Float64s:
+    """Return the unit normals of triangles (m, 3); zeros without area."""
+    normals = area_vectors(corners)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0, lengths, 1)
+
+
 def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:
     """Return values (n, components) between those in the rows (n, 3) of three corners."""
     between: Float64s = np.einsum("nc,ncx->nx", barycentric, values[rows])
@@ -123,3 +130,7 @@ class Frames(NamedTuple):
 
     normals: Corners  # x, y, z
     tangents: Corners  # x, y, z, and the handedness w: the bitangent is w · (normal × tangent)
+
+    def of(self, triangles: Int32s) -> Frames:
+        """Return the same of some triangles (k,) alone."""
+        return Frames(self.normals.of(triangles), self.tangents.of(triangles))

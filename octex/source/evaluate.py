@@ -8,6 +8,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s
 from octex.jit import inlined, kernel
+from octex.source.corners import Corners, Frames
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.pyramid import Images
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
@@ -43,19 +44,11 @@ class Tables(NamedTuple):
     alpha_modes: Uint8s  # (materials,)
     alpha_factors: Float32s  # (materials,)
     cutoffs: Float32s  # (materials,)
-    colors: Float32s  # (rows, 4)   linear light and alpha; no rows: no vertex colours
-    color_rows: Int32s  # (triangles, 3)
+    colors: Corners  # linear light and alpha; no rows: no vertex colours
     coordinates: Float32s  # (rows, 2)   v down
     coordinate_rows: Int32s  # (slots, triangles, 3)
-    normals: Float32s  # (rows, 3)   at rest; no rows: no directions are asked for
-    normal_rows: Int32s  # (triangles, 3)
-    tangents: Float32s  # (rows, 4)
-    tangent_rows: Int32s  # (triangles, 3)
-
-
-class SourceColumns(NamedTuple):
-    """The first column of the channels that are more than offset + gain × lane; −1 for none."""
-
+    frames: Frames  # at rest; no rows: no directions are asked for
+    # The first column of the channels that are more than offset + gain × lane; −1 for none.
     base_color: int
     alpha: int
     normal: int
@@ -63,11 +56,7 @@ class SourceColumns(NamedTuple):
 
 @kernel
 def measure(
-    coordinates: Float32s,
-    coordinate_rows: Int32s,
-    rest: Float64s,
-    triangles: Int32s,
-    footprints: Float64s,
+    coordinates: Float32s, rows: Int32s, rest: Float64s, triangles: Int32s, footprints: Float64s
 ) -> None:
     """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
 
@@ -82,7 +71,6 @@ def measure(
         shift, rise = dot_product(e, f) / base, length_of(cross_product(e, f)) / base
         if not rise > 1e-12 * base:
             continue
-        rows = coordinate_rows
         for slot in range(rows.shape[0]):
             a, b, c = rows[slot, triangle, 0], rows[slot, triangle, 1], rows[slot, triangle, 2]
             u0, v0 = np.float64(coordinates[a, 0]), np.float64(coordinates[a, 1])
@@ -117,7 +105,6 @@ def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32
 @kernel
 def evaluate(
     tables: Tables,
-    columns: SourceColumns,
     images: Images,
     footprints: Float64s,
     filter: int | None,
@@ -143,7 +130,7 @@ def evaluate(
     last = -1
     material = first = end = mode = 0
     widest = np.inf
-    has_colors = tables.colors.shape[0] > 0
+    has_colors = tables.colors.values.shape[0] > 0
     for i in range(triangles.size):
         triangle = int(triangles[i])
         if triangle != last:
@@ -153,14 +140,27 @@ def evaluate(
             first, end = int(tables.first_stacks[material]), int(tables.first_stacks[material + 1])
             widest = np.inf
             for stack in range(first, end):
-                _load(tables, images, footprints, stack, triangle, shared, stack - first)
+                # The coordinates of the triangle's corners, and a footprint of width 1 in the stack's images.
+                slot, row = tables.stacks[stack, 1], stack - first
+                for corner in range(3):
+                    at = tables.coordinate_rows[slot, triangle, corner]
+                    shared[row, 2 * corner] = tables.coordinates[at, 0]
+                    shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
+                level = images.layouts[tables.stacks[stack, 0], 0]
+                shared[row, 6], shared[row, 7], shared[row, 8], shared[row, 9], shared[row, 10] = footprint(
+                    footprints[slot, triangle, 0],
+                    footprints[slot, triangle, 1],
+                    footprints[slot, triangle, 2],
+                    images.levels[level, 1],
+                    images.levels[level, 2],
+                )
                 widest = min(widest, MOST_VARIANCE / max(shared[stack - first, 10], 1e-200))
         b0, b1, b2 = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
         shares = (b0, b1, b2)
         red = green = blue = 1.0
         alpha = float(tables.alpha_factors[material])
         if has_colors:
-            colors, rows = tables.colors, tables.color_rows
+            colors, rows = tables.colors
             red, green, blue = between(colors, rows, triangle, shares)
             c0, c1, c2 = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
             alpha *= b0 * colors[c0, 3] + b1 * colors[c1, 3] + b2 * colors[c2, 3]
@@ -196,47 +196,21 @@ def evaluate(
         for column in range(values.shape[1]):
             lane = lanes[tables.lanes[material, column]]
             values[i, column] = tables.offsets[material, column] + tables.gains[material, column] * lane
-        if columns.base_color >= 0 and has_colors:
-            values[i, columns.base_color] *= np.float32(red)
-            values[i, columns.base_color + 1] *= np.float32(green)
-            values[i, columns.base_color + 2] *= np.float32(blue)
-        if columns.alpha >= 0:
-            coverage = float(lanes[tables.lanes[material, columns.alpha]])
+        if tables.base_color >= 0 and has_colors:
+            values[i, tables.base_color] *= np.float32(red)
+            values[i, tables.base_color + 1] *= np.float32(green)
+            values[i, tables.base_color + 2] *= np.float32(blue)
+        if tables.alpha >= 0:
+            coverage = float(lanes[tables.lanes[material, tables.alpha]])
             if mode == OPAQUE:
                 coverage = 1.0
             elif mode == BLEND:
                 coverage *= alpha
             elif not thresholded:
                 coverage = 1.0 if coverage >= threshold else 0.0
-            values[i, columns.alpha] = coverage
-        if columns.normal >= 0:
-            _turn(tables, triangle, shares, width == 0.0, values, i, columns.normal)
-
-
-@inlined
-def _load(
-    tables: Tables,
-    images: Images,
-    footprints: Float64s,
-    stack: int,
-    triangle: int,
-    shared: Float64s,
-    row: int,
-) -> None:
-    """Fill in the coordinates of a triangle's corners, and a footprint of width 1 in a stack's images."""
-    slot = tables.stacks[stack, 1]
-    for corner in range(3):
-        at = tables.coordinate_rows[slot, triangle, corner]
-        shared[row, 2 * corner] = tables.coordinates[at, 0]
-        shared[row, 2 * corner + 1] = tables.coordinates[at, 1]
-    level = images.layouts[tables.stacks[stack, 0], 0]
-    shared[row, 6], shared[row, 7], shared[row, 8], shared[row, 9], shared[row, 10] = footprint(
-        footprints[slot, triangle, 0],
-        footprints[slot, triangle, 1],
-        footprints[slot, triangle, 2],
-        images.levels[level, 1],
-        images.levels[level, 2],
-    )
+            values[i, tables.alpha] = coverage
+        if tables.normal >= 0:
+            _turn(tables, triangle, shares, width == 0.0, values, i, tables.normal)
 
 
 @inlined
@@ -244,11 +218,12 @@ def _turn(
     tables: Tables, triangle: int, shares: Vector, is_point: bool, values: Float32s, i: int, column: int
 ) -> None:
     """Turn a direction in the tangent's frame into one in rest space; at a point, a unit vector."""
-    normal = _unit(between(tables.normals, tables.normal_rows, triangle, shares))
-    tangent = between(tables.tangents, tables.tangent_rows, triangle, shares)
+    normals, tangents = tables.frames
+    normal = _unit(between(normals.values, normals.rows, triangle, shares))
+    tangent = between(tangents.values, tangents.rows, triangle, shares)
     tangent = _unit(minus(tangent, times(normal, dot_product(normal, tangent))))
     other = cross_product(normal, tangent)
-    hand = 1.0 if tables.tangents[tables.tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
+    hand = 1.0 if tangents.values[tangents.rows[triangle, 0], 3] >= 0.0 else -1.0
     x, y, z = values[i, column], values[i, column + 1], values[i, column + 2]
     direction: Vector = np.float64(x), np.float64(y), np.float64(z)
     if is_point:

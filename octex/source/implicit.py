@@ -68,12 +68,12 @@ def _box(bounds: npt.ArrayLike) -> tuple[Float64s, Float64s]:
 
 def _values(f: ImplicitFunction, points: Float64s) -> Float64s:
     """Call a function in batches; refuse what is no value."""
-    found = np.empty(len(points))
+    numbers = np.empty(len(points))
     for first in range(0, len(points), _BATCH):
         batch = points[first : first + _BATCH]
         values = answer(f, [batch], [(len(batch),)], "the function", batch.__getitem__)
-        found[first : first + _BATCH] = np.clip(values, -_LARGEST, _LARGEST)
-    return found
+        numbers[first : first + _BATCH] = np.clip(values, -_LARGEST, _LARGEST)
+    return numbers
 
 
 def _polygonized(
@@ -122,10 +122,10 @@ def _moved_onto(inside: Callable[[Float64s], Float64s], start: Float64s, edge: f
         ways = here - steps[:, None] * gradients - start[moving]
         lengths = np.linalg.norm(ways, axis=1)
         trial = start[moving] + ways * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
-        found = inside(trial)
-        is_better = np.abs(found) < np.abs(values[moving])
+        tried = inside(trial)
+        is_better = np.abs(tried) < np.abs(values[moving])
         better = moving[is_better]
-        points[better], values[better] = trial[is_better], found[is_better]
+        points[better], values[better] = trial[is_better], tried[is_better]
         shares[moving[~is_better]] *= 0.5
         shares[better] = 1.0
         is_done = is_better & (np.abs(steps) * np.sqrt(squares) < _NEAR * edge)

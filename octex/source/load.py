@@ -67,21 +67,21 @@ def load_surface(
     pose that the file lacks. Warns with ModelWarning about content that is left out or normalized.
     """
     as_choice(filter, FILTERS, "filter")
-    own = {} if sources is None else as_entries(sources, "sources")
+    replaced = {} if sources is None else as_entries(sources, "sources")
     names = None if channels is None else as_names(channels, "channels")
-    wanted = None if names is None else tuple(name for name in names if name not in own)
+    wanted = None if names is None else tuple(name for name in names if name not in replaced)
     file = as_path(path)
+    pose = None if pose is None else as_text(pose, "pose")
     if pose is not None and file.suffix.lower() not in _GLTF:
-        raise ArgumentError(f"{file.name} cannot be posed as {as_text(pose, 'pose')!r}: only glTF models can")
-    with_normals = as_flag(normals, "normals") or "normal" in own
-    moved = None if pose is None else as_text(pose, "pose")
-    surface = _read(file, Options(True, wanted, filter, tuple(own), with_normals, moved))
+        raise ArgumentError(f"{file.name} cannot be posed as {pose!r}: only glTF models can")
+    with_normals = as_flag(normals, "normals") or "normal" in replaced
+    surface = _read(file, Options(True, wanted, filter, tuple(replaced), with_normals, pose))
     surface.provenance["filter"] = filter
     if pose is not None:
         surface.provenance["pose"] = pose
     if rest is not None:
         surface = at_rest(surface, rest)
-    return surface.completed(own, names, filter)
+    return surface.completed(replaced, names, filter)
 
 
 def load_motion(path: str | os.PathLike[str], rate: float = 30.0) -> Motion | None:
@@ -142,12 +142,9 @@ def _parsing(path: Path) -> Iterator[None]:
     except (OctexError, ModelWarning):  # warnings may be errors
         raise
     except Exception as error:
-        raise ModelError(f"{path.name} is malformed ({_reason(error)}); export it again") from error
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, KeyError):
-        return f"{error} is missing or unknown"
-    if isinstance(error, (AttributeError, TypeError)):
-        return "a value has the wrong type"
-    return " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, KeyError):
+            reason = f"{error} is missing or unknown"
+        elif isinstance(error, (AttributeError, TypeError)):
+            reason = "a value has the wrong type"
+        raise ModelError(f"{path.name} is malformed ({reason}); export it again") from error

@@ -22,15 +22,13 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.base import Source
-from octex.source.corners import Frames
+from octex.source.base import Placeable, Source, SpatialSource, placed
 from octex.source.images.decode import read_image
 from octex.source.images.filters import FILTERS, LEVELS_OF, MOST_VARIANCE, find_taps, footprint, told
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable, SpatialSource
 from octex.source.tangents import carried
 from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, times
 
@@ -113,17 +111,9 @@ class MappedImage(Placeable):
             texels = unit_directions(texels, (1.0, 1.0, 1.0))
         elif form.space == "srgb" and texels.dtype == np.float32:
             form = light_format(form, float(texels[..., : form.components].max()))
-        source = MappedSource(
-            form,
-            mapping,
-            # As its codes are meant, whatever it is stored as.
-            Picture(texels, form.space in ("srgb", "linear")),
-            self._is_flat,
-            filter,
-            mesh.rest,
-            mesh.triangles,
-            mesh.frames if form.space == "direction" else None,
-        )
+        # As its codes are meant, whatever it is stored as.
+        picture = Picture(texels, form.space in ("srgb", "linear"))
+        source = MappedSource(form, mapping, picture, self._is_flat, filter, mesh)
         said = {
             **origin,
             "mapping": KINDS[self._kind],
@@ -137,30 +127,22 @@ class MappedImage(Placeable):
 
 
 class MappedSource(SpatialSource):
-    """One channel from an image by a mapping; ``frames`` are what directions of normal maps stand on."""
+    """One channel from an image by a mapping; directions of normal maps stand on the mesh's frames."""
 
     def __init__(
-        self,
-        form: ChannelFormat,
-        mapping: Mapping,
-        picture: Picture,
-        flat: bool,
-        filter: str,
-        rest: Float64s,
-        triangles: Int32s,
-        frames: Frames | None = None,
+        self, form: ChannelFormat, mapping: Mapping, picture: Picture, flat: bool, filter: str, mesh: Mesh
     ) -> None:
-        super().__init__([form], rest, triangles)
+        super().__init__([form], mesh.rest, mesh.triangles)
         self._mapping = mapping
         self._picture = picture
         self._flat = flat
-        self._frames = frames
+        self._frames = mesh.frames if form.space == "direction" else None
         self._filter = FILTERS.index(filter)
-        self._images = store([picture], LEVELS_OF[self._filter]).images
+        self._images, _ = store([picture], LEVELS_OF[self._filter])
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        points, normals = self.placed(triangles, barycentric)
+        points, normals = placed(self._rest, self._triangles, triangles, barycentric)
         shading = normals
         if self._frames is not None:
             shading = self._frames.normals.at(triangles, barycentric)
@@ -174,24 +156,16 @@ class MappedSource(SpatialSource):
     def _read(self, points: Float64s, normals: Float64s, shading: Float64s, widths: Float32s) -> Float32s:
         [form] = self.channels
         values = np.empty((len(points), form.components), np.float32)
-        is_direction = form.space == "direction"
         read_mapped(
-            self._mapping,
-            self._images,
-            told(self._filter),
-            self._flat,
-            is_direction,
-            points,
-            normals,
-            shading,
-            widths,
-            values,
-        )
+            self._mapping, self._images, told(self._filter), self._flat, form.space == "direction",
+            points, normals, shading, widths, values,
+        )  # fmt: skip
         return values
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the shorter edge of a texel in the middle of triangles (n,), in rest units."""
-        points, normals = self.placed(triangles, np.full((len(triangles), 3), 1 / 3))
+        middles = np.full((len(triangles), 3), 1 / 3)
+        points, normals = placed(self._rest, self._triangles, triangles, middles)
         height, width = self._picture.texels.shape[:2]
         edges = np.empty(len(triangles), np.float32)
         mapped_edges(self._mapping, width, height, points, normals, edges)
@@ -210,13 +184,13 @@ class MappedSource(SpatialSource):
         other = copy.copy(self)
         other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
         if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
-            other._images = store([self._picture], LEVELS_OF[other._filter]).images
+            other._images, _ = store([self._picture], LEVELS_OF[other._filter])
         return other
 
 
-def _three(given: float | Sequence[float], name: str, least: float) -> Float64s:
+def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:
     """Return a number for each direction."""
-    numbers = np.broadcast_to(as_reals(given, name, (3,), *([()] if name == "size" else [])), 3)
+    numbers = np.broadcast_to(as_reals(values, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])
 
 
@@ -306,17 +280,9 @@ def _covariance(u_slope: Vector, v_slope: Vector, normal: Vector, square: float)
 
 @kernel
 def read_mapped(
-    mapping: Mapping,
-    images: Images,
-    filter: int | None,
-    flat: bool,
-    is_direction: bool,
-    points: Float64s,
-    normals: Float64s,
-    shading: Float64s,
-    widths: Float32s,
-    values: Float32s,
-) -> None:
+    mapping: Mapping, images: Images, filter: int | None, flat: bool, is_direction: bool,
+    points: Float64s, normals: Float64s, shading: Float64s, widths: Float32s, values: Float32s,
+) -> None:  # fmt: skip
     """Fill in what the one image of ``images`` gives to points.
 
     ``normals`` (n, 3) are those of the faces, ``shading`` those on which directions of normal maps stand.
@@ -355,15 +321,9 @@ def read_mapped(
 
 @inlined
 def _turn(
-    mapping: Mapping,
-    lanes: Float32s,
-    u_slope: Vector,
-    v_slope: Vector,
-    shading: Vector,
-    is_point: bool,
-    values: Float32s,
-    i: int,
-) -> None:
+    mapping: Mapping, lanes: Float32s, u_slope: Vector, v_slope: Vector, shading: Vector, is_point: bool,
+    values: Float32s, i: int,
+) -> None:  # fmt: skip
     """Turn a direction of a normal map into one in rest space; at a point, a unit vector.
 
     The tangent is where u grows and v stays on the surface, the bitangent at right angles to it; where v

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from threading import Lock
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from octex.errors import ModelError
 from octex.jit import kernel
 from octex.source.base import Source, in_order
 from octex.source.corners import Corners, Frames, stacked
-from octex.source.evaluate import SourceColumns, Tables, evaluate, measure, texel_edges
+from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
 from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
@@ -59,6 +59,27 @@ class Material(NamedTuple):
     cutoff: float = 0.5  # of "mask": the least alpha that covers
     name: str = ""
     double_sided: bool = False
+
+    @property
+    def textures(self) -> list[Texture]:
+        """The images of all inputs."""
+        return [each.texture for each in self.inputs.values() if each.texture is not None]
+
+    @property
+    def alpha_factor(self) -> float:
+        """What its alpha is multiplied by."""
+        return self.inputs["alpha"].factor[0] if "alpha" in self.inputs else 1.0
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the base colour's own image holds how much of it there is."""
+        color, alpha = self.inputs.get("base_color"), self.inputs.get("alpha")
+        if self.alpha_mode == "opaque" or color is None or alpha is None or alpha.lanes[0] != 3:
+            return False
+        if color.texture is None or alpha.texture is None:
+            return False
+        texels = color.texture.texels
+        return alpha.texture.texels is texels and is_translucent(texels)
 
     @property
     def normal_slot(self) -> int | None:
@@ -109,6 +130,7 @@ class MaterialSource(Source):
     ) -> None:
         self.materials = list(materials)
         self.triangle_materials = triangle_materials
+        self._used = [self.materials[number] for number in np.unique(triangle_materials)]
         self._rest = rest
         self._triangles = triangles
         self.colors = colors
@@ -116,7 +138,7 @@ class MaterialSource(Source):
         self._frames = frames
         self._name = name
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
-        self._prepared: _Prepared | None = None
+        self._prepared: tuple[Tables, Images] | None = None
         self._footprints: Float64s | None = None
         self._texel_edges = np.empty(0, np.float32)
         self._check()
@@ -137,19 +159,9 @@ class MaterialSource(Source):
         widths: Float32s,
     ) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
-        prepared, footprints = self._ready()
-        values = np.empty((len(triangles), sum(c.components for c in self.channels)), np.float32)
-        evaluate(
-            prepared.tables,
-            prepared.columns,
-            prepared.images,
-            footprints,
-            told(self._filter),
-            triangles,
-            barycentric,
-            widths,
-            values,
-        )
+        tables, images, footprints = self._ready()
+        values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
+        evaluate(tables, images, footprints, told(self._filter), triangles, barycentric, widths, values)
         return values
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -189,11 +201,8 @@ class MaterialSource(Source):
         other._prepared = other._footprints = None
         return other
 
-    def _used(self) -> list[Material]:
-        return [self.materials[i] for i in np.unique(self.triangle_materials)]
-
     def _stated(self) -> list[str]:
-        used = self._used()
+        used = self._used
         names = {"base_color"}.union(*(material.inputs for material in used)) - {"alpha"}
         if any(material.alpha_mode != "opaque" for material in used):
             names.add("alpha")
@@ -205,7 +214,7 @@ class MaterialSource(Source):
         if form.space != "srgb":
             return form
         most = max(
-            (_brightest(material.inputs[name]) for material in self._used() if name in material.inputs),
+            (_brightest(material.inputs[name]) for material in self._used if name in material.inputs),
             default=1.0,
         )
         if name == "base_color" and self.colors is not None and len(self.colors.values):
@@ -221,8 +230,7 @@ class MaterialSource(Source):
             self.colors is None or np.isfinite(self.colors.values).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
-        textures = (each.texture for material in self._used() for each in material.inputs.values())
-        last = max((texture.slot for texture in textures if texture is not None), default=-1)
+        last = max((each.slot for material in self._used for each in material.textures), default=-1)
         if last >= len(self.coordinates):
             raise ModelError(
                 f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
@@ -230,45 +238,39 @@ class MaterialSource(Source):
         for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():
                 continue
-            reads = [
-                any(each.texture is not None and each.texture.slot == slot for each in m.inputs.values())
-                for m in self.materials
-            ]
+            reads = [any(t.slot == slot for t in material.textures) for material in self.materials]
             textured = np.array(reads, np.bool_)[self.triangle_materials]
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _ready(self) -> tuple[_Prepared, Float64s]:
+    def _ready(self) -> tuple[Tables, Images, Float64s]:
         """Return what the kernels read, made on the first use."""
         prepared, footprints = self._prepared, self._footprints
         if prepared is not None and footprints is not None:
-            return prepared, footprints
+            return *prepared, footprints
         with _preparing:
-            prepared = self._prepared = self._prepared or self._tables()
+            tables, images = self._prepared = self._prepared or self._tables()
             footprints = self._footprints
             if footprints is None:
-                tables = prepared.tables
                 footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
                 measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
-                self._texel_edges = texel_edges(tables, prepared.images, footprints)
+                self._texel_edges = texel_edges(tables, images, footprints)
                 self._footprints = footprints
-        return prepared, footprints
+        return tables, images, footprints
 
-    def _tables(self) -> _Prepared:
-        names = [form.name for form in self._channels]
-        ends = [0, *np.cumsum([form.components for form in self._channels]).tolist()]
-        first_column = {
-            form.name: end - form.components for form, end in zip(self._channels, ends[1:], strict=True)
-        }
+    def _tables(self) -> tuple[Tables, Images]:
+        sizes = [form.components for form in self._channels]
+        ends = np.cumsum([0, *sizes]).tolist()
+        first_column = {form.name: end for form, end in zip(self._channels, ends, strict=False)}
         count = len(self.materials)
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        shelf = _Shelf(self.materials, [self._vertex_alpha(number) for number in range(count)])
+        shelf = _Shelf()
         for number, material in enumerate(self.materials):
-            lane_of = shelf.add(number, names)
-            for form in self._channels:
-                columns = slice(first_column[form.name], first_column[form.name] + form.components)
+            lane_of = shelf.add(material, list(first_column), self._threshold(number))
+            for form, first in zip(self._channels, ends, strict=False):
+                columns = slice(first, first + form.components)
                 entry = material.inputs.get(form.name)
                 if form.space == "direction":
                     straight = entry is None or entry.texture is None
@@ -282,9 +284,12 @@ class MaterialSource(Source):
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        stored = store(shelf.pictures, LEVELS_OF[self._filter])
-        stacks = [(stored.layout_of[image], *rest) for image, *rest in shelf.stacks]
+        images, layout_of = store(shelf.pictures, LEVELS_OF[self._filter])
+        stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
+        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
+        coordinates, rows = stacked([nowhere, *self.coordinates])
         tables = Tables(
             materials=self.triangle_materials,
             first_stacks=np.array(shelf.first_stacks, np.int32),
@@ -294,53 +299,32 @@ class MaterialSource(Source):
             gains=gains,
             offsets=offsets,
             alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self.materials], np.uint8),
-            alpha_factors=np.array([_alpha_factor(m) for m in self.materials], np.float32),
+            alpha_factors=np.array([m.alpha_factor for m in self.materials], np.float32),
             cutoffs=np.array([m.cutoff for m in self.materials], np.float32),
-            **self._bound(),
+            colors=self.colors or nothing,
+            coordinates=coordinates,
+            coordinate_rows=np.stack(rows)[1:],
+            frames=self._frames or Frames(nothing, nothing),
+            **{name: first_column.get(name, -1) for name in ("base_color", "alpha", "normal")},
         )
-        places = (first_column.get(name, -1) for name in ("base_color", "alpha", "normal"))
-        return _Prepared(tables, SourceColumns(*places), stored.images)
+        return tables, images
 
-    def _vertex_alpha(self, number: int) -> float:
-        """Return the mean alpha of the vertex colours under a material."""
-        if self.colors is None or self.materials[number].alpha_mode != "mask":
-            return 1.0
-        rows = self.colors.rows[self.triangle_materials == number]
-        return float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
-
-    def _bound(self) -> dict[str, Any]:
-        """Return what is bound to corners, as the tables name it."""
-        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
-        colors = self.colors or nothing
-        normals, tangents = (nothing, nothing) if self._frames is None else self._frames
-        values, rows = stacked([nowhere, *self.coordinates])
-        return {
-            "colors": colors.values,
-            "color_rows": colors.rows,
-            "coordinates": values,
-            "coordinate_rows": np.stack(rows)[1:],
-            "normals": normals.values,
-            "normal_rows": normals.rows,
-            "tangents": tangents.values,
-            "tangent_rows": tangents.rows,
-        }
-
-
-class _Prepared(NamedTuple):
-    """What the kernels read."""
-
-    tables: Tables
-    columns: SourceColumns
-    images: Images
+    def _threshold(self, number: int) -> float:
+        """Return the texel's alpha from which on a mask covers, by the mean vertex alpha; −1 for no mask."""
+        material = self.materials[number]
+        if material.alpha_mode != "mask":
+            return -1.0
+        factor = material.alpha_factor
+        if self.colors is not None:
+            rows = self.colors.rows[self.triangle_materials == number]
+            factor *= float(self.colors.values[rows, 3].mean()) if rows.size else 1.0
+        return material.cutoff / factor if factor > 0 else np.inf
 
 
 class _Shelf:
     """The images that materials read, each once, and the stacks in which each material reads them."""
 
-    def __init__(self, materials: Sequence[Material], vertex_alphas: Sequence[float]) -> None:
-        self._materials = materials
-        self._vertex_alphas = vertex_alphas
+    def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
@@ -348,17 +332,25 @@ class _Shelf:
         self.stacks: list[tuple[int, int, int, int, int, int]] = []
         self.images: list[int] = []
 
-    def add(self, number: int, names: Sequence[str]) -> dict[str, int]:
+    def add(self, material: Material, names: Sequence[str], threshold: float) -> dict[str, int]:
         """Add the images of a material for some channels; return the first lane of each channel's image."""
-        material = self._materials[number]
         stacks: dict[tuple[object, int, int, bool, int], dict[int, list[str]]] = {}
         for name in names:
             entry = material.inputs.get(name)
             if entry is None or entry.texture is None:
                 continue
             texels, wrap_u, wrap_v, nearest, slot = entry.texture
+            is_direction = CHANNELS[name].space == "direction"
+            is_covered = name in ("base_color", "alpha") and material.is_covered
+            is_light = CHANNELS[name].space == "srgb" or is_covered
+            cut = threshold if is_covered else -1.0
+            key = id(texels), is_light, is_covered, cut, entry.factor if is_direction else None
+            if key not in self._numbers:
+                self._numbers[key] = len(self.pictures)
+                stored = unit_directions(texels, entry.factor) if is_direction else texels
+                self.pictures.append(Picture(stored, is_light, is_covered, cut))
             way = texels.shape[:2], wrap_u, wrap_v, nearest, slot
-            stacks.setdefault(way, {}).setdefault(self._image(number, name, texels), []).append(name)
+            stacks.setdefault(way, {}).setdefault(self._numbers[key], []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
         for (_, wrap_u, wrap_v, nearest, slot), readers in stacks.items():
@@ -370,40 +362,6 @@ class _Shelf:
                 lane += 4
         self.first_stacks.append(len(self.stacks))
         return lane_of
-
-    def _image(self, number: int, name: str, texels: Texels) -> int:
-        """Return the number of the image that a channel of a material reads."""
-        material = self._materials[number]
-        entry = material.inputs[name]
-        space = CHANNELS[name].space
-        covering = name in ("base_color", "alpha") and _is_covered(material)
-        threshold = -1.0
-        if covering and material.alpha_mode == "mask":
-            factor = _alpha_factor(material) * self._vertex_alphas[number]
-            threshold = material.cutoff / factor if factor > 0 else np.inf
-        is_light = space == "srgb" or covering
-        key = (id(texels), is_light, covering, threshold, entry.factor if space == "direction" else None)
-        if key not in self._numbers:
-            if space == "direction":
-                texels = unit_directions(texels, entry.factor)
-            self._numbers[key] = len(self.pictures)
-            self.pictures.append(Picture(texels, is_light, covering, threshold))
-        return self._numbers[key]
-
-
-def _is_covered(material: Material) -> bool:
-    """Say whether the base colour's own image holds how much of it there is."""
-    color, alpha = material.inputs.get("base_color"), material.inputs.get("alpha")
-    if material.alpha_mode == "opaque" or color is None or alpha is None:
-        return False
-    if color.texture is None or alpha.texture is None or alpha.lanes[0] != 3:
-        return False
-    texels = color.texture.texels
-    return alpha.texture.texels is texels and is_translucent(texels)
-
-
-def _alpha_factor(material: Material) -> float:
-    return material.inputs["alpha"].factor[0] if "alpha" in material.inputs else 1.0
 
 
 def light_format(form: ChannelFormat, most: float) -> ChannelFormat:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError
-from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners
+from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners, unit_normals
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -69,9 +69,15 @@ class Mesh:
             )
         if not isinstance(uv, (Corners, NoneType)) or not isinstance(frames, (Frames, NoneType)):
             raise ArgumentError(f"{name}: uv must be Corners, and frames must be Frames, or None")
-        self.uv = None if uv is None else _locked_corners(uv)
-        self.frames = None if frames is None else _locked_frames(frames)
-        self.polygons = None if polygons is None else _as_polygons(polygons, len(self.triangles), name)
+        self.uv = uv and _locked_corners(uv)
+        self.frames = frames and _locked_frames(frames)
+        if not isinstance(polygons, (Polygons, NoneType)):
+            raise ArgumentError(f"{name}: polygons must be Polygons, or None")
+        shapes = ((len(self.triangles),), (len(self.triangles), 3))
+        for array, shape in zip(polygons or (), shapes, strict=False):
+            if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
+                raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {shapes}")
+        self.polygons = polygons and Polygons(*(_owned(array, np.int32) for array in polygons))
         self.creases = None if creases is None else as_creases(creases, len(self.vertices), name)
         self.name = name
         used = self._used(self.triangles)
@@ -98,7 +104,7 @@ class Mesh:
         """
         frames, triangles = self.frames, self.triangles
         if frames is not None and chosen is not None:
-            frames, triangles = Frames(*(each.of(chosen) for each in frames)), triangles[chosen]
+            frames, triangles = frames.of(chosen), triangles[chosen]
         if frames is None or self.rest is self.vertices:
             return frames
         return carried(frames, triangles, self.rest, self.vertices)
@@ -126,15 +132,21 @@ class Mesh:
         faces = self.triangles[chosen]
         used = self._used(faces)
         names = np.cumsum(used, dtype=np.int32) - np.int32(1)
-        frames = self.frames
+        creases = self.creases
+        if creases is not None:
+            edges, points = used[creases.edges].all(axis=1), used[creases.vertices]
+            creases = Creases(
+                names[creases.edges[edges]], creases.sharpness[edges], names[creases.vertices[points]],
+                creases.spikes[points],
+            )  # fmt: skip
         mesh = Mesh(
             self.vertices[used],
             names[faces],
             rest=None if self.rest is self.vertices else self.rest[used],
             uv=self.uv and self.uv.of(chosen),
-            frames=frames and Frames(frames.normals.of(chosen), frames.tangents.of(chosen)),
+            frames=self.frames and self.frames.of(chosen),
             polygons=self.polygons and self.polygons.of(chosen),
-            creases=self.creases and _picked_creases(self.creases, used, names),
+            creases=creases,
             name=self.name,
         )
         return mesh, chosen, np.flatnonzero(used).astype(np.int32)
@@ -194,8 +206,7 @@ class Mesh:
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
         crosses = area_vectors(self.vertices[self.triangles])
-        norms = np.linalg.norm(crosses, axis=1)
-        cumulative = np.cumsum(norms)
+        cumulative = np.cumsum(np.linalg.norm(crosses, axis=1))
         if not cumulative[-1] > 0:
             raise ModelError(
                 f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
@@ -204,11 +215,9 @@ class Mesh:
         chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
         root = np.sqrt(random[:, 1])
         barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
-        normals = rest_normals = crosses[chosen] / norms[chosen, None]
+        normals = rest_normals = unit_normals(self.vertices[self.triangles[chosen]])
         if self.rest is not self.vertices:
-            rest_normals = area_vectors(self.rest[self.triangles[chosen]])
-            lengths = np.linalg.norm(rest_normals, axis=1, keepdims=True)
-            rest_normals /= np.where(lengths > 0, lengths, 1)
+            rest_normals = unit_normals(self.rest[self.triangles[chosen]])
         return SurfaceSamples(
             points=self.points_at(chosen, barycentric),
             rest=self.rest_at(chosen, barycentric),
@@ -238,9 +247,9 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
     return array
 
 
-def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
+def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     """Return triangles (m, 3) of so many vertices, or raise ModelError."""
-    triangles = as_array(given)
+    triangles = as_array(array_like)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
     if len(triangles) == 0:
@@ -252,24 +261,13 @@ def as_triangles(given: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     return _owned(triangles, np.int32)
 
 
-def _owned(given: npt.ArrayLike, dtype: type) -> Array:
+def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
     """Return a read-only array of one's own: a copy, unless it is one already."""
-    if isinstance(given, np.ndarray) and given.base is None and not given.flags.writeable:
-        return np.asarray(given, dtype, order="C")
-    array: Array = np.array(given, dtype, order="C")
+    if isinstance(array_like, np.ndarray) and array_like.base is None and not array_like.flags.writeable:
+        return np.asarray(array_like, dtype, order="C")
+    array: Array = np.array(array_like, dtype, order="C")
     array.flags.writeable = False
     return array
-
-
-def _as_polygons(polygons: Polygons, triangles: int, name: str) -> Polygons:
-    """Return polygons that nobody else can change, or raise ArgumentError."""
-    if not isinstance(polygons, Polygons):
-        raise ArgumentError(f"{name}: polygons must be Polygons, or None")
-    wanted = ((triangles,), (triangles, 3))
-    for array, shape in zip(polygons, wanted, strict=True):
-        if array.shape != shape or array.dtype.kind not in "iu" or (array < 0).any():
-            raise ArgumentError(f"{name}: polygons must be whole numbers from 0 on, of shapes {wanted}")
-    return Polygons(*(_owned(array, np.int32) for array in polygons))
 
 
 def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
@@ -289,15 +287,6 @@ def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
         _owned(points, np.int32),
         _owned(spikes, np.float32),
     )
-
-
-def _picked_creases(creases: Creases, used: Bools, names: Int32s) -> Creases:
-    """Return creases of the vertices that are used alone, by their new names."""
-    edges, vertices = used[creases.edges].all(axis=1), used[creases.vertices]
-    return Creases(
-        names[creases.edges[edges]], creases.sharpness[edges], names[creases.vertices[vertices]],
-        creases.spikes[vertices],
-    )  # fmt: skip
 
 
 def _locked_frames(frames: Frames) -> Frames:

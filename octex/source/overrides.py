@@ -14,11 +14,10 @@ from octex.channels import CHANNELS, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer, name_of, takes_both
-from octex.source.base import Source
+from octex.source.base import Placeable, Source, SpatialSource
 from octex.source.images.decode import read_image
 from octex.source.materials import MOST_IN_FLOAT16, Input, Material, MaterialSource, Texture, light_format
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable, SpatialSource
 from octex.source.tangents import corner_frames
 
 # Values may be out of their range by so much, and are then brought into it.
@@ -51,12 +50,7 @@ class FunctionSource(SpatialSource):
         self._what = f"the function {name_of(function)} of {form.name}"
         self._takes_normals = takes_both(function, self._what, "positions", "normals")
 
-    def at(
-        self,
-        points: Float64s,
-        normals: Float64s,
-        widths: Float32s,  # noqa: ARG002
-    ) -> Float32s:
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:  # noqa: ARG002
         """Return values (n, components) at rest positions (n, 3)."""
         [form] = self.channels
         if len(points) == 0:

@@ -90,7 +90,7 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     parts = parts_of(triangles, welded)
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
-    solids = [_solid(rest, triangles[own], welded) for own in members]
+    solids = [_solid(rest, triangles[part], welded) for part in members]
     surfaces: dict[int, Mesh] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
@@ -142,17 +142,12 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     join(parents, owners[order[pairs]], owners[order[pairs + 1]])
     roots = parents[triangles[:, 0]]
     loose = triangles[np.isin(roots, _unbalanced(triangles, welded, roots))].ravel().astype(np.int64)
-    join(parents, loose, _first_of(loose, welded))
+    _, first, places = np.unique(welded[loose], return_index=True, return_inverse=True)
+    join(parents, loose, loose[first[places]])
     _, first, parts = np.unique(parents[triangles[:, 0]], return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int32)
     rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
     return rank[parts]
-
-
-def _first_of(vertices: Int64s, welded: Int64s) -> Int64s:
-    """Return for each of some vertices the first among them at the same position."""
-    _, first, inverse = np.unique(welded[vertices], return_index=True, return_inverse=True)
-    return vertices[first[inverse]]
 
 
 def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:

@@ -27,16 +27,15 @@ def separation_of(mesh: Mesh, margin: float, found: Overlaps | None = None) -> s
     Raises ArgumentError as ``Surface.separated`` does.
     """
     margin = as_positive(margin, "margin")
-    if found is None:
-        found = mesh.overlapping_parts(margin)
-    elif not isinstance(found, Overlaps):
+    found = mesh.overlapping_parts(margin) if found is None else found
+    if not isinstance(found, Overlaps):
         raise ArgumentError(f"found must be what overlapping_parts returns, not {found!r}")
-    elif found.margin < margin or len(found.parts) != len(mesh.triangles):
+    if found.margin < margin or len(found.parts) != len(mesh.triangles):
         raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
-    near = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
-    if not near:
+    pairs = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
+    if not pairs:
         return None
-    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, found.parts), near, margin)
+    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, found.parts), pairs, margin)
     moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
     return json.dumps({"parts": found.n_parts, "digest": _digest(found.parts), "moved": moved})
 
@@ -47,12 +46,17 @@ def separated_rest(mesh: Mesh, separation: str) -> Float64s:
     Raises ArgumentError for one of other parts.
     """
     parts = mesh.parts
-    wanted = _read(separation)
-    if wanted is None:
+    try:
+        content: dict[str, Any] = json.loads(separation)
+        count, digest = int(content["parts"]), str(content["digest"])
+        moved = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
+        is_sound = all(0 <= part < count and len(offset) == 3 for part, offset in moved.items())
+        if not is_sound or not np.isfinite(list(moved.values())).all():
+            raise ValueError
+    except (ValueError, TypeError, KeyError, AttributeError):
         raise ArgumentError(
             f"what the texture says of its separated parts cannot be read: {separation[:80]!r}"
-        )
-    count, digest, moved = wanted
+        ) from None
     if digest != _digest(parts):
         raise ArgumentError(
             f"the texture's {count} parts were moved apart, and they are not the {int(parts.max()) + 1} of "
@@ -72,27 +76,23 @@ def _digest(parts: Int32s) -> str:
     return hashlib.sha256(parts.astype("<i4").tobytes()).hexdigest()
 
 
-def _read(text: str) -> tuple[int, str, dict[int, list[float]]] | None:
-    """Read what metadata say; None if it is not in order."""
-    try:
-        content: dict[str, Any] = json.loads(text)
-        moved = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
-        count, digest = int(content["parts"]), str(content["digest"])
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return None
-    sound = all(0 <= part < count and len(offset) == 3 for part, offset in moved.items())
-    return (count, digest, moved) if sound and np.isfinite(list(moved.values())).all() else None
-
-
-def _offsets(low: Float64s, high: Float64s, near: Iterable[tuple[int, int]], margin: float) -> Float64s:
+def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
     """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
-    classes = _colored(len(low), near, np.ptp([low, high], axis=0).max(axis=1))
+    # Classes without near parts in one, the largest first: class 0 is what stays.
+    sizes = np.ptp([low, high], axis=0).max(axis=1)
+    neighbours: dict[int, set[int]] = {}
+    for a, b in pairs:
+        neighbours.setdefault(a, set()).add(b)
+        neighbours.setdefault(b, set()).add(a)
+    classes = np.zeros(len(low), np.int64)
+    done: dict[int, int] = {}
+    for part in sorted(neighbours, key=lambda part: (-sizes[part], part)):
+        taken = {done[other] for other in neighbours[part] if other in done}
+        classes[part] = done[part] = next(k for k in range(len(taken) + 1) if k not in taken)
+    groups = [np.flatnonzero(classes == k) for k in range(classes.max() + 1)]
+    base = low[groups[0]].min(axis=0), high[groups[0]].max(axis=0)
+    layouts = [_packed(low, high, base, groups[1:], margin)]
     moving = np.flatnonzero(classes)
-    stays = classes == 0
-    base = low[stays].min(axis=0), high[stays].max(axis=0)
-    layouts = [
-        _packed(low, high, base, [np.flatnonzero(classes == k) for k in range(1, classes.max() + 1)], margin)
-    ]
     if len(moving) <= _SINGLY:
         layouts.append(_packed(low, high, base, [moving[i : i + 1] for i in range(len(moving))], margin))
 
@@ -101,21 +101,6 @@ def _offsets(low: Float64s, high: Float64s, near: Iterable[tuple[int, int]], mar
         return float(extent.max()), float(extent.sum())
 
     return min(layouts, key=size)
-
-
-def _colored(count: int, near: Iterable[tuple[int, int]], sizes: Float64s) -> Int64s:
-    """Return classes (parts,) without near parts in one, the largest first: class 0 is what stays."""
-    neighbours: dict[int, set[int]] = {}
-    for a, b in near:
-        neighbours.setdefault(a, set()).add(b)
-        neighbours.setdefault(b, set()).add(a)
-    classes = np.zeros(count, np.int64)
-    done: dict[int, int] = {}
-    for part in sorted(neighbours, key=lambda part: (-sizes[part], part)):
-        taken = {done[other] for other in neighbours[part] if other in done}
-        done[part] = next(k for k in range(len(taken) + 1) if k not in taken)
-        classes[part] = done[part]
-    return classes
 
 
 def _packed(

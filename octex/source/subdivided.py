@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -54,7 +54,7 @@ def subdivide(
     as_choice(rest, RESTS, "rest")
     if scheme is not None:
         as_choice(scheme, SCHEMES, "scheme")
-    given = mesh.creases if creases is None else as_creases(creases, len(mesh.vertices), mesh.name)
+    sharp = mesh.creases if creases is None else as_creases(creases, len(mesh.vertices), mesh.name)
     cage = _Cage(mesh)
     if scheme is None:
         scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
@@ -67,22 +67,22 @@ def subdivide(
     values = mesh.vertices
     if is_posed and rest == "limit":
         values = np.concatenate([mesh.vertices, mesh.rest], axis=1)
-    level = cage.level(values, given)
+    level = cage.level(values, sharp)
     for _ in range(levels):
         level = divided(level, scheme)
     values = limits(level, scheme)
     faces, corners = _triangles(level, scheme, cage)
     triangles = level.corners[corners].astype(np.int32)
-    on_cage = cage.located(level.faces[faces], level.domain[corners])
+    parents, shares, positions = cage.located(level.faces[faces], level.domain[corners])
     hull = np.empty((len(values), 3))
-    hull[triangles] = on_cage.positions
+    hull[triangles] = positions
     resting = values[:, 3:] if is_posed and rest == "limit" else values[:, :3]
     polygons = None
     if scheme == "catmull-clark":
         polygons = Polygons(faces.astype(np.int32), (corners % 4).astype(np.int32))
     uv = None
     if mesh.uv is not None:
-        at_corners = np.einsum("mkc,mcx->mkx", on_cage.shares, mesh.uv.values[mesh.uv.rows[on_cage.parents]])
+        at_corners = np.einsum("mkc,mcx->mkx", shares, mesh.uv.values[mesh.uv.rows[parents]])
         rows = np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
         uv = Corners(at_corners.reshape(-1, 2).astype(np.float32), rows)
     made = Mesh(
@@ -91,7 +91,7 @@ def subdivide(
     )  # fmt: skip
     if not isinstance(mesh, Surface):
         return made
-    source = OnCage(mesh.source, on_cage.parents, on_cage.shares, hull, made.rest, made.triangles)
+    source = OnCage(mesh.source, parents, shares, hull, made.rest, made.triangles)
     said = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
     return Surface._on(made, source, {**mesh.provenance, "subdivided": said})
 
@@ -123,15 +123,10 @@ class OnCage(OfAnother):
     """
 
     def __init__(
-        self,
-        source: Source,
-        parents: Int64s,
-        shares: Float64s,
-        hull: Float64s,
-        rest: Float64s,
+        self, source: Source, parents: Int64s, shares: Float64s, hull: Float64s, rest: Float64s,
         triangles: Int32s,
-    ) -> None:
-        self._source = source
+    ) -> None:  # fmt: skip
+        super().__init__(source)
         self._parents = parents.astype(np.int32)
         self._shares = shares
         self._hull = hull
@@ -145,29 +140,21 @@ class OnCage(OfAnother):
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         places = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
-        return self._source.evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
+        return self._inputs[0].evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._source.texel_edges(self._parents[triangles]) / self._stretch[triangles]
+        return self._inputs[0].texel_edges(self._parents[triangles]) / self._stretch[triangles]
 
     def with_rest(self, rest: Float64s) -> OnCage:
         """Return the same source with widths measured on other rest positions (n, 3)."""
         parents = self._parents.astype(np.int64)
-        return OnCage(self._source, parents, self._shares, self._hull, rest, self._triangles)
+        return OnCage(self._inputs[0], parents, self._shares, self._hull, rest, self._triangles)
 
 
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
     """Return the roots of the areas of triangles (m,)."""
     return np.asarray(np.sqrt(np.linalg.norm(area_vectors(positions[triangles]), axis=1)))
-
-
-class _Places(NamedTuple):
-    """Where triangles lie on a cage."""
-
-    parents: Int64s  # (m,)   the cage's triangles
-    shares: Float64s  # (m, 3, 3)   barycentric coordinates of their corners there
-    positions: Float64s  # (m, 3, 3)   of their corners, at rest
 
 
 class _Cage:
@@ -220,8 +207,12 @@ class _Cage:
         missing = 6 - within.sum(axis=1)  # the corner that the first triangle lacks
         return np.asarray((self.sizes == 4) & (missing % 2 == 0))
 
-    def located(self, faces: Int64s, points: Float64s) -> _Places:
-        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage's triangles."""
+    def located(self, faces: Int64s, points: Float64s) -> tuple[Int64s, Float64s, Float64s]:
+        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage.
+
+        Return the cage's triangles (m,), the corners' barycentric coordinates there (m, 3, 3), and their
+        positions at rest (m, 3, 3).
+        """
         parents = self._holding(faces, points.mean(axis=1))
         shares = self._shares(parents[:, None], points)
         positions = np.einsum("mkc,mcx->mkx", shares, self._rest[parents])
@@ -230,11 +221,11 @@ class _Cage:
         if len(some):
             owners = np.repeat(faces[some], 3)
             flat = points[some].reshape(-1, 2)
-            own = self._holding(owners, flat)
-            each = np.einsum("nc,ncx->nx", self._shares(own, flat), self._rest[own]).reshape(-1, 3, 3)
+            chosen = self._holding(owners, flat)
+            each = np.einsum("nc,ncx->nx", self._shares(chosen, flat), self._rest[chosen]).reshape(-1, 3, 3)
             positions[some] = each
             shares[some] = _shares_in_space(self._rest[parents[some]], each, shares[some])
-        return _Places(parents, shares, positions)
+        return parents, shares, positions
 
     def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
         """Return the triangle of its face that holds each point (n, 2)."""
@@ -242,11 +233,11 @@ class _Cage:
         counts = self._counts[faces]
         best = np.full(len(faces), -np.inf)
         for k in range(int(counts.max()) if counts.max() > 1 else 0):
-            own = np.flatnonzero(counts > k)
-            triangles = self._order[self._starts[faces[own]] + k]
-            inside = self._shares(triangles, points[own]).min(axis=1)
-            better = inside > best[own]
-            best[own[better]], parents[own[better]] = inside[better], triangles[better]
+            chosen = np.flatnonzero(counts > k)
+            triangles = self._order[self._starts[faces[chosen]] + k]
+            inside = self._shares(triangles, points[chosen]).min(axis=1)
+            better = inside > best[chosen]
+            best[chosen[better]], parents[chosen[better]] = inside[better], triangles[better]
         return parents
 
     def _shares(self, triangles: Int64s, points: Float64s) -> Float64s:
@@ -273,7 +264,7 @@ def _domain(sizes: Int64s) -> Float64s:
 def _shares_in_space(triangles: Float64s, points: Float64s, otherwise: Float64s) -> Float64s:
     """Return barycentric coordinates (n, k, 3) of points (n, k, 3) in the planes of triangles (n, 3, 3)."""
     sides = triangles[:, 1:] - triangles[:, :1]
-    found = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
-    shares = np.concatenate([1 - found.sum(axis=2, keepdims=True), found], axis=2)
+    along = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
+    shares = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
     flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
     return np.where(flat[:, None, None], shares, otherwise)

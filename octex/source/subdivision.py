@@ -54,9 +54,32 @@ class Level(NamedTuple):
         return np.asarray(firsts + (within + by) % np.repeat(self.sizes, self.sizes), np.int64)
 
     @property
+    def lines(self) -> Lines:
+        """The edges, from both of their vertices."""
+        others = self.edges[:, ::-1].ravel()
+        return Lines(self.edges.ravel(), self.values, others, np.repeat(self.sharpness, 2))
+
+    @property
     def owners(self) -> Int64s:
         """The face of each corner (c,)."""
         return np.repeat(np.arange(len(self.sizes)), self.sizes)
+
+
+class Lines(NamedTuple):
+    """Edges as each of their vertices meets them."""
+
+    at: Int64s  # (n,)   vertices
+    values: Float64s  # (…, k)
+    others: Int64s  # (n,)   of these, the values at the edges' other ends
+    sharpness: Float64s  # (n,)
+
+    def kinds(self, spikes: Float64s) -> tuple[Array, Float64s]:
+        """Return which rule each vertex (v,) follows, and the sum beyond its sharp edges (v, k)."""
+        is_sharp, count = self.sharpness > 0, len(spikes)
+        at = self.at[is_sharp]
+        n_sharp = np.bincount(at, minlength=count)
+        kinds = np.where(n_sharp > 2, _CORNER, np.where(n_sharp == 2, _CREASE, _SMOOTH))
+        return np.where(spikes > 0, _CORNER, kinds), _sums(at, self.values, count, self.others[is_sharp])
 
 
 def base_level(
@@ -78,9 +101,9 @@ def base_level(
         _keys(corners, corners[level.following], count), return_inverse=True, return_counts=True
     )
     sharpness = np.zeros(len(keys))
-    given = _keys(creases[0][:, 0], creases[0][:, 1], count)
-    places = np.minimum(np.searchsorted(keys, given), len(keys) - 1)
-    known = keys[places] == given
+    sharp_keys = _keys(creases[0][:, 0], creases[0][:, 1], count)
+    places = np.minimum(np.searchsorted(keys, sharp_keys), len(keys) - 1)
+    known = keys[places] == sharp_keys
     np.maximum.at(sharpness, places[known], creases[1][known])
     sharpness[uses != 2] = INFINITE
     np.maximum.at(level.spikes, spikes[0], spikes[1])
@@ -105,9 +128,9 @@ def _is_apart(level: Level, uses: Int64s) -> Bools:
     faces = np.bincount(level.corners, minlength=count)
     borders = np.bincount(ends[np.repeat(uses == 1, 2)], minlength=count)
     branches = np.bincount(ends[np.repeat(uses > 2, 2)], minlength=count)
-    alone = (faces == 1) & (borders == 2)
+    is_lone = (faces == 1) & (borders == 2)
     odd = (branches > 0) & ((branches != 2) | (borders > 0))
-    return np.asarray(alone | odd | ((branches == 0) & (_fans(level, uses) > 1)))
+    return np.asarray(is_lone | odd | ((branches == 0) & (_fans(level, uses) > 1)))
 
 
 def _fans(level: Level, uses: Int64s) -> Int64s:
@@ -151,7 +174,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
         moved = ((valences - 2) * values + (_ring_sums(level) + faces) / valences) / valences
     made = weights * (middles / 2) + (1 - weights) * smooth
     softer = _softer(level.sharpness)
-    moved = _sharpened(level, moved, softer)
+    moved = _sharpened(level.lines, level.spikes, values, moved)
 
     # Edges: both halves of each, then those between the points of edges and of faces, a corner each.
     halves = 2 * sides + (level.edges[sides, 1] == corners)
@@ -201,20 +224,16 @@ def limits(level: Level, scheme: Scheme) -> Float64s:
     if scheme == "catmull-clark":
         across = level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()
         diagonals = _sums(level.corners, level.values, count, across)
-    found = _smooth_limits(level.values, _ring_sums(level), diagonals, valences)
-    kinds = _kinds(level, level.sharpness, level.spikes)
-    chosen = np.flatnonzero(kinds != _SMOOTH)
-    found[chosen] = _sharp_limits(
-        level.values[chosen], _crease_sums(level, level.sharpness)[chosen], kinds[chosen]
-    )
+    smooth = _smooth_limits(level.values, _ring_sums(level), diagonals, valences)
+    limited = _sharp_limits(level.lines, level.spikes, level.values, smooth)
     lone = np.bincount(level.edges[level.sharpness > 0].ravel(), minlength=count) == 1
     passing = (level.sharpness > 0) & (level.sharpness < INFINITE)
     lone[level.edges[passing]] = True
     lone |= (level.spikes > 0) & (level.spikes < INFINITE)
     lone &= level.spikes < INFINITE
     if lone.any():
-        found[lone] = _around(level, scheme, lone)
-    return found
+        limited[lone] = _around(level, scheme, lone)
+    return limited
 
 
 def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
@@ -237,12 +256,11 @@ def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
     at, fan_at = numbers[ends[spokes, 0]], numbers[here]
     middle, rim = level.values[chosen], level.values[ends[spokes, 1]]
     sharpness, spikes = level.sharpness[spokes // 2], level.spikes[chosen]
-    valences = np.bincount(at, minlength=count)
+    valences, spoke = np.bincount(at, minlength=count), np.arange(len(rim))
     far = np.empty((0, rim.shape[1]))
     if scheme == "catmull-clark":
         far = level.values[level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()[fans]]
     for _ in range(_ROUNDS):
-        softer, blunter = _softer(sharpness), _softer(spikes)
         weights = np.clip(sharpness, 0.0, 1.0)[:, None]
         sides, sums = middle[at] + rim, _sums(at, rim, count)
         if scheme == "loop":
@@ -254,24 +272,12 @@ def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
             smooth = (sides + _sums(ahead, far, len(rim)) + _sums(behind, far, len(rim))) / 4
             n = valences[:, None]
             moved = ((n - 2) * middle + (sums + _sums(fan_at, far, count)) / n) / n
-        parts = []
-        for sharp, spike in ((sharpness, spikes), (softer, blunter)):
-            kinds = _kind(np.bincount(at[sharp > 0], minlength=count), spike)
-            beside = _sums(at[sharp > 0], rim[sharp > 0], count)
-            parts.append((kinds, _by_kind(kinds, middle, moved, beside)))
-        share = _shares(at, sharpness, softer, spikes, blunter)
-        is_other = (parts[0][0] != parts[1][0])[:, None]
-        middle = np.where(is_other, share * parts[0][1] + (1 - share) * parts[1][1], parts[0][1])
+        middle = _sharpened(Lines(at, rim, spoke, sharpness), spikes, middle, moved)
         rim = weights * (sides / 2) + (1 - weights) * smooth
-        sharpness, spikes = softer, blunter
+        sharpness, spikes = _softer(sharpness), _softer(spikes)
     diagonals = _sums(fan_at, far, count) if scheme == "catmull-clark" else None
-    found = _smooth_limits(middle, _sums(at, rim, count), diagonals, valences)
-    is_line = sharpness > 0
-    kinds = _kind(np.bincount(at[is_line], minlength=count), spikes)
-    is_sharp = kinds != _SMOOTH
-    beside = _sums(at[is_line], rim[is_line], count)
-    found[is_sharp] = _sharp_limits(middle[is_sharp], beside[is_sharp], kinds[is_sharp])
-    return found
+    smooth = _smooth_limits(middle, _sums(at, rim, count), diagonals, valences)
+    return _sharp_limits(Lines(at, rim, spoke, sharpness), spikes, middle, smooth)
 
 
 def _sums(places: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
@@ -288,12 +294,6 @@ def _ring_sums(level: Level) -> Float64s:
     return _sums(ends, level.values, len(level.values), level.edges[:, ::-1].ravel())
 
 
-def _crease_sums(level: Level, sharpness: Float64s) -> Float64s:
-    """Return likewise the sum of those at the other ends of sharp edges (v, k)."""
-    edges = level.edges[sharpness > 0]
-    return _sums(edges.ravel(), level.values, len(level.values), edges[:, ::-1].ravel())
-
-
 def _smoothed(values: Float64s, sums: Float64s, valences: Int64s) -> Float64s:
     """Return vertices moved by Loop's rule."""
     n = valences[:, None]
@@ -306,51 +306,33 @@ def _softer(sharpness: Float64s) -> Float64s:
     return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1, 0.0))
 
 
-def _kind(sharp_edges: Array, spikes: Float64s) -> Array:
-    kinds = np.where(sharp_edges > 2, _CORNER, np.where(sharp_edges == 2, _CREASE, _SMOOTH))
-    return np.where(spikes > 0, _CORNER, kinds)
-
-
-def _kinds(level: Level, sharpness: Float64s, spikes: Float64s) -> Array:
-    return _kind(np.bincount(level.edges[sharpness > 0].ravel(), minlength=len(level.values)), spikes)
-
-
 def _by_kind(kinds: Array, values: Float64s, smooth: Float64s, beside: Float64s) -> Float64s:
     creased = 0.75 * values + 0.125 * beside
     return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
 
 
-def _shares(
-    ends: Int64s, sharpness: Float64s, softer: Float64s, spikes: Float64s, blunter: Float64s
-) -> Float64s:
-    """Return how much of this level's rule counts where the next one has another (v, 1).
+def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
+    """Return moved vertices (v, k): smooth ones, but where creases and corners have their own rule.
 
-    The mean of what is left of those sharpnesses that end here, of edges at their ``ends`` and of vertices.
+    Where the next level has another rule, this one's counts by the mean of what is left of those sharpnesses
+    that end here, of edges and of vertices.
     """
-    ending = (sharpness > 0) & (softer <= 0)
-    sums = np.bincount(ends[ending], sharpness[ending], len(spikes))
-    counts = np.bincount(ends[ending], minlength=len(spikes)).astype(np.float64)
-    blunt = (spikes > 0) & (blunter <= 0)
-    sums, counts = sums + np.where(blunt, spikes, 0.0), counts + blunt
-    return np.minimum(sums / np.maximum(counts, 1), 1.0)[:, None]
-
-
-def _sharpened(level: Level, smooth: Float64s, softer: Float64s) -> Float64s:
-    """Return moved vertices (v, k): smooth ones, but where creases and corners have their own rule."""
-    if not (level.sharpness > 0).any() and not (level.spikes > 0).any():
+    if not (lines.sharpness > 0).any() and not (spikes > 0).any():
         return smooth
-    blunter = _softer(level.spikes)
-    kinds = _kinds(level, level.sharpness, level.spikes)
-    later = _kinds(level, softer, blunter)
-    own = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
-    parts = [
-        _by_kind(kind[own], level.values[own], smooth[own], _crease_sums(level, sharp)[own])
-        for kind, sharp in ((kinds, level.sharpness), (later, softer))
-    ]
-    ends, twice = level.edges.ravel(), np.repeat(level.sharpness, 2)
-    share = _shares(ends, twice, np.repeat(softer, 2), level.spikes, blunter)[own]
-    is_other = (kinds != later)[own, None]
-    smooth[own] = np.where(is_other, share * parts[0] + (1 - share) * parts[1], parts[0])
+    softer, blunter = _softer(lines.sharpness), _softer(spikes)
+    (kinds, sums), (later, later_sums) = lines.kinds(spikes), lines._replace(sharpness=softer).kinds(blunter)
+    chosen = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
+    now, then = (
+        _by_kind(kind[chosen], values[chosen], smooth[chosen], beside[chosen])
+        for kind, beside in ((kinds, sums), (later, later_sums))
+    )
+    ending, blunt = (lines.sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
+    at = lines.at[ending]
+    left = np.bincount(at, lines.sharpness[ending], len(spikes)) + np.where(blunt, spikes, 0.0)
+    counts = np.bincount(at, minlength=len(spikes)) + blunt
+    share = np.minimum(left / np.maximum(counts, 1), 1.0)[chosen, None]
+    is_other = (kinds != later)[chosen, None]
+    smooth[chosen] = np.where(is_other, share * now + (1 - share) * then, now)
     return smooth
 
 
@@ -365,5 +347,8 @@ def _smooth_limits(
     return np.asarray((1 - n * share) * values + share * sums)
 
 
-def _sharp_limits(values: Float64s, beside: Float64s, kinds: Array) -> Float64s:
-    return np.where((kinds == _CREASE)[:, None], (4 * values + beside) / 6, values)
+def _sharp_limits(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
+    """Return limits of vertices (v, k): smooth ones, but on creases and corners."""
+    kinds, beside = lines.kinds(spikes)
+    creased = (4 * values + beside) / 6
+    return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s
-from octex.channels import ALPHA, NORMAL, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Picked, Source, by_channel
@@ -22,7 +22,7 @@ from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
-from octex.source.joined import FaceNormals, Joined, Member
+from octex.source.joined import Joined
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
 from octex.source.overrides import override_source
@@ -138,7 +138,9 @@ class Surface(Mesh):
             nearest = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
             texture = Texture(as_texels(image), *wraps, nearest)
         if uv is not None:
-            coordinates = _corner_coordinates(uv, faces, len(positions))
+            bound = as_reals(uv, "uv", (len(positions), 2), (len(faces), 3, 2))
+            rows = faces if bound.ndim == 2 else np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+            coordinates = Corners(flip_v(bound.reshape(-1, 2)), rows)
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
             translucent |= texture is not None and is_translucent(texture.texels)
@@ -147,15 +149,9 @@ class Surface(Mesh):
         inputs = {"base_color": Input(full[:3], texture), "alpha": Input(full[3:], texture, (3,))}
         material = Material(inputs, alpha, cutoff)
         source = MaterialSource(
-            [material],
-            np.zeros(len(faces), np.int32),
-            placed,
-            faces,
-            colors=corners,
-            coordinates=[] if coordinates is None else [coordinates],
-            name=name,
-            filter=filter,
-        )
+            [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners,
+            coordinates=[] if coordinates is None else [coordinates], name=name, filter=filter,
+        )  # fmt: skip
         return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
 
     @classmethod
@@ -169,10 +165,6 @@ class Surface(Mesh):
         surfaces = as_items(surfaces, Surface, "surface to join")
         vertices = np.cumsum([0, *(len(each.vertices) for each in surfaces)]).tolist()
         triangles = np.cumsum([0, *(len(each.triangles) for each in surfaces)]).tolist()
-        parts = [
-            Member(each.source, slice(*vertices[n : n + 2]), slice(*triangles[n : n + 2]))
-            for n, each in enumerate(surfaces)
-        ]
         rest = np.concatenate([each.rest for each in surfaces])
         faces = np.concatenate(
             [each.triangles + np.int32(first) for each, first in zip(surfaces, vertices, strict=False)]
@@ -182,7 +174,7 @@ class Surface(Mesh):
         return cls(
             np.concatenate([each.vertices for each in surfaces]),
             faces,
-            Joined(parts, FaceNormals((NORMAL,), rest, faces)),
+            Joined([each.source for each in surfaces], vertices, triangles, rest, faces),
             rest=None if all(each.rest is each.vertices for each in surfaces) else rest,
             polygons=Polygons.joined([(each.polygons, len(each.triangles)) for each in surfaces]),
             name=name,
@@ -348,10 +340,10 @@ class Surface(Mesh):
         if not isinstance(metadata, Mapping):
             raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
         separation = metadata.get(SEPARATION)
-        own = self.provenance.get(SEPARATION)
-        if own == separation:
+        moves = self.provenance.get(SEPARATION)
+        if moves == separation:
             return self
-        if separation is None or own is not None:
+        if separation is None or moves is not None:
             raise ArgumentError(
                 f"{self.name} is separated, and the texture is not, or otherwise; use the surface as it was"
             )
@@ -391,20 +383,16 @@ class Surface(Mesh):
             raise ArgumentError(f"samples have barycentric coordinates that are not below {FARTHEST:g}")
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
-        source = self._only(channel)
+        if channel not in self._single:  # kept ready for the next time
+            needs_all = channel == ALPHA.name and self.source.has_gaps
+            self._single[channel] = self.source if needs_all else self.source.only([channel])
+        source = self._single[channel]
         values = source.evaluate(
             np.ascontiguousarray(triangles, np.int32),
             np.ascontiguousarray(samples.barycentric, np.float64),
             widths,
         )
         return by_channel(source.channels, values)[channel]
-
-    def _only(self, channel: str) -> Source:
-        """Return a source of one channel, kept ready for the next time."""
-        if channel not in self._single:
-            needs_all = channel == ALPHA.name and self.source.has_gaps
-            self._single[channel] = self.source if needs_all else self.source.only([channel])
-        return self._single[channel]
 
     def evaluate_all(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return every channel's values (n, all components), in the order of ``channels``; checks nothing.
@@ -417,15 +405,6 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
-
-
-def _corner_coordinates(uv: npt.ArrayLike, triangles: Int32s, vertices: int) -> Corners:
-    """Bind coordinates with v up, per vertex or per corner."""
-    array = as_reals(uv, "uv", (vertices, 2), (len(triangles), 3, 2))
-    rows = triangles
-    if array.ndim == 3:
-        rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    return Corners(flip_v(array.reshape(-1, 2)), rows)
 
 
 def flip_v(uv: Floats) -> Float32s:

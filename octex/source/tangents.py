@@ -25,8 +25,6 @@ from octex.source.vectors import (
 )  # fmt: skip
 from octex.source.welding import welded
 
-_Edges = tuple[Vector, Vector, Vector, float]
-
 
 def corner_frames(
     positions: Float64s,
@@ -80,12 +78,7 @@ def corner_frames(
     return Frames(normals, Corners(values, rows))
 
 
-def carried(
-    frames: Frames,
-    triangles: Integers,
-    before: Float64s,
-    after: Float64s,
-) -> Frames:
+def carried(frames: Frames, triangles: Integers, before: Float64s, after: Float64s) -> Frames:
     """Return frames moved from one set of vertex positions (n, 3) to another, each corner by its triangle.
 
     A triangle's map takes its edges to its edges and its normal to its normal, stretched by the root of the
@@ -222,11 +215,7 @@ def _sum_tangents(
 
 @kernel
 def _finish_tangents(
-    normals: Corners,
-    groups: Int32s,
-    sums: Float64s,
-    rows: Int32s,
-    values: Float32s,
+    normals: Corners, groups: Int32s, sums: Float64s, rows: Int32s, values: Float32s
 ) -> None:
     """Turn sums into unit tangents with handedness; give triangles without rows those of their neighbours."""
     for triangle in range(len(rows)):
@@ -245,22 +234,11 @@ def _finish_tangents(
             x, y, z = _in_plane(row_of(sums, row), normal)
             if x == 0.0 and y == 0.0 and z == 0.0:
                 a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
-                if a <= b and a <= c:
-                    x, y, z = _in_plane((1.0, 0.0, 0.0), normal)
-                elif b <= c:
-                    x, y, z = _in_plane((0.0, 1.0, 0.0), normal)
-                else:
-                    x, y, z = _in_plane((0.0, 0.0, 1.0), normal)
+                axis = 0 if a <= b and a <= c else 1 if b <= c else 2
+                along = (1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0)
+                x, y, z = _in_plane(along, normal)
             values[row, 0], values[row, 1], values[row, 2] = x, y, z
             values[row, 3] = 1.0 if row % 2 else -1.0
-
-
-@inlined
-def _edges(positions: Float64s, triangles: Int32s, triangle: int) -> _Edges:
-    """Return two edges of a triangle, their cross product, and its length, which is twice the area."""
-    e, f = edges_from(positions, triangles, triangle)
-    cross = cross_product(e, f)
-    return e, f, cross, length_of(cross)
 
 
 @inlined
@@ -282,8 +260,10 @@ def _carry(
 ) -> None:
     """Write the moved normals (3m, 3) and tangents (3m, 4), corner by corner."""
     for triangle in range(len(triangles)):
-        e, f, cross, area = _edges(before, triangles, triangle)
-        new_e, new_f, new_cross, new_area = _edges(after, triangles, triangle)
+        e, f = edges_from(before, triangles, triangle)
+        new_e, new_f = edges_from(after, triangles, triangle)
+        cross, new_cross = cross_product(e, f), cross_product(new_e, new_f)
+        area, new_area = length_of(cross), length_of(new_cross)  # twice the area
         usable = 0.0 < area < math.inf and 0.0 < new_area < math.inf
         for corner in range(3):
             normal = row_of(frames.normals.values, frames.normals.rows[triangle, corner])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Sequence
 from functools import cached_property
@@ -14,10 +13,9 @@ from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
 from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
-from octex.source.base import Combined, Source
+from octex.source.base import Combined, Placeable, Source, SpatialSource, least_cosine
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable, SpatialSource, least_cosine
 from octex.source.surface import Surface, as_surface
 
 
@@ -43,7 +41,6 @@ class Transfer(Placeable):
         self._surface = as_surface(load_surface(model) if is_path(model) else model, "model")  # type: ignore[arg-type]
         self.distance = None if distance is None else as_number(distance, "distance", 0.0, np.inf)
         self.max_angle = as_number(max_angle, "max_angle", 0.0, 180.0)
-        self._latest: _Transferred | None = None
 
     def __repr__(self) -> str:
         return f"<Transfer from {self._surface!r}>"
@@ -66,12 +63,10 @@ class Transfer(Placeable):
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
         as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
-        latest = self._latest
-        if latest is None or not latest.is_on(mesh):
-            latest = self._latest = _Transferred(
-                self._surface, self._nearest, self.distance, self.max_angle, mesh
-            )
-        return latest, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
+        source = self._shared(
+            mesh, lambda: _Transferred(self._surface, self._nearest, self.distance, self.max_angle, mesh)
+        )
+        return source, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
 
 
 class _Transferred(SpatialSource):
@@ -80,7 +75,7 @@ class _Transferred(SpatialSource):
     def __init__(
         self, other: Surface, nearest: Triangles, distance: float | None, max_angle: float, mesh: Mesh
     ) -> None:
-        self._other = other.source
+        self._inputs = (other.source,)
         self._nearest = nearest
         self._distance = np.inf if distance is None else distance
         self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
@@ -89,26 +84,22 @@ class _Transferred(SpatialSource):
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The other's channels, and ``alpha`` last if there are gaps and it has none."""
-        return (*self._other.channels, ALPHA) if self._adds_alpha else self._other.channels
+        channels = self._inputs[0].channels
+        return (*channels, ALPHA) if self._adds_alpha else channels
 
     @property
     def has_gaps(self) -> bool:
         """Whether points may be too far from the other surface or face another way, or it has gaps itself."""
-        is_limited = bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine))
-        return is_limited or self._other.has_gaps
+        return bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine)) or super().has_gaps
 
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether the other has no ``alpha``, or one that says no more than where it knows something."""
-        return self.has_gaps and (self._adds_alpha or self._other.alpha_is_coverage)
+        return self.has_gaps and (self._adds_alpha or self._inputs[0].alpha_is_coverage)
 
     @property
     def _adds_alpha(self) -> bool:
-        return self.has_gaps and ALPHA.name not in [form.name for form in self._other.channels]
-
-    def prepare(self) -> None:
-        """Prepare the other's source."""
-        self._other.prepare()
+        return self.has_gaps and ALPHA.name not in [form.name for form in self._inputs[0].channels]
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
@@ -119,7 +110,7 @@ class _Transferred(SpatialSource):
             least_cosine=self._least_cosine,
         )
         there = np.flatnonzero(nearest.triangles >= 0)
-        others = self._other.evaluate(nearest.triangles[there], nearest.barycentric[there], widths[there])
+        others = self._inputs[0].evaluate(nearest.triangles[there], nearest.barycentric[there], widths[there])
         values = np.zeros((len(points), others.shape[1] + self._adds_alpha), np.float32)
         values[there, : others.shape[1]] = others
         values[there, others.shape[1] :] = 1.0
@@ -127,14 +118,6 @@ class _Transferred(SpatialSource):
 
     def only(self, names: Sequence[str]) -> _Transferred:
         """Return the same source with these of its channels alone, and ``alpha`` if it has gaps."""
-        wanted = [form.name for form in self._other.channels if form.name in names]
-        return self._of(self._other.only(wanted) if wanted or self._other.has_gaps else Combined({}))
-
-    def with_filter(self, name: str) -> _Transferred:
-        """Return the same source with the other's images read by another filter."""
-        return self._of(self._other.with_filter(name))
-
-    def _of(self, other: Source) -> _Transferred:
-        made = copy.copy(self)
-        made._other = other
-        return made
+        [other] = self._inputs
+        wanted = [form.name for form in other.channels if form.name in names]
+        return self._reading([other.only(wanted) if wanted or other.has_gaps else Combined({})])

@@ -20,8 +20,8 @@ from octex.conversion.apart import separate
 from octex.drawing import draw_difference, draw_preview
 from octex.drawing.compare import difference
 from octex.errors import ArgumentError
+from octex.source.base import SpatialSource
 from octex.source.separation import _packed
-from octex.source.spatial import SpatialSource
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells

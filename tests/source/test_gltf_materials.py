@@ -13,7 +13,7 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
-from octex.source.models import gltf_materials
+from octex.source.models import gltf as reader
 from octex.source.surface import Surface, SurfaceSamples
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import (
@@ -285,7 +285,7 @@ def test_an_image_is_decoded_once_however_often_it_is_used(
         decoded.append(name)
         return decode_image(data, name)
 
-    monkeypatch.setattr(gltf_materials, "decode_image", counted)
+    monkeypatch.setattr(reader, "decode_image", counted)
     (tmp_path / "a.png").write_bytes(png(IMAGE))
     gltf = Gltf()
     image = gltf.image(png(IMAGE))

@@ -115,7 +115,7 @@ def decoded(picture: Picture) -> Floats:
 @given(pictures())
 def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture: Picture) -> None:
     height, width = picture.texels.shape[:2]
-    levels = levels_of(store([picture], MIPS).images)
+    levels = levels_of(store([picture], MIPS)[0])
     expected = around(decoded(picture))
     assert len(levels) == len(halved(max(height, width)))
     for number, level in enumerate(levels):
@@ -129,7 +129,7 @@ def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture: Pict
 @given(pictures())
 def test_a_ripmap_has_every_width_with_every_height(picture: Picture) -> None:
     height, width = picture.texels.shape[:2]
-    stored = store([picture], RIPS).images
+    stored = store([picture], RIPS)[0]
     sizes = list(product(halved(height), halved(width)))
     assert stored.levels[:, [2, 1]].tolist() == [list(size) for size in sizes]
     assert stored.layouts.tolist() == [[0, len(halved(width)), len(halved(height))]]
@@ -149,7 +149,7 @@ def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(
 ) -> None:
     picture = picture._replace(threshold=threshold)
     height, width = picture.texels.shape[:2]
-    images = store([picture], AREAS).images
+    images = store([picture], AREAS)[0]
     assert (images.kinds.tolist(), images.levels.tolist()) == ([SUMS], [[0, width, height]])
     values = decoded(picture)
     if picture.covered:
@@ -165,7 +165,7 @@ def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(
 def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is(what: int) -> None:
     texels = random_image(7, 6, 4, "uint16")
     threshold = 0.6
-    levels = levels_of(store([Picture(texels, True, True, threshold)], what).images)
+    levels = levels_of(store([Picture(texels, True, True, threshold)], what)[0])
     values = decoded(Picture(texels, True))
     np.testing.assert_allclose(levels[0], around(values), atol=1e-6)
     values[..., 3] = values[..., 3] >= threshold
@@ -178,15 +178,15 @@ def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_i
 
 def test_averages_are_of_light_and_not_of_codes() -> None:
     checker = np.array([[[0] * 3, [255] * 3]], np.uint8)
-    half = levels_of(store([Picture(as_texels(checker), True)], MIPS).images)[1][1, 1, 0]
+    half = levels_of(store([Picture(as_texels(checker), True)], MIPS)[0])[1][1, 1, 0]
     assert round(float(linear_to_srgb(half)) * 255) == 188
-    fraction = levels_of(store([Picture(as_texels(checker), False)], MIPS).images)[1][1, 1, 0]
+    fraction = levels_of(store([Picture(as_texels(checker), False)], MIPS)[0])[1][1, 1, 0]
     assert abs(fraction - 0.5) < 1e-5
 
 
 def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside() -> None:
     texels = random_image(8, 8, 4, "uint16")
-    for level in levels_of(store([Picture(texels, False)], MIPS).images):
+    for level in levels_of(store([Picture(texels, False)], MIPS)[0]):
         rows = texels[:, 0].reshape(len(level) - 2, -1, 4).mean(axis=1) / 65535
         np.testing.assert_allclose(level[1:-1, 0], rows, atol=1e-4)
         np.testing.assert_allclose(level[0, 0], texels[0, 0] / 65535, atol=1e-6)
@@ -204,8 +204,8 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None
         Picture(light * 2, True),
     ]
     stored = store(given, WHOLE)
-    images = stored.images
-    assert stored.layout_of == [0, 1, 0, 0, 0]
+    images = stored[0]
+    assert stored[1] == [0, 1, 0, 0, 0]
     assert images.kinds.tolist() == [SRGB, DATA, FLOAT, DATA, FLOAT]
     assert images.covered.tolist() == [False, True, False, False, False]
     assert images.layouts.tolist() == [[0, 1, 1], [1, 1, 1]]
@@ -214,7 +214,7 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None
     assert images.bases.tolist() == [0, 20, 0, 56, 20]
     assert (len(images.codes), len(images.floats), len(images.sums)) == (76, 40, 0)
     for number, picture in enumerate(given):
-        [level] = levels_of(images, number, stored.layout_of[number])
+        [level] = levels_of(images, number, stored[1][number])
         np.testing.assert_allclose(level, around(decoded(picture)), atol=1e-6)
     word = int(images.codes[6])
     assert [word >> 16 * lane & 65535 for lane in range(4)] == small[0, 0].tolist()
@@ -223,8 +223,8 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None
 def test_without_images_nothing_is_stored() -> None:
     for what in (WHOLE, MIPS, RIPS, AREAS):
         stored = store([], what)
-        assert stored.layout_of == []
-        assert [len(part) for part in stored.images[:-1]] == [0] * 8
+        assert stored[1] == []
+        assert [len(part) for part in stored[0][:-1]] == [0] * 8
 
 
 def test_a_long_footprint_does_not_blur_across() -> None:

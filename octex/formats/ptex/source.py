@@ -16,10 +16,9 @@ from octex.errors import ModelError
 from octex.formats.ptex.field import TexelField
 from octex.formats.ptex.patches import check_fit, patches_of
 from octex.formats.ptex.reader import PtexFile, all_texels
-from octex.source.base import Source
+from octex.source.base import Placeable, Source
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
-from octex.source.spatial import Placeable
 
 #: The metadata in which octex notes the channels that the numbers of a texel are, as JSON.
 CHANNELS_KEY = "octex:channels"
@@ -40,7 +39,6 @@ class Ptex(Placeable):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._file = PtexFile(path)
         self._forms = _forms_of(self._file)
-        self._latest: _PtexSource | None = None
 
     def __repr__(self) -> str:
         return f"<Ptex of {self._file!r}>"
@@ -56,10 +54,8 @@ class Ptex(Placeable):
         Raises ArgumentError for a channel that the file lacks, ModelError for a mesh that it does not fit.
         """
         as_choice(form.name, self.sources, f"channel of {self._file.path.name}:")
-        latest = self._latest
-        if latest is None or not latest.is_on(mesh):
-            latest = self._latest = _PtexSource(self._file, self._forms, mesh)
-        return latest, {f"source_{form.name}": self._file.path.name}
+        source = self._shared(mesh, lambda: _PtexSource(self._file, self._forms, mesh))
+        return source, {f"source_{form.name}": self._file.path.name}
 
 
 def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
@@ -103,7 +99,6 @@ class _PtexSource(Source):
     """Texels on the mesh that they were painted on."""
 
     def __init__(self, file: PtexFile, forms: Sequence[tuple[ChannelFormat, list[int]]], mesh: Mesh) -> None:
-        self._rest, self._triangles = mesh.rest, mesh.triangles
         self._patches = patches_of(mesh, file.mesh_type)
         check_fit(mesh, self._patches, file.faces, file.path.name)
         texels, log2 = all_texels(file)
@@ -126,10 +121,6 @@ class _PtexSource(Source):
             values, file.faces._replace(log2=log2), made, mesh, self._patches, file.border_modes
         )
 
-    def is_on(self, mesh: Mesh) -> bool:
-        """Say whether it was laid on this mesh."""
-        return self._rest is mesh.rest and self._triangles is mesh.triangles
-
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         return self._field.read(triangles, barycentric, widths)
@@ -142,5 +133,5 @@ class _PtexSource(Source):
     def with_rest(self, rest: Float64s) -> _PtexSource:
         """Return the same texels with widths measured on other rest positions (n, 3)."""
         other = copy.copy(self)
-        other._rest, other._field = rest, self._field.measured_on(rest)
+        other._field = self._field.measured_on(rest)
         return other

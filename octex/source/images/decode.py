@@ -36,7 +36,7 @@ from octex.source.images.openimage import (
     check_size,
     decode_deep,
     deep_format,
-    jpeg2000_size,
+    jpeg2000_header,
     spread,
 )
 from octex.source.images.png import SIGNATURE, decode_png16, is_png16, png_chunks
@@ -51,6 +51,7 @@ _TAG, _UPRIGHT, _MOST = 0x0112, 1, 8
 FORMATS = (
     "AVIF", "BMP", "DDS", "GIF", "JPEG", "JPEG2000", "PNG", "PPM", "PSD", "QOI", "SGI", "TGA", "TIFF", "WEBP",
 )  # fmt: skip
+_LISTED = "PNG, JPEG, WebP, AVIF, TIFF, EXR, HDR"
 # Plain images of 8192 × 8192 take a byte for 30,000 texels in these, as Pillow writes them.
 _DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _MOST_PER_BYTE_DENSEST = 65536
@@ -96,9 +97,11 @@ def decode_image(data: bytes, name: str) -> Texels:
         raise
     except MemoryError:
         raise ImageError(f"{name}: the image needs more memory than there is") from None
-    except Exception as error:
-        # Pillow's plugins raise nearly anything for damaged files.
-        raise ImageError(f"{name} cannot be read as an image ({_reason(error)}); save it again") from None
+    except Exception as error:  # Pillow's plugins raise nearly anything for damaged files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, PIL.UnidentifiedImageError):
+            reason = f"not an image of a format that octex reads: {_LISTED} and others"
+        raise ImageError(f"{name} cannot be read as an image ({reason}); save it again") from None
 
 
 def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
@@ -120,15 +123,15 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     return _finite(spread(array), "the image")
 
 
-def read_image(given: object) -> tuple[Texels, dict[str, str]]:
+def read_image(image: object) -> tuple[Texels, dict[str, str]]:
     """Return the texels of a file, a Pillow image or an array, and its name with the hash of its content.
 
     Raises ImageError as ``decode_image`` and ``as_texels`` do, and for a file that cannot be read.
     """
-    if not is_path(given):
-        texels = as_texels(given)  # type: ignore[arg-type]
+    if not is_path(image):
+        texels = as_texels(image)  # type: ignore[arg-type]
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
-    path = as_path(given, "image")
+    path = as_path(image, "image")
     texels, data = read_image_file(path)
     return texels, {path.name: hashlib.sha256(data).hexdigest()}
 
@@ -207,7 +210,7 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
     most = _MOST_PER_BYTE_DENSEST if image.format in _DENSEST else MOST_PER_BYTE
     check_size(*image.size, len(data) or None, name, most)
     if image.format == "JPEG2000":  # what is decoded is as large as the codestream says
-        check_size(*jpeg2000_size(data), len(data), name, most)
+        check_size(*jpeg2000_header(data)[:2], len(data), name, most)
     if image.format == "TIFF":
         with _silent_libtiff():
             image.load()
@@ -215,24 +218,16 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
         png_chunks(data, name)  # Pillow overlooks wrong checksums of texels
     if is_png16(data):
         return decode_png16(data, name)
-    if image.mode.startswith("I;16"):
+    if image.mode.startswith("I;16") or (image.mode == "I" and image.format == "PPM"):
         return as_texels(np.asarray(image).astype(np.uint16))
     if image.mode == "F":
         return _finite(spread(np.asarray(image)[:, :, None]), name)
-    if image.mode == "I" and image.format == "PPM":
-        return as_texels(np.asarray(image).astype(np.uint16))
     raw_modes = str([tile[3] for tile in getattr(image, "tile", [])])
     if image.mode == "I" or any(deep in raw_modes for deep in (";16L", ";16B", ";16N")):
         raise ImageError(f"{name} has texels of a depth that Pillow does not keep; save it as a 16-bit PNG")
     whole = image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info
     values = np.asarray(image if whole else image.convert("RGBA"))
     return spread(values[:, :, None] if values.ndim == 2 else values)
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, PIL.UnidentifiedImageError):
-        return "not an image of a format that octex reads: PNG, JPEG, WebP, AVIF, TIFF, EXR, HDR and others"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def orientation_of(data: bytes) -> int:

@@ -226,9 +226,9 @@ def _ellipse(
 ) -> tuple[int, int, float]:
     """List the texels in an ellipse, each with 1 − its squared distance from the middle."""
     base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1
-    own = 1.0 / 6.0 if foot.flat else 0.25  # of the texels, with the twelfth that a mean over one has
+    texel = 1.0 / 6.0 if foot.flat else 0.25  # of the texels, with the twelfth that a mean over one has
     level = 0
-    narrow, long = foot.least + own, foot.most + own
+    narrow, long = foot.least + texel, foot.most + texel
     floor = LEAST + 1.0 / 12.0
     while level < coarsest and (narrow >= 4.0 * floor or max(narrow, floor) * long > LARGEST):
         narrow *= 0.25
@@ -240,8 +240,8 @@ def _ellipse(
     if level > 0:
         scale_x, scale_y = wide / images.levels[base, 1], high / images.levels[base, 2]
     short = max(floor - narrow, 0.0) - 1.0 / 12.0
-    xx = max((foot.xx + own) * scale_x * scale_x + short, LEAST)
-    yy = max((foot.yy + own) * scale_y * scale_y + short, LEAST)
+    xx = max((foot.xx + texel) * scale_x * scale_x + short, LEAST)
+    yy = max((foot.yy + texel) * scale_y * scale_y + short, LEAST)
     xy = foot.xy * scale_x * scale_y
     if level == coarsest:
         reach = max(xx, yy) * RADIUS / (FARTHEST * FARTHEST)

@@ -6,8 +6,8 @@ The largest mip is read. Whether its texels are sRGB or data the use says, as of
 from __future__ import annotations
 
 import struct
+import sys
 import zlib
-from contextlib import suppress
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -114,29 +114,28 @@ def _unpacked(data: bytes, header: _Header, size: int, name: str) -> bytes:
             f"{name} has texels of vkFormat {header.vk_format} packed by scheme {header.scheme}, which octex "
             "does not read; pack them by zstd"
         )
-    unpacker = zlib.decompressobj() if header.scheme == _ZLIB else _zstd(name).ZstdDecompressor()
+    unpacker: Any = zlib.decompressobj()
+    if header.scheme == _ZSTD:
+        module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+        try:
+            unpacker = import_module(module).ZstdDecompressor()
+        except ImportError:
+            what = f"{name}: to unpack zstd's texels"
+            raise MissingExtraError.needed(what, "backports.zstd", "ktx2") from None
     unpacked: bytes = unpacker.decompress(data, size + 1)
     return unpacked if unpacker.eof else b""
 
 
-def _zstd(name: str) -> Any:
-    """Return Python's module of zstd, or what stands in for it before Python 3.14."""
-    for module in ("compression.zstd", "backports.zstd"):
-        with suppress(ImportError):
-            return import_module(module)
-    raise MissingExtraError.needed(f"{name}: to unpack zstd's texels", "backports.zstd", "ktx2")
-
-
 def _metadata(data: bytes) -> dict[bytes, bytes]:
     """Return the values of keys, without the zero at their ends."""
-    found = {}
+    entries = {}
     at = 0
     while at + 4 <= len(data):
         (length,) = struct.unpack_from("<I", data, at)
         key, _, value = data[at + 4 : at + 4 + length].partition(b"\0")
-        found[key] = value.rstrip(b"\0")
+        entries[key] = value.rstrip(b"\0")
         at += 4 + length + -length % 4
-    return found
+    return entries
 
 
 def _universal(data: bytes, name: str, header: _Header) -> Texels:

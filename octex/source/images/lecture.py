@@ -97,8 +97,8 @@ def areas(images: Images, row: int, foot: Footprint, places: Int64s, weights: Fl
     Bilinear patches are flat texels averaged over a texel, so the box is wider for them.
     """
     width, height = images.levels[row, 1], images.levels[row, 2]
-    own = 1e-6 if foot.flat else 1.0
-    across, down = math.sqrt(12.0 * foot.xx + own), math.sqrt(12.0 * foot.yy + own)
+    texel = 1e-6 if foot.flat else 1.0
+    across, down = math.sqrt(12.0 * foot.xx + texel), math.sqrt(12.0 * foot.yy + texel)
     at = MOST_TAPS
     n_x = _span(foot.u * width, across, width, foot.wrap_u, at, places, weights)
     n_y = _span(foot.v * height, down, height, foot.wrap_v, at + 8, places, weights)

@@ -44,7 +44,7 @@ def deep_format(data: bytes) -> str | None:
     if data.startswith(_TIFF):
         return "tif" if _tiff_is_deep(data) else None
     if data.startswith(_JPEG2000):
-        return "jp2" if any(size & 0x7F > 7 for size in _jpeg2000_header(data)[2]) else None
+        return "jp2" if any(size & 0x7F > 7 for size in jpeg2000_header(data)[2]) else None
     if data.startswith(b"8BPS"):
         return "psd" if data[4:6] == b"\0\2" or data[22:24] > b"\0\x08" else None
     if data.startswith(b"\x01\xda"):
@@ -67,13 +67,8 @@ def _tiff_is_deep(data: bytes) -> bool:
     return max(bits) > 8 and not whole
 
 
-def jpeg2000_size(data: bytes) -> tuple[int, int]:
-    """Return the width and height of a JPEG 2000 codestream."""
-    return _jpeg2000_header(data)[:2]
-
-
-def _jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
-    """Return the width, height and component sizes (depth − 1, the upper bit for signs) of its codestream."""
+def jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
+    """Return a JPEG 2000 codestream's width, height and component sizes (depth − 1, the upper bit: signs)."""
     at = data.find(_JPEG2000[1]) + 4
     words = np.frombuffer(data[at + 4 : at + 36], ">u4")
     if at < 4 or len(words) < 8:
@@ -101,7 +96,7 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
         what = f"{name}: to be read without loss"
         raise MissingExtraError.needed(what, "OpenImageIO", "images") from None
     if ending == "jp2":
-        check_size(*jpeg2000_size(data), len(data), name, _MOST_PER_BYTE_JPEG2000)
+        check_size(*jpeg2000_header(data)[:2], len(data), name, _MOST_PER_BYTE_JPEG2000)
     with scratch_folder() as folder:  # the library reads paths only
         path = folder / f"image.{ending}"
         path.write_bytes(data)
@@ -139,12 +134,14 @@ def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
     values = values.reshape(spec.height, spec.width, -1)[..., [place - first for place in places]]
     if ending == "tif" and spec.getattribute("tiff:PhotometricInterpretation") == _WHITE_IS_ZERO:
         values[..., 0] = (65535 if integers else np.float32(1)) - values[..., 0]
-    if ending == "hdr":
-        values = _upright(values, spec.getattribute("Orientation"), name)
+    if ending == "hdr":  # rows and columns may run backwards (1 to 4 as in TIFF's tag of that name)
+        orientation = spec.getattribute("Orientation")
+        if orientation not in (None, 1, 2, 3, 4):
+            raise ImageError(f"{name} is stored column by column; save it again, row by row")
+        values = values[:: -1 if orientation in (3, 4) else 1, :: -1 if orientation in (2, 3) else 1]
     texels = spread(values)
-    if len(places) in (2, 4) and (
-        ending == "exr" or (ending == "tif" and not spec.getattribute("oiio:UnassociatedAlpha"))
-    ):
+    is_associated = ending == "exr" or (ending == "tif" and not spec.getattribute("oiio:UnassociatedAlpha"))
+    if len(places) in (2, 4) and is_associated:
         _divide_by_alpha(texels)
     return _placed(texels, spec, name) if ending == "exr" else texels
 
@@ -212,13 +209,6 @@ def spread(values: Array) -> Texels:
     if values.dtype == np.uint8:
         texels *= np.uint16(257)
     return texels
-
-
-def _upright(values: Array, orientation: int | None, name: str) -> Array:
-    """Turn rows and columns that run backwards (1 to 4 as in TIFF's tag of that name)."""
-    if orientation not in (None, 1, 2, 3, 4):
-        raise ImageError(f"{name} is stored column by column; save it again, row by row")
-    return values[:: -1 if orientation in (3, 4) else 1, :: -1 if orientation in (2, 3) else 1]
 
 
 def _divide_by_alpha(texels: Texels) -> None:

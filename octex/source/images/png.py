@@ -72,7 +72,7 @@ def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
     Raises ImageError for a file without an end, a wrong checksum of a chunk that the image needs, or image
     data with other chunks between (5.6).
     """
-    found: list[tuple[bytes, bytes]] = []
+    chunks: list[tuple[bytes, bytes]] = []
     at = 8
     while True:
         if at + 12 > len(data):
@@ -87,10 +87,10 @@ def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
         ):
             raise ImageError(f"{name}: a checksum of the image file is wrong; save the image again")
         if kind == b"IEND":
-            return found
-        if kind == b"IDAT" and found and found[-1][0] != kind and kind in dict(found):
+            return chunks
+        if kind == b"IDAT" and chunks and chunks[-1][0] != kind and kind in dict(chunks):
             raise ImageError(f"{name}: the image data are torn apart by other chunks; save the image again")
-        found.append((kind, body))
+        chunks.append((kind, body))
         at += 12 + length
 
 

@@ -78,15 +78,8 @@ class Images(NamedTuple):
     linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-class ImageStore(NamedTuple):
-    """Images, and the layout of each."""
-
-    images: Images
-    layout_of: list[int]
-
-
-def store(pictures: Sequence[Picture], what: int) -> ImageStore:
-    """Store images with all the levels that ``what`` (WHOLE, MIPS, RIPS or AREAS) asks for."""
+def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
+    """Store images with the levels of ``what``, WHOLE, MIPS, RIPS or AREAS; return the layout of each too."""
     sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
     layouts: list[tuple[int, int, int]] = []
     levels: list[tuple[int, int, int]] = []
@@ -131,7 +124,7 @@ def store(pictures: Sequence[Picture], what: int) -> ImageStore:
 
     with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
-    return ImageStore(images, layout_of)
+    return images, layout_of
 
 
 def _kind(picture: Picture, what: int) -> int:
@@ -144,20 +137,13 @@ def _kind(picture: Picture, what: int) -> int:
 
 def _shapes(width: int, height: int, what: int) -> tuple[list[tuple[int, int]], int, int]:
     """Return (width, height) of each level in order, and how many there are across and down."""
-    wides, highs = _halved(width), _halved(height)
+    wides, highs = ([size >> level for level in range(size.bit_length())] for size in (width, height))
     if what == RIPS:
         return [(wide, high) for high in highs for wide in wides], len(wides), len(highs)
     count = max(len(wides), len(highs)) if what == MIPS else 1
     wides += [1] * (count - len(wides))
     highs += [1] * (count - len(highs))
     return list(zip(wides, highs, strict=False))[:count], count, count
-
-
-def _halved(size: int) -> list[int]:
-    sizes = [size]
-    while sizes[-1] > 1:
-        sizes.append(sizes[-1] // 2)
-    return sizes
 
 
 def _add_up(picture: Picture, sums: Float64s) -> None:
@@ -180,24 +166,22 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
     if len(shapes) == 1:
         return
     done: dict[int, Float32s] = {}
-    rims = {0: _Rim.of(picture)}
+    texels = picture.texels
+    borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
+    rims = {0: [_decoded(picture._replace(texels=border)) for border in borders]}
     first = finest.shape[0] * finest.shape[1]
     for number, (wide, high) in enumerate(shapes[1:], 1):
         # From the level of half the reduction: one step down, or for ripmaps one across.
         below = number - 1 if what == MIPS or number % across else number - across
         done[number] = resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
-        rim = rims[number] = rims[below].resized(high, wide)
+        sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
+        rims[number] = [resized(part, *size) for part, size in zip(rims[below], sizes, strict=True)]
         target = _take(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
-        for part, values in (
-            (np.s_[1:-1, 1:-1], done[number]),
-            (np.s_[1:-1, :1], rim.left),
-            (np.s_[1:-1, -1:], rim.right),
-            (np.s_[:1, 1:-1], rim.top),
-            (np.s_[-1:, 1:-1], rim.bottom),
-            (np.s_[:: high + 1, :: wide + 1], rim.corners),
-        ):
-            target[part] = _encoded(values, picture, target.dtype == np.float32)
+        corners = target[:: high + 1, :: wide + 1]
+        sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
+        for part, values in zip((target[1:-1, 1:-1], *sides), (done[number], *rims[number]), strict=True):
+            part[...] = _encoded(values, picture, target.dtype == np.float32)
         if what == MIPS:
             done.pop(below, None)
 
@@ -208,8 +192,9 @@ def _shrunk(picture: Picture, height: int, width: int) -> Float32s:
     rows, left_over = divmod(picture.texels.shape[0], height)
     band = height if left_over else _BAND
     for first in range(0, height, band):
-        part = picture.texels[first * rows : (first + band) * rows] if not left_over else picture.texels
-        _reduce(_decoded(picture._replace(texels=part)), values[first : first + band])
+        end = None if left_over else (first + band) * rows
+        part = picture._replace(texels=picture.texels[first * rows : end])
+        _reduce(_decoded(part), values[first : first + band])
     return values
 
 
@@ -234,11 +219,7 @@ def _decoded(picture: Picture) -> Float32s:
 
 
 @kernel
-def _decode(
-    texels: npt.NDArray[np.uint16 | np.float32],
-    table: Float32s,
-    values: Float32s,
-) -> None:
+def _decode(texels: Texels, table: Float32s, values: Float32s) -> None:
     for y in range(texels.shape[0]):
         for x in range(texels.shape[1]):
             for lane in range(3):
@@ -259,31 +240,6 @@ def _encoded(values: Float32s, picture: Picture, as_floats: bool) -> Array:
     codes[..., :3] = encode(values[..., :3], "uint16", "srgb")
     codes[..., 3] = encode(values[..., 3], "uint16", "data")
     return codes
-
-
-class _Rim(NamedTuple):
-    """What lies beyond a level's borders."""
-
-    left: Float32s  # (height, 1, 4)
-    right: Float32s
-    top: Float32s  # (1, width, 4)
-    bottom: Float32s
-    corners: Float32s  # (2, 2, 4)
-
-    @classmethod
-    def of(cls, picture: Picture) -> _Rim:
-        texels = picture.texels
-        borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
-        return cls(*(_decoded(picture._replace(texels=border)) for border in borders))
-
-    def resized(self, height: int, width: int) -> _Rim:
-        return _Rim(
-            resized(self.left, height, 1),
-            resized(self.right, height, 1),
-            resized(self.top, 1, width),
-            resized(self.bottom, 1, width),
-            self.corners,
-        )
 
 
 def resized(values: Float32s, height: int, width: int) -> Float32s:

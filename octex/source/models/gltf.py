@@ -1,4 +1,11 @@
-"""glTF 2.0 and GLB models: meshes, the scene's transforms and instances, and what materials bind to corners.
+"""glTF 2.0 and GLB models: meshes, the scene's transforms and instances, materials and their images.
+
+A channel is stated by a factor or a map that stands in the file. Beside the core's metallic-roughness
+materials: KHR_materials_unlit, which leaves only base colour and alpha; KHR_materials_emissive_strength;
+KHR_texture_transform; KHR_materials_specular and KHR_materials_ior, which say what is reflected along the
+normal, but for the texture of how strongly; and the older KHR_materials_pbrSpecularGlossiness, whose
+materials are not metallic and as rough as they are not glossy. Other extensions of materials change none of
+these channels.
 
 trimesh is not asked: beside what its accessors lose (see ``gltf_file``), it skips triangle fans and drops
 samplers, texture transforms and all texture coordinates but the first.
@@ -7,33 +14,52 @@ samplers, texture transforms and all texture coordinates but the first.
 from __future__ import annotations
 
 import json
+import reprlib
 import warnings
-from functools import partial
+from collections.abc import Iterable
+from concurrent.futures import Executor, Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Floats, Int32s, Int64s
-from octex.errors import ModelError, ModelWarning
+from octex.arrays import Array, Float64s, Floats, Int64s
+from octex.errors import ImageError, ModelError, ModelWarning
+from octex.parallel import cpu_count, pool_of
 from octex.source.corners import Corners
-from octex.source.models.gltf_file import Document, Json, as_object, local_matrix, scene_nodes
-from octex.source.models.gltf_materials import read_materials
-from octex.source.models.gltf_motion import Placed, motion_of, pose_of
-from octex.source.models.reading import Description, Options, Part, assembled
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.materials import AlphaMode, Input, Material, Texture
+from octex.source.models.gltf_file import (
+    Document,
+    Json,
+    as_numbers,
+    as_object,
+    is_number,
+    local_matrix,
+    scene_nodes,
+)
+from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
+from octex.source.models.reading import Description, Options, Part, Slot, assembled
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
+_ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+_WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
+_NEAREST = 9728
+_IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
+# Larger numbers are damage; products of two stay finite in single precision.
+_FARTHEST = 1e18
 
 
 def load_gltf(path: Path, options: Options) -> Surface:
     """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
 
-    Its materials are read as ``gltf_materials`` says, those of primitives in use, as far as ``options`` wants
-    their channels. ``uv`` of the surface is TEXCOORD_0, where all primitives with textures have it.
-    ``provenance`` holds what the file says of its origin, and the digests of the files that it refers to.
+    Materials of primitives in use are read as far as ``options`` wants their channels. ``uv`` of the surface
+    is TEXCOORD_0, where all primitives with textures have it. ``provenance`` holds what the file says of its
+    origin, and the digests of the files that it refers to.
 
     Rest positions are the mesh as it is modelled, without morph targets and skins. With ``options.pose``
     these and the nodes move the positions, as ``gltf_motion`` says.
@@ -51,48 +77,36 @@ def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     return _Scene(document, Options(materials=False)).motion(rate)
 
 
-class _Shape(NamedTuple):
-    """The triangles of a mesh primitive, and where the file keeps the rest of it."""
-
-    positions: Float64s
-    triangles: Int32s
-    material: int | None
-    attributes: Json
-    decoded: dict[str, Array]  # what of them an extension has
-    targets: list[Any]  # of morphs
-    name: str
-
-
 class _Scene:
     """Collects the primitives of all nodes into one surface."""
 
     def __init__(self, document: Document, options: Options) -> None:
         self._document = document
         self._options = options
-        self._shapes: dict[int, list[_Shape]] = {}
+        self._meshes: dict[int, list[Primitive]] = {}
 
     def surface(self) -> Surface:
         document, options = self._document, self._options
         shown = self._shown()
         if not shown:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-        known = read_materials(document, (shape.material for _, shape in shown), options)
+        known = _materials(document, (each.primitive.material for each in shown), options)
         numbers = {number: place for place, number in enumerate(known)}
         is_mapped = any(each.material.normal_slot is not None for each in known.values())
-        is_smooth = any("NORMAL" in shape.attributes for _, shape in shown)
+        is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
         has_frames = is_mapped or (options.normals and is_smooth)
         parts: dict[str, Part] = {}
-        for _, shape in shown:
-            if shape.name not in parts:
-                part = self._part(shape, known[shape.material], has_frames)
-                number = np.full(len(shape.triangles), numbers[shape.material], np.int32)
-                parts[shape.name] = part._replace(materials=number)
+        for primitive in (each.primitive for each in shown):
+            if primitive.name not in parts:
+                part = self._part(primitive, known[primitive.material], has_frames)
+                number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
+                parts[primitive.name] = part._replace(materials=number)
         posed = None
         if options.pose is not None:
             pose = pose_of(document, options.pose)
-            posed = np.concatenate([pose.positions(placed) for placed, _ in shown])
+            posed = np.concatenate([pose.positions(each) for each in shown])
         return assembled(
-            [parts[shape.name]._replace(matrix=placed.matrix) for placed, shape in shown],
+            [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
             [each.material for each in known.values()],
             options,
             document.name,
@@ -102,24 +116,18 @@ class _Scene:
 
     def motion(self, rate: float) -> Motion | None:
         """Return how all vertices move, so many frames a second; None without animations."""
-        return motion_of(self._document, [placed for placed, _ in self._shown()], rate)
+        return motion_of(self._document, self._shown(), rate)
 
-    def _shown(self) -> list[tuple[Placed, _Shape]]:
+    def _shown(self) -> list[Placed]:
         """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
         return [
-            (
-                Placed(
-                    number, copy, matrix @ copy, shape.positions, shape.targets,
-                    partial(self._attribute, shape), f"{self._document.name}: {shape.name}",
-                ),
-                shape,
-            )
+            Placed(number, copy, matrix @ copy, primitive)
             for number, node, matrix in scene_nodes(self._document)
             if "mesh" in node
             for copy in self._copies(node)
-            for shape in self._mesh(node["mesh"])
-            if len(shape.triangles)
-        ]  # fmt: skip
+            for primitive in self._mesh(node["mesh"])
+            if len(primitive.triangles)
+        ]
 
     def _provenance(self) -> dict[str, str]:
         """Return what the file says of its origin and licence, and the digests of the files it refers to."""
@@ -146,65 +154,65 @@ class _Scene:
         count = min((len(rows) for rows in columns.values()), default=0)
         return [local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
-    def _mesh(self, number: int) -> list[_Shape]:
-        if number not in self._shapes:
-            name = f"meshes[{number}].primitives"
+    def _mesh(self, number: int) -> list[Primitive]:
+        if number not in self._meshes:
+            what = f"{self._document.name}: meshes[{number}].primitives"
             entries = [
-                as_object(entry, f"{self._document.name}: {name}[{index}]")
+                as_object(entry, f"{what}[{index}]")
                 for index, entry in enumerate(self._document.item("meshes", number)["primitives"])
             ]
-            self._shapes[number] = [
-                self._shape(entry, f"{name}[{index}]")
+            self._meshes[number] = [
+                self._primitive(entry, f"{what}[{index}]")
                 for index, entry in enumerate(entries)
                 if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
                 and "POSITION" in entry["attributes"]
             ]
-        return self._shapes[number]
+        return self._meshes[number]
 
-    def _shape(self, entry: Json, name: str) -> _Shape:
+    def _primitive(self, entry: Json, name: str) -> Primitive:
         document = self._document
         attributes = entry["attributes"]
-        triangles, decoded = document.draco(entry, f"{document.name}: {name}") or (None, {})
+        triangles, decoded = document.draco(entry, name) or (None, {})
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             positions = positions.astype(np.float64)
         if not np.isfinite(positions).all():
-            raise ModelError(f"{document.name}: {name} has vertices that are not finite; repair the model")
+            raise ModelError(f"{name} has vertices that are not finite; repair the model")
         indices = self._indices(entry, triangles, len(positions), name)
         mode = entry.get("mode", _TRIANGLES) if triangles is None else _TRIANGLES
         number = entry.get("material") if self._options.materials else None
-        return _Shape(
-            positions, _triangles(indices, mode).astype(np.int32), number, attributes, decoded,
-            entry.get("targets", []), name,
+        return Primitive(
+            document, name, positions, _triangles(indices, mode).astype(np.int32), number, attributes,
+            decoded, entry.get("targets", []),
         )  # fmt: skip
 
     def _indices(self, entry: Json, triangles: Array | None, count: int, name: str) -> Int64s:
         """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""
-        document = self._document
         if triangles is not None:
             indices = triangles.reshape(-1)
         elif "indices" in entry:
-            indices = document.accessor(entry["indices"], (1,))[:, 0]
+            indices = self._document.accessor(entry["indices"], (1,))[:, 0]
         else:
             return np.arange(count)
         if indices.dtype.kind == "f":
-            raise ModelError(f"{document.name}: the indices of {name} are not integers; export it again")
+            what = name.replace(": ", ": the indices of ", 1)
+            raise ModelError(f"{what} are not integers; export it again")
         low, high = indices.min(initial=0), indices.max(initial=0)
         if len(indices) and not 0 <= low <= high < count:
             raise ModelError(
-                f"{document.name}: {name} uses vertex {low if low < 0 else high}, but there are {count}; "
+                f"{name} uses vertex {low if low < 0 else high}, but there are {count}; "
                 "export the model again"
             )
         if high == np.iinfo(indices.dtype).max:
             raise ModelError(
-                f"{document.name}: {name} uses vertex {high}, but {indices.dtype.name} indices keep this "
+                f"{name} uses vertex {high}, but {indices.dtype.name} indices keep this "
                 "number for the end of a strip (3.7.2.1); export it with wider indices"
             )
         return indices.astype(np.int64)
 
-    def _part(self, shape: _Shape, known: Description, has_frames: bool) -> Part:
-        """Read what a shape's material needs, and what may be of use without one."""
-        positions, triangles = shape.positions, shape.triangles
+    def _part(self, primitive: Primitive, known: Description, has_frames: bool) -> Part:
+        """Read what a primitive's material needs, and what may be of use without one."""
+        positions, triangles = primitive.positions, primitive.triangles
         part = Part(positions, triangles, np.zeros(len(triangles), np.int32))
         if not self._options.materials:
             return part
@@ -212,13 +220,13 @@ class _Scene:
         def bound(rows: Floats | None) -> Corners | None:
             return None if rows is None else Corners(rows.astype(np.float32), triangles)
 
-        colors = self._attribute(shape, "COLOR_0", (3, 4))
+        colors = primitive.attribute("COLOR_0", (3, 4))
         if colors is not None and colors.shape[1] == 3:
             colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
-        uv = self._attribute(shape, "TEXCOORD_0", (2,))
+        uv = primitive.attribute("TEXCOORD_0", (2,))
         coordinates = []
         for slot in known.slots:
-            read = uv if slot.name == "TEXCOORD_0" else self._attribute(shape, slot.name, (2,))
+            read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
             if read is None:
                 text = (
                     f"{self._document.name}: a textured material is of meshes without {slot.name}, which read"
@@ -229,29 +237,15 @@ class _Scene:
                 coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
         frames = None
         if has_frames:
-            normals, place = bound(self._attribute(shape, "NORMAL", (3,))), known.material.normal_slot
+            normals, place = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
             tangents = mapped = None
             if place is not None:  # tangents mean something only below a normal map
-                tangents, mapped = bound(self._attribute(shape, "TANGENT", (4,))), coordinates[place]
+                tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[place]
             frames = corner_frames(positions, triangles, normals, tangents, mapped)
-        is_smooth = "NORMAL" in shape.attributes
+        is_smooth = "NORMAL" in primitive.attributes
         return Part(
             positions, triangles, part.materials, bound(colors), coordinates, bound(uv), frames, is_smooth
         )
-
-    def _attribute(self, shape: _Shape, name: str, components: tuple[int, ...]) -> Float64s | None:
-        """Return a vertex attribute, None if the primitive has none of this name."""
-        if name not in shape.attributes:
-            return None
-        rows = self._document.accessor(shape.attributes[name], components, shape.decoded.get(name))
-        with np.errstate(invalid="ignore"):
-            rows = rows.astype(np.float64)
-        if len(rows) != len(shape.positions):
-            raise ModelError(
-                f"{self._document.name}: {shape.name} {name} has {len(rows)} rows "
-                f"for {len(shape.positions)} vertices"
-            )
-        return rows
 
 
 def _triangles(indices: Int64s, mode: int) -> Int64s:
@@ -264,3 +258,197 @@ def _triangles(indices: Int64s, mode: int) -> Int64s:
         return np.stack([indices[first + 1], indices[first + 2], np.broadcast_to(indices[:1], count)], axis=1)
     odd = first % 2
     return np.stack([indices[first], indices[first + 1 + odd], indices[first + 2 - odd]], axis=1)
+
+
+class _Record(NamedTuple):
+    """An object of the JSON, and its name in errors."""
+
+    entry: Json
+    name: str
+
+    def part(self, key: str) -> _Record:
+        """Return an object inside, an empty one if it is not there."""
+        name = f"{self.name}.{key}"
+        return _Record(as_object(self.entry.get(key, {}), name), name)
+
+    def states(self, *keys: str) -> bool:
+        """Say whether any of the keys stands in the file."""
+        return any(key in self.entry for key in keys)
+
+    def number(self, key: str, default: float) -> float:
+        """Return a finite number."""
+        value = self.entry.get(key, default)
+        if not is_number(value, _FARTHEST):
+            raise ModelError(
+                f"{self.name}.{key} must be a number, not {reprlib.repr(value)}; export it again"
+            )
+        return float(value)
+
+    def numbers(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        """Return as many finite numbers as the default has."""
+        return as_numbers(self.entry.get(key, default), len(default), f"{self.name}.{key}", _FARTHEST)
+
+
+#: A use of a texture: its image, which is being decoded, wraps of u and v, flat texels, and its coordinates.
+_Reference = tuple[Future[Texels], int, int, bool, Slot]
+
+
+def _materials(
+    document: Document, numbers: Iterable[int | None], options: Options
+) -> dict[int | None, Description]:
+    """Return materials by number, None for glTF's default; their images are decoded in parallel, each once.
+
+    Inputs of channels that ``options`` does not want are there without their textures.
+    Raises ModelError or ImageError.
+    """
+    described = {number: _described(document, number) for number in dict.fromkeys(numbers)}
+    with pool_of(cpu_count()) as pool:
+        images = _Images(document, pool)
+        references = {
+            number: {name: images.begin(each) for name, each in uses.items() if options.wants_image(name)}
+            for number, (_, uses) in described.items()
+        }
+        known: dict[int | None, Description] = {}
+        for number, (material, _) in described.items():
+            slots: dict[Slot, int] = {}
+            inputs = dict(material.inputs)
+            for name, (image, wrap_u, wrap_v, nearest, slot) in references[number].items():
+                place = slots.setdefault(slot, len(slots))
+                texture = Texture(image.result(), wrap_u, wrap_v, nearest, place)
+                inputs[name] = inputs[name]._replace(texture=texture)
+            known[number] = Description(material._replace(inputs=inputs), tuple(slots))
+        return known
+
+
+def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
+    """Return a material without textures, and by channel the file's references to them."""
+    record = _Record(
+        {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
+    )
+    mode = record.entry.get("alphaMode", "OPAQUE")
+    if mode not in _ALPHA_MODES:
+        raise ModelError(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
+    inputs: dict[str, Input] = {}
+    uses: dict[str, _Record] = {}
+
+    def state(
+        name: str,
+        factor: tuple[float, ...],
+        holder: _Record,
+        key: str,
+        lanes: tuple[int, ...] = (0, 1, 2),
+        offset: tuple[float, ...] = (),
+    ) -> None:
+        inputs[name] = Input(factor, None, lanes, offset)
+        if holder.states(key):
+            uses[name] = holder.part(key)
+
+    extensions = record.part("extensions")
+    is_unlit = extensions.states("KHR_materials_unlit")
+    is_older = not is_unlit and extensions.states("KHR_materials_pbrSpecularGlossiness")
+    if is_older:
+        pbr, texture = extensions.part("KHR_materials_pbrSpecularGlossiness"), "diffuseTexture"
+        color = pbr.numbers("diffuseFactor", (1.0,) * 4)
+    else:
+        pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
+        color = pbr.numbers("baseColorFactor", (1.0,) * 4)
+    state("base_color", color[:3], pbr, texture)
+    if mode != "OPAQUE":
+        state("alpha", color[3:], pbr, texture, (3,))
+    name = record.entry.get("name")
+    material = Material(
+        inputs,
+        _ALPHA_MODES[mode],
+        record.number("alphaCutoff", 0.5),
+        name if isinstance(name, str) else "",
+        record.entry.get("doubleSided") is True,
+    )
+    if is_unlit:
+        return material, uses
+    if is_older:
+        texture = "specularGlossinessTexture"
+        inputs["metallic"] = Input((0.0,))
+        state("roughness", (-pbr.number("glossinessFactor", 1.0),), pbr, texture, (3,), (1.0,))
+        if pbr.states("specularFactor", texture):
+            state("specular", pbr.numbers("specularFactor", (1.0,) * 3), pbr, texture)
+    else:
+        texture = "metallicRoughnessTexture"
+        for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
+            if pbr.states(key, texture):
+                state(name, (pbr.number(key, 1.0),), pbr, texture, (lane,))
+        if extensions.states("KHR_materials_specular", "KHR_materials_ior"):
+            layer, ior = extensions.part("KHR_materials_specular"), extensions.part("KHR_materials_ior")
+            index = max(ior.number("ior", 1.5), 0.0)  # 0 reflects all
+            first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
+            tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
+            state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
+    if record.states("occlusionTexture"):
+        strength = record.part("occlusionTexture").number("strength", 1.0)
+        state("occlusion", (strength,), record, "occlusionTexture", (0,), (1.0 - strength,))
+    if record.states("emissiveFactor", "emissiveTexture"):
+        strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
+        light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
+        state("emissive", light, record, "emissiveTexture")
+    if record.states("normalTexture"):
+        scale = record.part("normalTexture").number("scale", 1.0)
+        state("normal", (scale, scale, 1.0), record, "normalTexture")
+    return material, uses
+
+
+def _slot(use: _Record) -> Slot:
+    transform = use.part("extensions").part("KHR_texture_transform")
+    number = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
+    if isinstance(number, bool) or not isinstance(number, int) or number < 0:
+        raise ModelError(
+            f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}; export it again"
+        )
+    return Slot(
+        f"TEXCOORD_{number}",
+        transform.numbers("scale", (1.0, 1.0)),
+        transform.number("rotation", 0.0),
+        transform.numbers("offset", (0.0, 0.0)),
+    )
+
+
+class _Images:
+    """The images of a document, decoded by an executor from the moment they are asked for."""
+
+    def __init__(self, document: Document, executor: Executor) -> None:
+        self._document, self._executor = document, executor
+        self._decoding: dict[str | int, Future[Texels]] = {}
+
+    def begin(self, use: _Record) -> _Reference:
+        """Return what a reference to a texture means, and begin to decode its image."""
+        document, number = self._document, use.entry.get("index")
+        entry = document.item("textures", number)
+        source = entry.get("source")
+        for name, extension in entry.get("extensions", {}).items():
+            if source is None and name in _IMAGE_EXTENSIONS:
+                source = extension.get("source")
+        if source is None:
+            raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
+        sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
+        wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
+        for axis, code in wraps.items():
+            if code not in _WRAPS:
+                raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
+        wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
+        return self._read(source), wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, _slot(use)
+
+    def _read(self, number: int) -> Future[Texels]:
+        """Read an image and have it decoded, unless another one at its place in the file is."""
+        document = self._document
+        entry = document.item("images", number)
+        what = f"images[{number}]"
+        name = f"{document.name}: {what}"
+        place: str | int | None = entry.get("bufferView", entry.get("uri"))
+        if place is None:
+            raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
+        if place not in self._decoding:
+            if isinstance(place, str):
+                data = document.resource(place, what, ImageError)
+                name = name if place.startswith("data:") else f"{name} ({place})"
+            else:
+                data = bytes(document.view(place)[0])
+            self._decoding[place] = self._executor.submit(decode_image, data, name)
+        return self._decoding[place]

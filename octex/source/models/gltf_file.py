@@ -98,8 +98,7 @@ class Document:
     def refuse_extensions(self) -> None:
         """Raise ModelError for a file that requires what octex does not read."""
         for extension in self._required:
-            known = extension in _KNOWN_EXTENSIONS or str(extension).startswith("KHR_materials_")
-            if not known:
+            if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
                 raise ModelError(
                     f"{self.name} requires the glTF extension {extension}, which octex does not read; "
                     "export it without"
@@ -193,10 +192,16 @@ class Document:
         """Return the bytes of a buffer view, and its stride; of one that meshopt codes, decoded."""
         entry = self.item("bufferViews", index)
         what = f"{self.name}: bufferViews[{index}]"
-        coded = self._meshopt(entry, what)
-        if coded is None:
+        extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
+        name = next((name for name in MESHOPT if name in extensions), None)
+        if name is not None and name not in self._required:
+            has_binary = entry["buffer"] == 0 and self._binary is not None
+            if "uri" in self.item("buffers", entry["buffer"]) or has_binary:
+                name = None  # plain bytes are there too
+        if name is None:
             return self._range(entry, what), entry.get("byteStride")
         if index not in self._decoded:
+            coded = as_object(extensions[name], f"{what}.extensions.{name}")
             self._decoded[index] = _decode_meshopt(bytes(self._range(coded, what)), coded, what)
         return memoryview(self._decoded[index]), entry.get("byteStride")
 
@@ -206,18 +211,6 @@ class Document:
         if start < 0 or length < 0 or start + length > len(data):
             raise ModelError(f"{what} reaches outside its buffer; export it again")
         return memoryview(data)[start : start + length]
-
-    def _meshopt(self, entry: Json, what: str) -> Json | None:
-        """Return where a buffer view's coded bytes are; None where there are plain ones that may be read."""
-        extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
-        name = next((name for name in MESHOPT if name in extensions), None)
-        if name is None:
-            return None
-        is_plain = "uri" in self.item("buffers", entry["buffer"])
-        is_plain |= entry["buffer"] == 0 and self._binary is not None
-        if is_plain and name not in self._required:
-            return None
-        return as_object(extensions[name], f"{what}.extensions.{name}")
 
     def draco(self, primitive: Json, what: str) -> tuple[Array, dict[str, Array]] | None:
         """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes by their names.
@@ -252,37 +245,30 @@ class Document:
                 raise ModelError(f"{what} does not fit what was decoded for it, {shape}; export it again")
             rows = decoded.astype(dtype)
         elif "bufferView" in entry:
-            rows = self._rows(entry["bufferView"], entry.get("byteOffset", 0), count, width, dtype, what)
+            rows = self._rows(entry, count, width, dtype, what)
         elif 0 <= count * width <= _MOST_ZEROS:
             rows = np.zeros((count, width), dtype)
         else:
             raise ModelError(f"{what} has {count} elements without data; export the model again")
         if "sparse" in entry and decoded is None:
-            sparse = entry["sparse"]
-            where = sparse["indices"]
-            kind = np.dtype(_COMPONENT_TYPES[where["componentType"]])
-            offset = where.get("byteOffset", 0)
-            places = self._rows(where["bufferView"], offset, sparse["count"], 1, kind, what)[:, 0]
+            sparse, indices = entry["sparse"], entry["sparse"]["indices"]
+            kind = np.dtype(_COMPONENT_TYPES[indices["componentType"]])
+            places = self._rows(indices, sparse["count"], 1, kind, what)[:, 0]
             if len(places) and int(places.max()) >= count:
                 raise ModelError(f"{what} has sparse indices outside its {count} elements")
-            changed = sparse["values"]
-            offset = changed.get("byteOffset", 0)
             rows = rows.copy()
-            rows[places] = self._rows(changed["bufferView"], offset, sparse["count"], width, dtype, what)
+            rows[places] = self._rows(sparse["values"], sparse["count"], width, dtype, what)
         if entry.get("normalized") and dtype.kind in "iu":
             rows = np.maximum(rows / np.iinfo(dtype).max, -1.0)
         return rows
 
-    def _rows(self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], what: str) -> Array:
-        data, stride = self.view(view)
-        row = width * dtype.itemsize
+    def _rows(self, entry: Json, count: int, width: int, dtype: np.dtype[Any], what: str) -> Array:
+        """Return so many rows of the buffer view that a record names."""
+        data, stride = self.view(entry["bufferView"])
+        offset, row = entry.get("byteOffset", 0), width * dtype.itemsize
         stride = stride or row
-        if (
-            offset < 0
-            or count < 0
-            or stride < row
-            or (count and offset + stride * (count - 1) + row > len(data))
-        ):
+        end = offset + stride * (count - 1) + row if count else 0
+        if offset < 0 or count < 0 or stride < row or end > len(data):
             raise ModelError(f"{what} reaches outside its buffer view; export the model again")
         if count == 0:
             return np.empty((0, width), dtype)
@@ -314,17 +300,18 @@ def _refuse_constant(constant: str) -> None:
 
 
 def _decode_draco(data: bytes, names: Json, what: str) -> tuple[Array, dict[str, Array]]:
-    """Decode the triangles of a mesh, which errors call ``what``, and attributes, whose unique ids are given.
-
-    Raises ModelError for damaged data, and for points; MissingExtraError without DracoPy.
-    """
+    """Decode the triangles of a mesh, ``what`` in errors, and attributes, whose unique ids are given."""
     try:
         import DracoPy
     except ImportError:
         raise MissingExtraError.needed(f"{what}: to decode Draco's meshes", "DracoPy", "draco") from None
     try:
         mesh = DracoPy.decode(data)
-        attributes = {int(each["unique_id"]): _as_coded(each) for each in mesh.attributes}
+        attributes = {}
+        for each in mesh.attributes:  # DracoPy gives positions as floats, also if integers were encoded
+            rows: Array = each["data"]
+            is_whole = each["data_type"] <= _LAST_INTEGERS and rows.dtype.kind == "f"
+            attributes[int(each["unique_id"])] = rows.astype(np.int64) if is_whole else rows
         triangles = getattr(mesh, "faces", None)
     except Exception as error:  # DracoPy has errors of its own
         raise ModelError(f"{what}: its Draco content is damaged ({_line(error)}); export it again") from None
@@ -336,18 +323,8 @@ def _decode_draco(data: bytes, names: Json, what: str) -> tuple[Array, dict[str,
     return triangles, {name: attributes[number] for name, number in names.items()}
 
 
-def _as_coded(attribute: Json) -> Array:
-    """Return an attribute's rows, of integers if these were encoded: DracoPy gives positions as floats."""
-    rows: Array = attribute["data"]
-    are_whole = attribute["data_type"] <= _LAST_INTEGERS
-    return rows.astype(np.int64) if are_whole and rows.dtype.kind == "f" else rows
-
-
 def _decode_meshopt(data: bytes, entry: Json, what: str) -> bytes:
-    """Decode a buffer view, which errors call ``what``, as its extension says.
-
-    Raises ModelError for damaged data; MissingExtraError without meshopt.
-    """
+    """Decode a buffer view, which errors call ``what``, as its extension says."""
     try:
         import meshopt
     except ImportError:

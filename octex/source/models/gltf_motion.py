@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int64s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.models.gltf_file import Document, Json, as_object, scene_nodes
 from octex.source.motion import Animation, Links, Motion
@@ -168,15 +168,48 @@ def pose_of(document: Document, pose: str) -> Pose:
             time = np.nan
         if 0.0 <= time <= moves.length:
             return Pose(document, moves.fields_at(time))
-        last = _seconds(moves.length)
+        last = np.float32(moves.length)
         fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
     lengths = lengths_of(document).items()
-    listing = ", ".join(f"{each} (0 to {_seconds(length)} s)" for each, length in lengths)
+    listing = ", ".join(f"{each} (0 to {np.float32(length)} s)" for each, length in lengths)
     raise ArgumentError(f"{document.name}{fault}; it has {listing}")
 
 
-def _seconds(time: float) -> str:
-    return str(np.float32(time))
+class Primitive(NamedTuple):
+    """The triangles of a mesh primitive, and where the file keeps the rest of it."""
+
+    document: Document
+    name: str  # in errors
+    positions: Float64s  # (n, 3)
+    triangles: Int32s
+    material: int | None
+    attributes: Json
+    decoded: dict[str, Array]  # what of them an extension has
+    targets: list[Any]  # of morphs
+
+    def attribute(self, name: str, components: tuple[int, ...]) -> Float64s | None:
+        """Return a vertex attribute of so many components, None if there is none of this name."""
+        if name not in self.attributes:
+            return None
+        rows = self.document.accessor(self.attributes[name], components, self.decoded.get(name))
+        with np.errstate(invalid="ignore"):
+            rows = rows.astype(np.float64)
+        if len(rows) != len(self.positions):
+            raise ModelError(f"{self.name} {name} has {len(rows)} rows for {len(self.positions)} vertices")
+        return rows
+
+    def offsets(self, attribute: str) -> Iterator[Array | None]:
+        """Yield what each of the targets adds to the vertices' attribute (n, 3), or None."""
+        for number, target in enumerate(self.targets):
+            offsets = None
+            if attribute in target:
+                offsets, count = self.document.accessor(target[attribute], (3,)), len(self.positions)
+                if len(offsets) != count:
+                    raise ModelError(
+                        f"{self.name}: targets[{number}] moves {len(offsets)} of {count} vertices; "
+                        "export it again"
+                    )
+            yield offsets
 
 
 class Placed(NamedTuple):
@@ -185,10 +218,7 @@ class Placed(NamedTuple):
     node: int
     copy: Float64s  # (4, 4)   of the mesh below the node (EXT_mesh_gpu_instancing)
     matrix: Float64s  # (4, 4)   to the world, as it rests
-    positions: Float64s  # (n, 3)   of the primitive's own
-    targets: Sequence[Json]  # of morphs
-    read: Callable[[str, tuple[int, ...]], Float64s | None]  # an attribute of so many components, if there
-    name: str  # in errors
+    primitive: Primitive
 
 
 class Pose:
@@ -208,15 +238,16 @@ class Pose:
         Raises ModelError for weights and joints that do not fit.
         """
         bones = self.bones(placed)
-        moved = placed.positions
-        for weight, offsets in zip(self.weights(placed), self.offsets(placed, "POSITION"), strict=True):
+        moved = placed.primitive.positions
+        for weight, offsets in zip(self.weights(placed), placed.primitive.offsets("POSITION"), strict=True):
             if offsets is not None:
                 moved = moved + weight * offsets
         with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
             if self.skin(placed) is None:
                 return moved @ bones[0, :3, :3].T + bones[0, :3, 3]
             sums = np.zeros_like(moved)
-            for joints, shares in zip(*(each.T for each in influences(placed, len(bones))), strict=True):
+            bound = influences(placed.primitive, len(bones))
+            for joints, shares in zip(*(each.T for each in bound), strict=True):
                 matrices = bones[joints]
                 turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], moved) + matrices[:, :3, 3]
                 sums += shares[:, None] * turned
@@ -237,29 +268,15 @@ class Pose:
 
     def weights(self, placed: Placed) -> list[float]:
         """Return the weights of a primitive's morph targets. Raises ModelError for another count."""
-        record, count = self._nodes[placed.node], len(placed.targets)
+        record, count = self._nodes[placed.node], len(placed.primitive.targets)
         mesh = self._document.item("meshes", record["mesh"])
         weights: list[float] = (record if "weights" in record else mesh).get("weights", [0.0] * count)
         if len(weights) != count:
             raise ModelError(
-                f"{placed.name} has {count} morph targets, and nodes[{placed.node}] weights of "
+                f"{placed.primitive.name} has {count} morph targets, and nodes[{placed.node}] weights of "
                 f"{len(weights)}; export it again"
             )
         return weights
-
-    def offsets(self, placed: Placed, attribute: str) -> Iterator[Float64s | None]:
-        """Yield what each of a primitive's targets adds to its vertices' attribute (n, 3), or None."""
-        for number, target in enumerate(placed.targets):
-            if attribute not in target:
-                yield None
-                continue
-            offsets, count = self._document.accessor(target[attribute], (3,)), len(placed.positions)
-            if len(offsets) != count:
-                raise ModelError(
-                    f"{placed.name}: targets[{number}] moves {len(offsets)} of {count} vertices; "
-                    "export it again"
-                )
-            yield offsets
 
     def _joints_of(self, number: int) -> Float64s:
         """Return what takes vertices at rest to where a skin's joints (j, 4, 4) have them."""
@@ -287,18 +304,18 @@ class Pose:
         return self._joints[number]
 
 
-def influences(placed: Placed, n_joints: int) -> tuple[Int64s, Float64s]:
+def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     """Return the joints (n, k) that move vertices, of all sets of four, and weights (n, k) with sums of 1.
 
     Weights with another sum are normalized, as viewers do, with ModelWarning; where all are 0 the first joint
     alone moves the vertex. Raises ModelError for weights that are no such numbers, and joints that are not
     there.
     """
-    what = placed.name
+    what = primitive.name
     joints: list[Array] = []
     every: list[Float64s] = []
-    while (numbers := placed.read(f"JOINTS_{len(joints)}", (4,))) is not None:
-        weight = placed.read(f"WEIGHTS_{len(joints)}", (4,))
+    while (numbers := primitive.attribute(f"JOINTS_{len(joints)}", (4,))) is not None:
+        weight = primitive.attribute(f"WEIGHTS_{len(joints)}", (4,))
         if weight is None:
             raise ModelError(f"{what} has JOINTS_{len(joints)} without weights; export it again")
         joints.append(numbers)
@@ -352,9 +369,9 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
             continue
         made.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
     positions = np.concatenate(
-        [each.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
+        [each.primitive.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
     )
-    return Motion(positions, bones.links(), *bones.targets(), made, faults)
+    return Motion(positions, *bones.links(), made, faults)
 
 
 class _Bones:
@@ -379,7 +396,7 @@ class _Bones:
             self._skins.append(0 if skin is None else n_bones)
             if each.node not in self._weights:
                 self._weights[each.node] = n_targets, each
-                n_targets += len(each.targets)
+                n_targets += len(each.primitive.targets)
 
     def at(self, moves: Moves, time: float) -> tuple[Float64s, Float64s]:
         """Return all bones (b, 3, 4) and the weights of all targets (t,) at a time."""
@@ -392,48 +409,47 @@ class _Bones:
             raise ModelError("moves vertices beyond all numbers; export it again")
         return bones, weights
 
-    def links(self) -> Links:
-        """Return what bones move the vertices."""
-        counts, numbers, shares = [], [], []
+    def links(self) -> tuple[Links, Links, Float64s]:
+        """Return what bones move the vertices, and what targets add to them and to their normals."""
+        joints, targets, turns = [], [], []
         for each, first, n_bones in zip(self._placed, self._first, self._skins, strict=True):
-            joints, weights = np.zeros((len(each.positions), 1), np.int64), np.ones((len(each.positions), 1))
+            primitive = each.primitive
+            count = len(primitive.positions)
+            numbers, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
             if n_bones:
-                joints, weights = influences(each, n_bones)
-            chosen = weights > 0
-            counts.append(chosen.sum(axis=1))
-            numbers.append(joints[chosen] + first)
-            shares.append(weights[chosen])
-        return Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
-
-    def targets(self) -> tuple[Links, Float64s]:
-        """Return what targets add to the vertices and to their normals, where they add anything."""
-        counts, numbers, shares, turns = [], [], [], []
-        for each in self._placed:
-            offsets = self._offsets(each, "POSITION") @ each.matrix[:3, :3].T
+                numbers, weights = influences(primitive, n_bones)
+            joints.append(_entries(weights > 0, numbers + first, weights))
+            offsets = _offsets(primitive, "POSITION") @ each.matrix[:3, :3].T
             turned = np.zeros_like(offsets)
-            normals = each.read("NORMAL", (3,))
+            normals = primitive.attribute("NORMAL", (3,))
             if normals is not None:
                 upright = np.linalg.pinv(each.matrix[:3, :3])
                 sizes = np.linalg.norm(normals @ upright, axis=1)[:, None, None]
-                turned = self._offsets(each, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
+                turned = _offsets(primitive, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
-                raise ModelError(f"{each.name} has targets that are not finite; export it again")
-            chosen = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
-            counts.append(chosen.sum(axis=1))
-            numbers.append(np.nonzero(chosen)[1] + self._weights[each.node][0])
-            shares.append(offsets[chosen])
-            turns.append(turned[chosen])
-        links = Links(_firsts(counts), np.concatenate(numbers), np.concatenate(shares))
-        return links, np.concatenate(turns)
-
-    def _offsets(self, each: Placed, attribute: str) -> Float64s:
-        """Return what the targets of a primitive add to its vertices' attribute (n, targets, 3)."""
-        offsets = np.zeros((len(each.positions), len(each.targets), 3))
-        for number, added in enumerate(self._rest.offsets(each, attribute)):
-            if added is not None:
-                offsets[:, number] = added
-        return offsets
+                raise ModelError(f"{primitive.name} has targets that are not finite; export it again")
+            moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
+            every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
+            targets.append(_entries(moves, every, offsets))
+            turns.append(turned[moves])
+        return _links(joints), _links(targets), np.concatenate(turns)
 
 
-def _firsts(counts: Sequence[Int64s]) -> Int64s:
-    return np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
+def _entries(chosen: Bools, numbers: Int64s, shares: Float64s) -> tuple[Int64s, Int64s, Float64s]:
+    """Return how many entries (n, k) each vertex (n,) has, their numbers and their shares."""
+    return chosen.sum(axis=1), numbers[chosen], shares[chosen]
+
+
+def _links(parts: Sequence[tuple[Int64s, Int64s, Float64s]]) -> Links:
+    """Return the entries of one part after another."""
+    counts, numbers, shares = map(np.concatenate, zip(*parts, strict=True))
+    return Links(np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), numbers, shares)
+
+
+def _offsets(primitive: Primitive, attribute: str) -> Float64s:
+    """Return what the targets of a primitive add to its vertices' attribute (n, targets, 3)."""
+    offsets = np.zeros((len(primitive.positions), len(primitive.targets), 3))
+    for number, added in enumerate(primitive.offsets(attribute)):
+        if added is not None:
+            offsets[:, number] = added
+    return offsets

@@ -27,11 +27,6 @@ from octex.source.surface import Surface
 _quiet = logging.NullHandler()
 
 
-def load_off(path: Path, options: Options) -> Surface:
-    """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError."""
-    return _Off(path).surface(options)
-
-
 def load_stl(path: Path, options: Options) -> Surface:
     """Read an STL model, through trimesh; it is white. Raises ModelError."""
     import trimesh  # takes a third of a second
@@ -58,53 +53,42 @@ def load_stl(path: Path, options: Options) -> Surface:
     return colored_surface(path.name, options, shape, None)
 
 
-class _Off:
-    """An OFF file: vertices, with colours if it says so, and faces, with colours after their corners."""
+def load_off(path: Path, options: Options) -> Surface:
+    """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError.
 
-    def __init__(self, path: Path) -> None:
-        self.name = path.name
-        lines = read_bytes(path).decode("latin-1").splitlines()
-        lines = [line.partition("#")[0] if "#" in line else line for line in lines]
-        lines = [line for line in lines if line and not line.isspace()]
-        first = lines.pop(0).split() if lines else [""]
-        head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", first[0])
-        if head is None:
-            raise ModelError(f"{self.name} is not an OFF file: its first word is not OFF")
-        if head[4] or head[5] or "BINARY" in first:
-            raise ModelError(f"{self.name} is a kind of OFF file that octex does not read; convert it to PLY")
-        self._skip = 6 if head[3] else 3  # numbers before a vertex's colour
-        self._tail = 2 if head[1] else 0
-        counts = first[1:] or (lines.pop(0).split() if lines else [])
-        try:
-            vertices, faces = int(counts[0]), int(counts[1])
-        except (IndexError, ValueError):
-            raise ModelError(f"{self.name}: the numbers of vertices and faces are missing") from None
-        if vertices < 0 or faces < 0 or vertices + faces > len(lines):
-            raise ModelError(f"{self.name} is truncated: it has fewer lines than vertices and faces")
-        self._vertices = self._rows(lines[:vertices])
-        self._faces = self._rows(_whole_faces(lines[vertices:], faces))
-
-    def _rows(self, lines: list[str]) -> _Rows:
-        counts = np.array([len(line.split()) for line in lines], np.int64)
-        values = parse_numbers(" ".join(lines))
-        if values is None or values.size != counts.sum():
-            raise ModelError(f"{self.name}: a vertex or a face is not numbers; export it again")
-        return _Rows(values, np.cumsum(counts) - counts, counts)
-
-    def surface(self, options: Options) -> Surface:
-        vertices, faces = self._vertices, self._faces
-        if len(vertices.counts) and vertices.counts.min() < 3:
-            raise ModelError(f"{self.name}: a vertex has less than three numbers; export it again")
-        positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
-        sizes = whole_numbers(faces.values[faces.starts])
-        if not ((sizes >= 0) & (sizes < faces.counts)).all():
-            raise ModelError(f"{self.name}: a face has fewer corners than it says; export it again")
-        within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
-        shape = cut_shape(self.name, positions, indices, sizes)
-        of_vertices = _off_colors(vertices, np.full(len(positions), self._skip), self._tail)
-        of_faces = _off_colors(faces, sizes + 1, 0)
-        return colored_surface(self.name, options, shape, shape.colors(of_vertices, of_faces))
+    It has vertices, with colours if its first word says so, and faces, with colours after their corners.
+    """
+    name = path.name
+    lines = read_bytes(path).decode("latin-1").splitlines()
+    lines = [line.partition("#")[0] if "#" in line else line for line in lines]
+    lines = [line for line in lines if line and not line.isspace()]
+    first = lines.pop(0).split() if lines else [""]
+    head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", first[0])
+    if head is None:
+        raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
+    if head[4] or head[5] or "BINARY" in first:
+        raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
+    counts = first[1:] or (lines.pop(0).split() if lines else [])
+    try:
+        n_vertices, n_faces = int(counts[0]), int(counts[1])
+    except (IndexError, ValueError):
+        raise ModelError(f"{name}: the numbers of vertices and faces are missing") from None
+    if n_vertices < 0 or n_faces < 0 or n_vertices + n_faces > len(lines):
+        raise ModelError(f"{name} is truncated: it has fewer lines than vertices and faces")
+    vertices = _rows(lines[:n_vertices], name)
+    faces = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
+    if len(vertices.counts) and vertices.counts.min() < 3:
+        raise ModelError(f"{name}: a vertex has less than three numbers; export it again")
+    positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
+    sizes = whole_numbers(faces.values[faces.starts])
+    if not ((sizes >= 0) & (sizes < faces.counts)).all():
+        raise ModelError(f"{name}: a face has fewer corners than it says; export it again")
+    within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
+    shape = cut_shape(name, positions, indices, sizes)
+    before_colors = np.full(len(positions), 6 if head[3] else 3)
+    of_vertices = _off_colors(vertices, before_colors, 2 if head[1] else 0)
+    return colored_surface(name, options, shape, shape.colors(of_vertices, _off_colors(faces, sizes + 1, 0)))
 
 
 def _whole_faces(lines: list[str], count: int) -> list[str]:
@@ -124,6 +108,14 @@ class _Rows(NamedTuple):
     counts: Int64s
 
 
+def _rows(lines: list[str], name: str) -> _Rows:
+    counts = np.array([len(line.split()) for line in lines], np.int64)
+    values = parse_numbers(" ".join(lines))
+    if values is None or values.size != counts.sum():
+        raise ModelError(f"{name}: a vertex or a face is not numbers; export it again")
+    return _Rows(values, np.cumsum(counts) - counts, counts)
+
+
 def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
     """Return the linear colours after ``skip`` numbers of each row; white where less than three are left.
 
@@ -136,6 +128,6 @@ def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
         return None
     colors = np.full((len(left), 4), np.nan)
     for column in range(4):
-        given = colored & (left > column)
-        colors[given, column] = rows.values[(rows.starts + skip)[given] + column]
+        has_column = colored & (left > column)
+        colors[has_column, column] = rows.values[(rows.starts + skip)[has_column] + column]
     return guessed_colors(colors)

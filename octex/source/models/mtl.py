@@ -34,9 +34,8 @@ from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.arrays import Int64s, Uint16s
+from octex.arrays import Array, Int64s, Uint16s
 from octex.channels import LUMINANCE, srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
@@ -82,14 +81,12 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
                 materials |= _parse(each, wanted, images, options)
             elif line not in missing:
                 missing.append(line)
-    stated = {
-        channel
-        for material in materials.values()
-        for channel in material.material.inputs.keys() - material.assumed
-    }
-    stated |= set(options.channels or ())
-    kept = {name: _without(each, each.assumed - stated) for name, each in materials.items()}
-    return Library(kept, images.files, missing)
+    stated = set(options.channels or ())
+    stated.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
+    for name, known in materials.items():
+        inputs = {k: v for k, v in known.material.inputs.items() if k not in known.assumed - stated}
+        materials[name] = known._replace(material=known.material._replace(inputs=inputs))
+    return Library(materials, images.files, missing)
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
@@ -116,20 +113,14 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
 def beside(folder: Path, name: str) -> Path | None:
     """Find a file by a path relative to a folder, or by its name there if the path leads nowhere."""
     windows = PureWindowsPath(name)
-    for given in (name, windows.as_posix(), windows.name):
+    for spelling in (name, windows.as_posix(), windows.name):
         try:
-            candidate = referred(folder, given)
+            candidate = referred(folder, spelling)
             if candidate.is_file():
                 return candidate
         except (OSError, ValueError):
             continue
     return None
-
-
-def _without(description: Description, channels: frozenset[str]) -> Description:
-    """Leave out channels of a description."""
-    inputs = {name: each for name, each in description.material.inputs.items() if name not in channels}
-    return description._replace(material=description.material._replace(inputs=inputs))
 
 
 def _parse(path: Path, wanted: set[str], images: ImageFiles, options: Options) -> dict[str, Description]:
@@ -168,12 +159,9 @@ class _Describer:
     def __init__(
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options
     ) -> None:
-        self._entries = entries
-        self._name = name
+        self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
-        self._path = path
-        self._images = images
-        self._options = options
+        self._images, self._options = images, options
         self._slots: list[Slot] = []
 
     def describe(self) -> Description:
@@ -192,7 +180,8 @@ class _Describer:
         }
         inputs |= {channel: each for channel, each in stated.items() if each is not None}
         if "roughness" not in inputs and "ns" in self._entries:
-            inputs["roughness"] = self._from_exponent()
+            exponent = self._numbers("Ns", 1)[0] if self._options.wants("roughness") else 0.0
+            inputs["roughness"] = Input((1.0 - (min(max(exponent, 0.0), 1000.0) / 1000.0) ** 0.5,))
             assumed.add("roughness")
         if stated["specular"] is not None and self._map("map_Ks") is None:
             assumed.add("specular")
@@ -201,23 +190,23 @@ class _Describer:
 
     def _color(self, channel: str, key: str, *maps: str) -> Input | None:
         """Return a colour and its map; None where the material has neither, or no emission."""
-        image = self._map(*maps)
-        if image is None and key.lower() not in self._entries:
+        image, text = self._map(*maps), self._entries.get(key.lower())
+        if image is None and text is None:
             return None
-        stated = parse_numbers(self._entries.get(key.lower(), "1"))
+        stated = parse_numbers(text or "1")
         black = stated is not None and stated.max(initial=-np.inf) <= 0.0
         if black and image is None and channel == "emissive":
             return None
         if not self._options.wants(channel):
             return Input((1.0, 1.0, 1.0))
-        color = self._numbers(key, 3) if key.lower() in self._entries else [1.0]
+        color = [1.0] if text is None else self._numbers(key, 3)
         if black and image is not None:
             color = [1.0]
         if len(color) < 3:
             color = [color[0]] * 3
         if max(color) <= 1.0 or channel != "emissive":
             color = srgb_to_linear(np.clip(color, 0.0, 1.0)).tolist()
-        factor = (max(color[0], 0.0), max(color[1], 0.0), max(color[2], 0.0))
+        factor = tuple(max(each, 0.0) for each in color)
         return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str, key: str, *maps: str) -> Input | None:
@@ -250,12 +239,6 @@ class _Describer:
         texture, lane = self._lane(image._replace(lane="m") if matte else image)
         return Input((opacity or 1.0,), texture, (lane,))
 
-    def _from_exponent(self) -> Input:
-        if not self._options.wants("roughness"):
-            return Input((1.0,))
-        exponent = min(max(self._numbers("Ns", 1)[0], 0.0), 1000.0)
-        return Input((1.0 - (exponent / 1000.0) ** 0.5,))
-
     def _normal(self) -> Input | None:
         """Return a normal map, or one made of a height map."""
         normal_map = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
@@ -282,8 +265,7 @@ class _Describer:
         return texture, _LANES.get(image.lane, 0)
 
     def _texture(self, image: _Map) -> Texture:
-        path, what = self._file(image)
-        return self._placed(self._images.read(path, what, image.base, image.gain), image)
+        return self._placed(self._images.read(*self._file(image), image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
         if image.slot not in self._slots:
@@ -324,8 +306,8 @@ def _parse_map(text: str, where: str) -> _Map | None:
         rest = rest.lstrip()
 
     def numbers(option: str, *defaults: float) -> tuple[float, ...]:
-        given = _floats(options[option], len(defaults), f"{where} {option}") if option in options else []
-        return (*given, *defaults[len(given) :])
+        values = _floats(options[option], len(defaults), f"{where} {option}") if option in options else []
+        return (*values, *defaults[len(values) :])
 
     lane = options.get("-imfchan", "z").lower()
     if lane not in ("l", "z", *_LANES):
@@ -360,15 +342,19 @@ class ImageFiles:
 
     def read(self, path: Path, what: str, base: float = 0.0, gain: float = 1.0) -> Texels:
         """Return texels whose values t are made base + gain · t, kept in 0 … 1; light above 1 stays."""
-        key = (path, base, gain)
-        if key not in self._texels:
+        if (path, base, gain) not in self._texels:
+            texels: Texels
             if (base, gain) == (0.0, 1.0):
                 data = read_bytes(path)
                 self.note(path, data)
-                self._texels[key] = decode_image(data, what)
+                texels = decode_image(data, what)
+            elif (whole := self.read(path, what)).dtype.kind == "u":
+                codes = np.clip(np.rint(65535.0 * base + gain * np.arange(65536)), 0, 65535)
+                texels = codes.astype(np.uint16)[whole]
             else:
-                self._texels[key] = _ranged(self.read(path, what), base, gain)
-        return self._texels[key]
+                texels = np.maximum(np.float32(base) + np.float32(gain) * whole, np.float32(0))
+            self._texels[path, base, gain] = texels
+        return self._texels[path, base, gain]
 
     def luminance(self, texels: Texels) -> Texels:
         """Return an image whose red is another's luminance, taken of stored values, which are no light."""
@@ -388,16 +374,6 @@ class ImageFiles:
         return self._texels[key]
 
 
-def _ranged(texels: Texels, base: float, gain: float) -> Texels:
-    changed: Texels
-    if texels.dtype.kind == "u":
-        codes = np.clip(np.rint(65535.0 * base + gain * np.arange(65536)), 0, 65535)
-        changed = codes.astype(np.uint16)[texels]
-    else:
-        changed = np.maximum(np.float32(base) + np.float32(gain) * texels, np.float32(0))
-    return changed
-
-
 def is_grey(texels: Texels) -> bool:
     """Say whether red, green and blue are the same all over an image."""
     limit = _GREY * (65535.0 if texels.dtype.kind == "u" else 1.0)
@@ -408,9 +384,7 @@ def is_grey(texels: Texels) -> bool:
     return True
 
 
-def normals_of_heights(
-    heights: npt.NDArray[np.floating | np.unsignedinteger], strength: float, wrap: int
-) -> Uint16s:
+def normals_of_heights(heights: Array, strength: float, wrap: int) -> Uint16s:
     """Return the tangent-space normal map (height, width, 4) of a height map (height, width), rows down.
 
     The slopes are central differences, per texel, of ``strength`` × height; at the border the image is

@@ -91,36 +91,29 @@ class _Text:
         self.coordinates: list[str] = []
         self.normals: list[str] = []
         self.faces: list[str] = []
+        self.libraries: list[str] = []
+        self.tags: list[str] = []
         # Numbers of faces, vertices, coordinates and normals read where faces begin to follow other lines:
         # what relative indices count from.
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
-        self.libraries: list[str] = []
-        self.tags: list[str] = []
+        counted = {"v": self.vertices, "vt": self.coordinates, "vn": self.normals}
+        others = {"mtllib": self.libraries, "t": self.tags}
         moved = True
         for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
-            if key == "v":
-                self.vertices.append(rest)
+            if key in counted:
+                counted[key].append(rest)
                 moved = True
             elif key == "f":
                 if moved:
-                    read = (self.faces, self.vertices, self.coordinates, self.normals)
-                    self.runs.append([len(lines) for lines in read])
+                    self.runs.append([len(lines) for lines in (self.faces, *counted.values())])
                     moved = False
                 self.faces.append(rest)
-            elif key == "vt":
-                self.coordinates.append(rest)
-                moved = True
-            elif key == "vn":
-                self.normals.append(rest)
-                moved = True
             elif key == "usemtl":
                 self.uses.append((len(self.faces), rest.strip()))
-            elif key == "mtllib":
-                self.libraries.append(rest.strip())
-            elif key == "t":
-                self.tags.append(rest)
+            elif key in others:
+                others[key].append(rest)
 
 
 def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
@@ -128,37 +121,31 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
 
     A tag is its kind, how many whole numbers, fractions and words it has, like 2/1/0, and these.
     """
-    edges: list[list[int]] = []
-    points: list[int] = []
-    sharpness: list[float] = []
-    spikes: list[float] = []
+    #: Vertices of edges, and vertices; and how sharp each is.
+    named: dict[str, list[list[int]]] = {"crease": [], "corner": []}
+    sharpness: dict[str, list[float]] = {"crease": [], "corner": []}
     for tag in tags:
         kind, *words = tag.split() or [""]
-        if kind not in ("crease", "corner"):
+        if kind not in named:
             continue
         try:
             wholes, fractions, _ = (int(count) for count in words[0].split("/"))
             numbers = [int(word) for word in words[1 : 1 + wholes]]
             (sharp,) = [float(word) for word in words[1 + wholes : 1 + wholes + fractions]]
-            if not all(0 <= each < vertices for each in numbers) or not 0 <= sharp < np.inf:
+            is_sound = len(numbers) == (2 if kind == "crease" else 1) and 0 <= sharp < np.inf
+            if not is_sound or not all(0 <= each < vertices for each in numbers):
                 raise ValueError
-            if kind == "crease":
-                a, b = numbers
-                edges.append([a, b])
-                sharpness.append(sharp)
-            else:
-                (point,) = numbers
-                points.append(point)
-                spikes.append(sharp)
+            named[kind].append(numbers)
+            sharpness[kind].append(sharp)
         except (IndexError, ValueError):
             raise ModelError(
                 f"{name}: a line 't {tag[:40]}' is no tag of a crease; export it again"
             ) from None
-    if not edges and not points:
+    if not any(named.values()):
         return None
     return Creases(
-        np.array(edges, np.int32).reshape(-1, 2), np.array(sharpness, np.float32),
-        np.array(points, np.int32), np.array(spikes, np.float32),
+        np.array(named["crease"], np.int32).reshape(-1, 2), np.array(sharpness["crease"], np.float32),
+        np.array(named["corner"], np.int32).reshape(-1), np.array(sharpness["corner"], np.float32),
     )  # fmt: skip
 
 
@@ -210,12 +197,7 @@ def _check(used: Int64s, limit: int, name: str, what: str) -> None:
 
 
 @kernel
-def _parse_corners(
-    text: Uint8s,
-    bases: Int64s,
-    corners: Int64s,
-    sizes: Int64s,
-) -> int:
+def _parse_corners(text: Uint8s, bases: Int64s, corners: Int64s, sizes: Int64s) -> int:
     """Parse ``vertex[/[coordinates][/[normal]]]`` words; return how many, or −1 − the first bad line.
 
     Indices count from 1; negative ones back from ``bases``, what had been read at the face. −1 stands for no
@@ -271,12 +253,11 @@ def _bind(
     if not text.libraries:  # no materials are promised
         return known, numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
-    library = load_materials(path, text.libraries, set(names), options)
+    libraries = [line.strip() for line in text.libraries]
+    library = load_materials(path, libraries, set(names), options)
     lost = [name for name in names if name not in library.materials]
     if lost:
-        warnings.warn(
-            _without_materials(path.name, lost, library, text.libraries), ModelWarning, stacklevel=2
-        )
+        warnings.warn(_without_materials(path.name, lost, library, libraries), ModelWarning, stacklevel=2)
     known += [library.materials.get(name, Description()) for name in names]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
@@ -317,11 +298,11 @@ def _coordinates(
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, not numbers where there are none."""
     _check(rows, len(text.normals), name, "normal")
-    given = _numbers(text.normals, 3, name, "vn")[:, :3]
+    listed = _numbers(text.normals, 3, name, "vn")[:, :3]
     lacking = (rows < 0).any(axis=1)
     if lacking.all():
         return None
     count = int(lacking.sum())
     bound = rows.astype(np.int32)
-    bound[lacking] = len(given) + np.arange(count, dtype=np.int32)[:, None]
-    return Corners(np.concatenate([given, np.full((count, 3), np.nan)]).astype(np.float32), bound)
+    bound[lacking] = len(listed) + np.arange(count, dtype=np.int32)[:, None]
+    return Corners(np.concatenate([listed, np.full((count, 3), np.nan)]).astype(np.float32), bound)

@@ -54,9 +54,7 @@ def load_ply(path: Path, options: Options) -> Surface:
     return _Ply(path).surface(options)
 
 
-def ply_points(
-    path: Path,
-) -> tuple[Float64s, Float32s, Float64s | None]:
+def ply_points(path: Path) -> tuple[Float64s, Float32s, Float64s | None]:
     """Read the vertices of a PLY file as points (n, 3), linear colours and alpha (n, 4), and normals (n, 3).
 
     Raises ModelError for a file without vertices or without their colours.
@@ -125,15 +123,10 @@ class _Ply:
 
     def _read(self) -> dict[str, dict[str, _Values]]:
         """Read the properties of all elements up to the faces."""
-        if self._ascii:
-            parsed = parse_numbers(self._body.decode("latin-1"))
-            if parsed is None:
-                raise ModelError(f"{self.name}: its data are not all numbers; export it again")
-            numbers = parsed
-            available = len(numbers)
-        else:
-            numbers = np.empty(0, np.float64)
-            available = len(self._body)
+        numbers = parse_numbers(self._body.decode("latin-1") if self._ascii else "")
+        if numbers is None:
+            raise ModelError(f"{self.name}: its data are not all numbers; export it again")
+        available = len(numbers) if self._ascii else len(self._body)
         raw = np.frombuffer(self._body, np.uint8)
         elements: dict[str, dict[str, _Values]] = {}
         at = 0
@@ -165,12 +158,7 @@ class _Ply:
         return ModelError(f"{self.name} is truncated: data of '{element}' elements are missing")
 
     def _values(
-        self,
-        kind: _Property,
-        numbers: Float64s,
-        raw: Uint8s,
-        starts: Int64s,
-        sizes: Int64s,
+        self, kind: _Property, numbers: Float64s, raw: Uint8s, starts: Int64s, sizes: Int64s
     ) -> _Values:
         dtype = np.dtype(self._order + kind.type)
         width = 1 if self._ascii else dtype.itemsize
@@ -194,9 +182,7 @@ class _Ply:
             raise ModelError(f"{self.name} has no vertices with x, y and z")
         return np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
 
-    def points(
-        self,
-    ) -> tuple[Float64s, Float32s, Float64s | None]:
+    def points(self) -> tuple[Float64s, Float32s, Float64s | None]:
         positions, vertex = self._positions(), self._numbers("vertex")
         colors = _element_colors(vertex)
         if colors is None:
@@ -205,21 +191,16 @@ class _Ply:
             colors = opaque(colors, self.name)
         normals = None
         if all(axis in vertex for axis in ("nx", "ny", "nz")):
-            normals = np.stack([vertex[axis].values for axis in ("nx", "ny", "nz")], axis=1)
-        return positions, colors, None if normals is None else normals.astype(np.float64)
+            normals = np.stack([vertex[axis].values for axis in ("nx", "ny", "nz")], axis=1, dtype=np.float64)
+        return positions, colors, normals
 
     def surface(self, options: Options) -> Surface:
         vertex, face = self._numbers("vertex"), self._numbers("face")
         lists = self.data.get("face", {})
         positions = self._positions()
-        listed = lists.get("vertex_indices", lists.get("vertex_index"))
-        indices = sizes = np.empty(0, np.int64)
-        if listed is not None and listed.sizes is not None:
-            indices, sizes = whole_numbers(listed.values), listed.sizes
-        strips = self.data.get("tristrips", {})
-        listed = strips.get("vertex_indices", strips.get("vertex_index"))
-        if not len(sizes) and listed is not None and listed.sizes is not None:
-            indices = _of_strips(whole_numbers(listed.values), listed.sizes)
+        indices, sizes = self._indices("face")
+        if not len(sizes):
+            indices = _of_strips(*self._indices("tristrips"))
             sizes = np.full(len(indices) // 3, 3)
         shape = cut_shape(self.name, positions, indices, sizes)
         colors = shape.colors(_element_colors(vertex), _element_colors(face))
@@ -243,12 +224,16 @@ class _Ply:
             numbers = chosen[shape.numbers].astype(np.int32)
         return colored_surface(self.name, options, shape, colors, textures, numbers, coordinates)
 
+    def _indices(self, element: str) -> tuple[Int64s, Int64s]:
+        """Return the vertices of all of an element, and how many belong to each."""
+        lists = self.data.get(element, {})
+        listed = lists.get("vertex_indices", lists.get("vertex_index"))
+        if listed is None or listed.sizes is None:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        return whole_numbers(listed.values), listed.sizes
+
     def _coordinates(
-        self,
-        vertex: dict[str, _Values],
-        listed: _Values | None,
-        shape: Shape,
-        sizes: Int64s,
+        self, vertex: dict[str, _Values], listed: _Values | None, shape: Shape, sizes: Int64s
     ) -> Corners | None:
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
             return Corners(flip_v(listed.values.reshape(-1, 2)), shape.corners.astype(np.int32))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int64s
-from octex.jit import kernel
+from octex.jit import inlined, kernel
 from octex.source.corners import Polygons
+from octex.source.vectors import Vector, cross_product, dot_product, minus, row_of
 
 
 def triangulate(positions: Float64s, corners: Int64s, sizes: Int64s) -> tuple[Int64s, Int64s]:
@@ -59,13 +60,7 @@ def _ears(outline: Float64s) -> Int64s:
 
 
 @kernel
-def _fans(
-    positions: Float64s,
-    corners: Int64s,
-    sizes: Int64s,
-    triangles: Int64s,
-    lacking: Bools,
-) -> None:
+def _fans(positions: Float64s, corners: Int64s, sizes: Int64s, triangles: Int64s, lacking: Bools) -> None:
     """Cut each polygon into a fan; say in ``lacking`` where that may cover what is outside of it.
 
     A polygon with one reflex corner is the union of two convex ones that share it: a fan from there is right.
@@ -93,46 +88,38 @@ def _apex(positions: Float64s, corners: Int64s, first: int, size: int) -> int:
 
     A quad with two crosses itself, however it is cut.
     """
-    nx, ny, nz = _normal(positions, corners, first, size)
+    normal = (0.0, 0.0, 0.0)  # twice the area vector, by Newell's method
+    for i in range(size):
+        a = row_of(positions, corners[first + i])
+        b = row_of(positions, corners[first + (i + 1) % size])
+        normal = (
+            normal[0] + (a[1] - b[1]) * (a[2] + b[2]),
+            normal[1] + (a[2] - b[2]) * (a[0] + b[0]),
+            normal[2] + (a[0] - b[0]) * (a[1] + b[1]),
+        )
     last = size - 1
-    x, y, z = _edge(positions, corners, first, size, last)
-    while last > 0 and x == y == z == 0.0:
+    edge = _edge(positions, corners, first, size, last)
+    while last > 0 and edge[0] == edge[1] == edge[2] == 0.0:
         last -= 1
-        x, y, z = _edge(positions, corners, first, size, last)
+        edge = _edge(positions, corners, first, size, last)
     apex = 0
     reflex = 0
     for i in range(size):
-        to_x, to_y, to_z = _edge(positions, corners, first, size, i)
-        if to_x == to_y == to_z == 0.0:  # two corners at one place turn once
+        to = _edge(positions, corners, first, size, i)
+        if to[0] == to[1] == to[2] == 0.0:  # two corners at one place turn once
             continue
-        turn = (y * to_z - z * to_y) * nx + (z * to_x - x * to_z) * ny + (x * to_y - y * to_x) * nz
+        turn = dot_product(cross_product(edge, to), normal)
         if turn < 0.0:
             apex = i
             reflex += 1
-        elif turn == 0.0 and x * to_x + y * to_y + z * to_z < 0.0:
+        elif turn == 0.0 and dot_product(edge, to) < 0.0:
             return -1
-        x, y, z = to_x, to_y, to_z
+        edge = to
     return apex if reflex <= 1 or size == 4 else -1
 
 
-@kernel
-def _edge(positions: Float64s, corners: Int64s, first: int, size: int, i: int) -> tuple[float, float, float]:
+@inlined
+def _edge(positions: Float64s, corners: Int64s, first: int, size: int, i: int) -> Vector:
     """Return the way from a corner of a polygon to the next."""
-    a, b = corners[first + i], corners[first + (i + 1) % size]
-    return (
-        positions[b, 0] - positions[a, 0],
-        positions[b, 1] - positions[a, 1],
-        positions[b, 2] - positions[a, 2],
-    )
-
-
-@kernel
-def _normal(positions: Float64s, corners: Int64s, first: int, size: int) -> tuple[float, float, float]:
-    """Return twice the area vector (Newell's method)."""
-    x = y = z = 0.0
-    for i in range(size):
-        a, b = corners[first + i], corners[first + (i + 1) % size]
-        x += (positions[a, 1] - positions[b, 1]) * (positions[a, 2] + positions[b, 2])
-        y += (positions[a, 2] - positions[b, 2]) * (positions[a, 0] + positions[b, 0])
-        z += (positions[a, 0] - positions[b, 0]) * (positions[a, 1] + positions[b, 1])
-    return x, y, z
+    next_one = row_of(positions, corners[first + (i + 1) % size])
+    return minus(next_one, row_of(positions, corners[first + i]))

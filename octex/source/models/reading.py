@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from octex.errors import ModelError, ModelWarning
+from octex.files import open_file
+from octex.npz import read_npz
 from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.images.decode import global_settings
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
@@ -51,6 +54,15 @@ def parse_numbers(text: str) -> Float64s | None:
             return np.fromstring(text, np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
+
+
+def npz_arrays(path: Path, names: Container[str] | None = None) -> dict[str, Array]:
+    """Return the arrays of an .npz file, or those of some names. Raises ModelError."""
+    with open_file(path) as file:
+        try:
+            return read_npz(file, names)
+        except ValueError as error:
+            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
 
 
 def whole_numbers(values: Array) -> Int64s:
@@ -127,12 +139,10 @@ def frames_below(
     """Return frames at corners: along the coordinates of normal maps, along ``otherwise`` without one."""
     slots = np.full(max(known) + 1, -1)
     for number, each in known.items():
-        slot = each.material.normal_slot
-        slots[number] = -1 if slot is None else slot
-    places = slots[numbers]
+        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
     mapped = None
     if otherwise is not None and (slots >= 0).any():
-        mapped = Corners.chosen([*coordinates, otherwise], places)
+        mapped = Corners.chosen([*coordinates, otherwise], slots[numbers])
     return corner_frames(positions, triangles, normals, None, mapped)
 
 
@@ -157,8 +167,7 @@ class Part(NamedTuple):
         linear, rows = self.matrix[:3, :3], self.triangles
         with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
             positions = self.positions @ linear.T + self.matrix[:3, 3]
-            # A mirroring transform turns triangles inside out (glTF 2.0, 3.7.4).
-            order = slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
+            order = winding(linear)
         turned = self.triangles[:, order]
 
         def ordered(corners: Corners) -> Corners:
@@ -173,6 +182,11 @@ class Part(NamedTuple):
             frames=self.frames and Frames(*map(ordered, transformed(self.frames, linear))),
             polygons=self.polygons and self.polygons._replace(corners=self.polygons.corners[:, order]),
         )
+
+
+def winding(linear: Float64s) -> slice:
+    """Return the order of corners below a transform (3, 3): a mirroring one turns triangles inside out."""
+    return slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
 
 
 def assembled(
@@ -201,10 +215,9 @@ def assembled(
         width = next((each.values.shape[1] for each in attributes if each is not None), None)
         if width is None:
             return None
+        one = np.full((1, width), default, np.float32)
         every = [
-            Corners(np.full((1, width), default, np.float32), np.zeros_like(part.triangles))
-            if each is None
-            else each
+            each or Corners(one, np.zeros_like(part.triangles))
             for part, each in zip(parts, attributes, strict=True)
         ]
         if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
@@ -293,8 +306,8 @@ def colored_surface(
     """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
     if colors is not None and not colors.values[colors.rows, 3].any():
         colors = colors._replace(values=opaque(colors.values, name))
-    translucent = colors is not None and bool((colors.values[:, 3] < 1).any())
-    mode: AlphaMode = "blend" if translucent else "opaque"
+    is_translucent = colors is not None and (colors.values[:, 3] < 1).any()
+    mode: AlphaMode = "blend" if is_translucent else "opaque"
     materials = [
         Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
         for each in textures
@@ -312,6 +325,4 @@ def opaque(colors: Float32s, name: str) -> Float32s:
     """Return colours with alpha 1: such as some programs write with 0 throughout, and show all the same."""
     text = f"{name}: all its colours have alpha 0, which would show nothing, so it is left out"
     warnings.warn(text + "; export them with 255", ModelWarning, stacklevel=2)
-    made = colors.copy()
-    made[:, 3] = 1.0
-    return made
+    return np.insert(colors[:, :3], 3, np.float32(1.0), axis=1)

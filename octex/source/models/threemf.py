@@ -26,7 +26,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_shape
+from octex.source.models.reading import Options, colored_surface, cut_shape, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -84,7 +84,10 @@ class _Package:
 
     def surface(self) -> Surface:
         """Return all that the build places."""
-        root = self._root()
+        root = "3D/3dmodel.model"
+        if "_rels/.rels" in self._package.namelist():
+            models = (each for each in self._parsed("_rels/.rels") if each.get("Type") == _MODEL)
+            root = next((each.get("Target", "").lstrip("/") for each in models), root)
         meshes = [
             mesh
             for item in _within(self._part(root), "build", "item")
@@ -104,14 +107,6 @@ class _Package:
             self._images, images,
             Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
         )  # fmt: skip
-
-    def _root(self) -> str:
-        """Return the part that the package's relations call its model."""
-        if "_rels/.rels" in self._package.namelist():
-            for each in self._parsed("_rels/.rels"):
-                if each.get("Type") == _MODEL:
-                    return each.get("Target", "").lstrip("/")
-        return "3D/3dmodel.model"
 
     def _read(self, part: str) -> bytes:
         try:
@@ -158,7 +153,13 @@ class _Package:
             codes = [_color(each.get(word, "#FFFFFFFF")) for each in rows]
             colors = screen_colors(np.array(codes, np.float64).reshape(-1, 4) / 255.0)
         elif kind == "texture2dgroup" and self._options.wants("base_color"):
-            image = self._image(textures[group.get("texid", "")])
+            texture = textures[group.get("texid", "")]
+            place = texture.get("path", "")
+            texels = decode_image(self._read(place), f"{self._name}: {place}")
+            texels[..., 3] = ONE[texels.dtype.name]
+            u, v = (_WRAPS.get(texture.get(f"tilestyle{axis}", "wrap"), CLAMP) for axis in "uv")
+            image = len(self._images)
+            self._images.append(Texture(texels, u, v))
             places = np.array([[each.get("u"), each.get("v")] for each in rows], np.float64).reshape(-1, 2)
         elif kind in ("multiproperties", "compositematerials"):
             self._blended(key, group)
@@ -171,7 +172,6 @@ class _Package:
 
     def _blended(self, key: tuple[str, str], group: Element) -> None:
         """Add rows for a group that blends others: those of one of them."""
-        part, _ = key
         if _tag(group) == "multiproperties":
             layer = len(group.get("pids", "").split()) - 1
             other = group.get("pids", "").split()[layer]
@@ -183,22 +183,13 @@ class _Package:
                 listed[int(np.argmax([float(word) for word in each.get("values", "").split()]))]
                 for each in group
             ]
-        of = self._groups.get((part, other))
+        of = self._groups.get((key[0], other))
         if of is not None:
             taken = of.first + self._checked(np.array(chosen, np.int64), of.size)
             colors, places = np.concatenate(self._colors), np.concatenate(self._places)
             self._groups[key] = _Group(len(colors), len(taken), of.image, True)
             self._colors.append(colors[taken])
             self._places.append(places[taken])
-
-    def _image(self, texture: Element) -> int:
-        """Return the number of an image."""
-        place = texture.get("path", "")
-        texels = decode_image(self._read(place), f"{self._name}: {place}")
-        texels[..., 3] = ONE[texels.dtype.name]
-        u, v = (_WRAPS.get(texture.get(f"tilestyle{axis}", "wrap"), CLAMP) for axis in "uv")
-        self._images.append(Texture(texels, u, v))
-        return len(self._images) - 1
 
     def _placed(self, part: str, item: Element, depth: int) -> list[_Mesh]:
         """Return the meshes of an item of the build, or of a component, in the space that it is placed in."""
@@ -222,13 +213,11 @@ class _Package:
             raise ModelError(
                 f"{self._name} places the same parts too many times; export it with fewer copies"
             )
-        given = item.get("transform")
-        if given is None:
+        transform = item.get("transform")
+        if transform is None:
             return meshes
-        matrix = np.array(given.split(), np.float64).reshape(4, 3)
-        # A mirroring transform turns triangles inside out.
-        order = slice(None, None, -1 if np.linalg.det(matrix[:3]) < 0 else 1)
-        linear, offset = matrix[:3], matrix[3]
+        matrix = np.array(transform.split(), np.float64).reshape(4, 3)
+        linear, offset, order = matrix[:3], matrix[3], winding(matrix[:3])
         return [
             _Mesh(
                 each.positions @ linear + offset, each.triangles[:, order], each.rows[:, order], each.images
@@ -242,8 +231,8 @@ class _Package:
         used = [(face.get("v1"), face.get("v2"), face.get("v3")) for face in faces]
         triangles = np.array(used, np.int64).reshape(-1, 3)
         rows, images = np.zeros((len(faces), 3), np.int64), np.zeros(len(faces), np.int32)
-        own, index = entry.get("pid", ""), entry.get("pindex", "0")
-        groups = np.array([face.get("pid", own) for face in faces])
+        default, index = entry.get("pid", ""), entry.get("pindex", "0")
+        groups = np.array([face.get("pid", default) for face in faces])
         bound = [
             (first := face.get("p1", index), face.get("p2", first), face.get("p3", first)) for face in faces
         ]
@@ -257,19 +246,15 @@ class _Package:
                 its = groups == number
                 rows[its] = group.first + self._checked(chosen[its], group.size)
                 images[its] = group.image
-        return _Mesh(
-            np.array(corners, np.float64).reshape(-1, 3), self._used(triangles, len(corners)), rows, images
-        )
+        count = len(corners)
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
+            raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
+        return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
 
     def _checked(self, chosen: Int64s, count: int) -> Int64s:
         if chosen.size and not 0 <= chosen.min() <= chosen.max() < count:
             raise ModelError(f"{self._name}: a property {chosen.max()} is used of {count}; export it again")
         return chosen
-
-    def _used(self, triangles: Int64s, count: int) -> Int64s:
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
-            raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
-        return triangles
 
 
 def _tag(element: Element) -> str:

@@ -2,11 +2,14 @@
 
 OpenUSD (the extra ``usd``) composes the stage. It is read in metres with y up, as glTF has it. Meshes are
 taken as they are modelled: polygons of a subdivision surface are its cage, at the earliest time sampled.
+An image's colour space is that of the channel which it is read for, unless the file says the other one.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -15,14 +18,36 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
-from octex.errors import MissingExtraError, ModelError, ModelWarning
+from octex.channels import CHANNELS, encode, srgb_to_linear
+from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
 from octex.files import is_absolute
 from octex.source.corners import Corners, Polygons
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.models.polygons import cut_polygons, triangulate
-from octex.source.models.reading import Description, Options, Part, assembled, frames_below, slot_coordinates
-from octex.source.models.usd_materials import Materials
+from octex.source.models.reading import (
+    Description,
+    Options,
+    Part,
+    Slot,
+    assembled,
+    frames_below,
+    slot_coordinates,
+)
 from octex.source.surface import Surface, flip_v
 
+_WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
+_LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
+#: What UsdPreviewSurface calls channels.
+_CHANNELS = {
+    "base_color": "diffuseColor", "emissive": "emissiveColor", "specular": "specularColor",
+    "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
+    "alpha": "opacity",
+}  # fmt: skip
+#: What inputs may be connected to: images, and primvars that readers of them read for a channel.
+_READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
+_GREY = (0.18, 0.18, 0.18)
 #: How a primvar's values are spread; as in UsdGeom's tokens.
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
@@ -43,7 +68,12 @@ def load_usd(path: Path, options: Options) -> Surface:
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
     try:
         stage = Usd.Stage.Open(str(path.absolute()))
-        _refuse_absolute(stage, path.name)
+        # It may be given away to name others' files.
+        for layer in stage.GetUsedLayers():
+            for each in filter(is_absolute, layer.GetCompositionAssetDependencies()):
+                raise ModelError(
+                    f"{path.name} refers to {each}; absolute paths are not followed; name it from its folder"
+                )
         faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
         if faults:
             more = f" … and {len(faults) - 1} more like that" if len(faults) > 1 else ""
@@ -56,16 +86,6 @@ def load_usd(path: Path, options: Options) -> Surface:
         del quiet
 
 
-def _refuse_absolute(stage: Any, name: str) -> None:
-    """Refuse a stage that is composed of files at absolute places: it may be given away to name others'."""
-    for layer in stage.GetUsedLayers():
-        for each in layer.GetCompositionAssetDependencies():
-            if is_absolute(each):
-                raise ModelError(
-                    f"{name} refers to {each}; absolute paths are not followed; name it from its folder"
-                )
-
-
 class _Scene:
     """Collects the meshes of a stage into one surface."""
 
@@ -75,10 +95,9 @@ class _Scene:
         self._stage, self._name, self._options = stage, name, options
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
-        self._materials = Materials(name, options)
-        self._lacking: dict[
-            str, dict[str, None]
-        ] = {}  # meshes without coordinates that are asked for, by name
+        self._materials = _Materials(name, options)
+        # Meshes without coordinates that are asked for, by the coordinates' name.
+        self._lacking: dict[str, dict[str, None]] = {}
 
     def surface(self) -> Surface:
         """Return all that is shown."""
@@ -149,8 +168,8 @@ class _Scene:
 
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Mesh(prim).GetDoubleSidedAttr().Get(self._time))
-        own = self._materials.number(api.ComputeBoundMaterial()[0], both)
-        faces: dict[int, Int64s] = {own: np.empty(0, np.int64)}
+        default = self._materials.number(api.ComputeBoundMaterial()[0], both)
+        faces: dict[int, Int64s] = {default: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
             material, _ = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()
             number = self._materials.number(material, both)
@@ -293,3 +312,180 @@ def _check_below(numbers: Int64s, count: int, what: str) -> None:
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
         worst = numbers.min() if numbers.min() < 0 else numbers.max()
         raise ModelError(f"{what} {worst}, but there are {count}; export the model again")
+
+
+class _Materials:
+    """The materials of a stage, numbered as they are met; each image is decoded once."""
+
+    def __init__(self, name: str, options: Options) -> None:
+        self._name, self._options = name, options
+        self._numbers: dict[tuple[str, bool], int] = {}
+        self._texels: dict[tuple[str, str], Texels] = {}
+        self.known: list[Description] = []
+        self.files: dict[str, str] = {}
+
+    def number(self, material: Any, double_sided: bool) -> int:
+        """Return the number of a material of the stage, of none the same: what it has is displayColor."""
+        place = str(material.GetPath()) if material and self._options.materials else ""
+        key = place, double_sided
+        if key not in self._numbers:
+            described = self._described(material) if place else _plain()
+            name = material.GetPrim().GetName() if place else ""
+            made = described.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.known)
+            self.known.append(described._replace(material=made))
+        return self._numbers[key]
+
+    def _described(self, material: Any) -> Description:
+        shader = material.ComputeSurfaceSource()[0]
+        if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+            place = material.GetPath()
+            text = f"{self._name}: the material {place} is no UsdPreviewSurface, so it is white; convert it"
+            warnings.warn(text, ModelWarning, stacklevel=2)
+            return _plain()
+        inputs: dict[str, Input] = {"base_color": Input(_GREY)}
+        slots: dict[Slot, int] = {}
+        vertex: set[str] = set()
+        has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
+        left_out = "metallic" if has_specular else "specular"
+        for channel, word in _CHANNELS.items():
+            producer = None if channel == left_out else _producer(shader, word)
+            if producer is None:
+                continue
+            node, output, value = producer
+            kind = None if node is None else node.GetIdAttr().Get()
+            if kind == "UsdUVTexture":
+                made = self._textured(channel, node, output, slots)
+                if made is not None:
+                    inputs[channel] = made
+            elif kind is not None and kind.startswith("UsdPrimvarReader"):
+                inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
+                kind = f"{channel} {_value(node, 'varname', '')}"
+                vertex.add(kind)
+            elif value is not None and channel != "normal":
+                inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
+            if node is not None and kind not in _READ:
+                text = f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it"
+                warnings.warn(text, ModelWarning, stacklevel=2)
+        cutoff = float(_value(shader, "opacityThreshold", 0.0))
+        reads_opacity = "alpha displayOpacity" in vertex
+        mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
+        alpha = inputs.get("alpha")
+        if alpha is None or (alpha.texture is None and alpha.factor == (1.0,) and not reads_opacity):
+            mode = "opaque"
+            inputs.pop("alpha", None)
+        material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
+        reads_color = "base_color displayColor" in vertex
+        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
+
+    def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
+        """Return what a channel that reads an image is made of; None for normals of no image."""
+        scale = np.array(_value(node, "scale", (1.0,) * 4), np.float64)
+        bias = np.array(_value(node, "bias", (0.0,) * 4), np.float64)
+        lanes = _LANES.get(output, (0, 1, 2))
+        if CHANNELS[channel].components == 1:
+            lanes = lanes[:1]
+        elif len(lanes) == 1:
+            lanes *= 3
+        asset = _value(node, "file", None)
+        if asset is None or not asset.path:
+            text = f"{self._name}: {node.GetPath()} names no image, so it is its fallback"
+            warnings.warn(text, ModelWarning, stacklevel=2)
+            fallback = np.array(_value(node, "fallback", (0.0, 0.0, 0.0, 1.0)), np.float64)
+            return None if channel == "normal" else Input(tuple(fallback[list(lanes)].tolist()))
+        factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
+        if channel == "normal":  # 2t − 1 of the texel t is what the factor scales
+            plain = (scale == 1.0).all() and (bias == 0.0).all()
+            factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
+        made = Input(factor, None, lanes, offset if any(offset) else ())
+        if not self._options.wants_image(channel):
+            return made
+        texels = self._image(node, asset, _value(node, "sourceColorSpace", "auto"), channel)
+        wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
+        place = slots.setdefault(_slot(node), len(slots))
+        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, place))
+
+    def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
+        """Return an image as codes in the space of a channel."""
+        from pxr import Ar
+
+        what = f"{self._name}: {node.GetPath()}"
+        if is_absolute(asset.path):
+            raise ImageError(
+                f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
+            )
+        place = asset.resolvedPath
+        if not place:  # some programs write paths as Windows does
+            resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
+            relative = asset.path.replace("\\", "/")
+            place = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
+        is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
+        change = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}.get(
+            space, ""
+        )
+        if (place, "") not in self._texels:
+            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
+            if file is None:
+                raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
+            data = bytes(file.GetBuffer())
+            self.files[asset.path] = hashlib.sha256(data).hexdigest()
+            self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
+        if (place, change) not in self._texels:
+            texels = self._texels[place, ""]
+            if texels.dtype.kind != "f":  # light of floats stays
+                codes = np.arange(65536) / 65535.0
+                is_light = change == "to sRGB"
+                table = encode(
+                    codes if is_light else srgb_to_linear(codes), "uint16", "srgb" if is_light else "data"
+                )
+                alpha, texels = texels[..., 3], np.asarray(table[texels], np.uint16)
+                texels[..., 3] = alpha
+            self._texels[place, change] = texels
+        return self._texels[place, change]
+
+
+def _plain() -> Description:
+    """Return the material of what has none: its displayColor, or white."""
+    material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
+    return Description(material, reads_color=True)
+
+
+def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
+    """Return the shader and the output that an input is connected to, or None, "" and its value.
+
+    None for an input that is not there, or has neither.
+    """
+    from pxr import UsdShade
+
+    entry = shader.GetInput(name)
+    if not entry:
+        return None
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(entry):
+        if UsdShade.Output.IsOutput(attribute):
+            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName(), None
+        value = attribute.Get()
+        if value is not None:
+            return None, "", value
+    return None
+
+
+def _value(shader: Any, name: str, default: Any) -> Any:
+    """Return the value of an input, the default where none is given."""
+    producer = _producer(shader, name)
+    return default if producer is None or producer[2] is None else producer[2]
+
+
+def _slot(node: Any) -> Slot:
+    """Return the coordinates that an image is read at."""
+    producer = _producer(node, "st")
+    scale: tuple[float, ...] = (1.0, 1.0)
+    translation: tuple[float, ...] = (0.0, 0.0)
+    rotation = 0.0
+    if producer is not None and producer[0] is not None and producer[0].GetIdAttr().Get() == "UsdTransform2d":
+        turn = producer[0]
+        scale = tuple(map(float, _value(turn, "scale", scale)))
+        rotation = float(_value(turn, "rotation", rotation))
+        translation = tuple(map(float, _value(turn, "translation", translation)))
+        producer = _producer(turn, "in")
+    name = "st" if producer is None or producer[0] is None else str(_value(producer[0], "varname", "st"))
+    return Slot(name, scale, -math.radians(rotation), translation)  # v runs up here
