@@ -11,7 +11,7 @@ from octex.archive import areas, structure, values
 from octex.archive.around import around_children, around_nodes
 from octex.archive.entropy import Coder, Model
 from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, Form, owners_of
-from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
+from octex.arrays import Int32s, Uint8s, Uint32s
 
 _AREA_TABLES = areas.area_tables()
 
@@ -49,13 +49,13 @@ def code_block(
     is its level's only one, go on.
     """
     arrays, begin, end = content.arrays, block.begin, block.end
-    cells, nodes = around_nodes(arrays, block)
+    around = around_nodes(arrays, block)
     rows = np.empty((0, 4), np.int32)
     is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
     for kind in kinds:
         if kind != STRUCTURE and len(rows) == 0:  # once which children there are is known
             rows, owners = np.empty((end.cell - begin.cell, 4), np.int32), owners_of(content.split, block)
-            around_children(arrays.groups, block.first, block.last, cells, nodes, begin.cell, rows)
+            around_children(arrays.groups, block.first, block.last, around, begin.cell, rows)
         model = models.get(kind) or _new_model(kind, codings)
         if is_only:
             models[kind] = model
@@ -65,17 +65,17 @@ def code_block(
             coder = streams.begin(model, structure.MOST * (block.last - block.first))
             places = block.first, block.last, begin.node, begin.cell, end.node, end.cell
             may_be_nodes = block.level + 3 < arrays.level_cells.size
-            structure.code_structure(arrays.groups, arrays.flags, *places, may_be_nodes, cells, nodes, coder)
+            structure.code_structure(arrays.groups, arrays.flags, *places, may_be_nodes, around, coder)
         elif kind == AREAS:
             coder = streams.begin(model, len(rows) + owners.size)
-            areas.code_areas(rows, cells, arrays.flags, arrays.areas, begin.cell, _AREA_TABLES, coder)
+            areas.code_areas(rows, around, arrays.flags, arrays.areas, begin.cell, _AREA_TABLES, coder)
             row_areas = owners, content.split.areas, begin.row, arrays.areas
             areas.code_row_areas(*row_areas, _AREA_TABLES, coder)
         else:
             count = len(rows) + owners.size + end.kept - begin.kept
             form = codings[kind].form
             coder = streams.begin(model, count * (form.components * (1 if form.size == 1 else 9) + 1))
-            _code_channel(content, kind, codings[kind], block, (owners, rows, cells), streams, coder)
+            _code_channel(content, kind, codings[kind], block, (owners, rows, around), streams, coder)
         streams.end()
         if kind == STRUCTURE:
             streams.list_flagged(content, block)
@@ -92,17 +92,17 @@ def _code_channel(
     name: str,
     coding: Coding,
     block: Block,
-    around: tuple[Uint32s, Int32s, Int64s],
+    found: tuple[Uint32s, Int32s, Uint32s],
     streams: Streams,
     coder: Coder,
 ) -> None:
-    form, (owners, rows, cells), begin, end = coding.form, around, block.begin, block.end
+    form, (owners, rows, around), begin, end = coding.form, found, block.begin, block.end
     given, decoded = content.given[name], content.decoded[name]
     own = slice(begin.cell, end.cell)
     numbers = np.zeros((len(rows) + 1, form.components), np.uint32)
     streams.read(numbers[:-1], given.values[own], form)
     raw = decoded.values.reshape(-1)
-    values.code_values(rows, cells, raw, numbers, form, coding.weights, values.STEPS, coder)
+    values.code_values(rows, around, raw, numbers, form, coding.weights, values.STEPS, coder)
     streams.write(numbers[:-1], decoded.values[own], form)
     kept = slice(begin.kept, end.kept)
     for owned, own, theirs, ours, kind in (

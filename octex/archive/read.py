@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive.around import around_nodes
+from octex.archive.around import OWN, around_nodes
 from octex.archive.blocks import code_block
 from octex.archive.entropy import Coder, Model, decoder, is_whole
 from octex.archive.head import DamagedError, Fetch, pieces_of, read_directory, unpacked
@@ -212,8 +212,9 @@ class Decoding:
             blocks &= ~self._done[kind]
             for number in range(blocks.size - 1, -1, -1):  # with what they are guessed from, levels above
                 if blocks[number]:
-                    cells, _ = around_nodes(self._coded.arrays, self._parts[number].block)
-                    blocks |= self._marked([("cell", cells.reshape(-1))]) & ~self._done[kind]
+                    around = around_nodes(self._coded.arrays, self._parts[number].block)
+                    cells = around[:, : OWN + 1].astype(np.int64).reshape(-1)
+                    blocks |= self._marked([("cell", cells)]) & ~self._done[kind]
         return self._decode(marked) or was_more
 
     def level_of(self, table: str, rows: Int64s) -> int:

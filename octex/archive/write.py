@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from octex import container
-from octex.archive.around import first_below
 from octex.archive.blocks import code_block
 from octex.archive.entropy import Coder, Model, encoded, noter
 from octex.archive.head import channels_in, packed, pieces_of
@@ -38,6 +37,7 @@ from octex.archive.weights import fitted, sampled
 from octex.arrays import Array, Uint8s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
+from octex.tree.children import children_before
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
 
@@ -117,8 +117,9 @@ def _planned(content: Content) -> Iterator[list[Block]]:
 
     for level, (first_node, end_node) in enumerate(pairwise(arrays.level_nodes[:-1].tolist())):
         own = list(runs(first_node, end_node))
-        places = [place(*first_below(arrays, first)) for first, _ in own]
-        places.append(place(int(arrays.level_nodes[level + 2]), int(arrays.level_cells[level + 2])))
+        firsts = np.array([*(first for first, _ in own), end_node])
+        cells, nodes = children_before(arrays.groups, firsts)
+        places = list(map(place, nodes.tolist(), cells.tolist()))
         yield [Block(level, *run, *ends) for run, ends in zip(own, pairwise(places), strict=True)]
 
 
