@@ -59,7 +59,7 @@ def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: in
     for row in range(above.shape[0]):
         inner[OWN], stored[OWN], next_node[OWN], next_cell[OWN] = children_of(groups, begin + row)
         for k in range(6):
-            node = np.int64(above[row, NODES + k])
+            node = int(np.int64(above[row, NODES + k]))
             inner[k] = stored[k] = 0
             if node != NO_NODE:
                 inner[k], stored[k], next_node[k], next_cell[k] = children_of(groups, node)

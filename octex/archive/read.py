@@ -13,26 +13,22 @@ import numpy as np
 
 from octex.archive.around import OWN, around_nodes
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Coder, Model, decoder, is_whole
-from octex.archive.head import DamagedError, Fetch, pieces_of, read_directory, unpacked
+from octex.archive.entropy import Model
+from octex.archive.head import Fetch, pieces_of, read_directory, unpacked
 from octex.archive.layout import (
     AREAS,
     START,
     STRUCTURE,
     Block,
-    Content,
-    Form,
+    DamagedError,
     Place,
     after_root,
-    owners_of,
     runs,
 )
-from octex.archive.values import write_numbers
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
 from octex.parallel import ordered_map, workers
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
 class Contents(NamedTuple):
@@ -60,51 +56,6 @@ class _Stream(NamedTuple):
     def damaged(self) -> DamagedError:
         """Return the error for a stream that is not what was written."""
         return DamagedError(f"its bytes from {self.begin} on are damaged; copy it again")
-
-
-class _Streams:
-    """Streams of a block, read one after the other."""
-
-    def __init__(self, content: mmap.mmap, streams: list[_Stream]) -> None:
-        self._content = content
-        self._left = iter(streams)
-        self._stream: _Stream
-        self._coder: Coder
-
-    def begin(self, model: Model, most: int) -> Coder:  # noqa: ARG002 (for those that write)
-        """Return the coder of the next stream."""
-        self._stream = next(self._left)
-        self._coder = decoder(model, self._stream.read(self._content))
-        return self._coder
-
-    def end(self) -> None:
-        """Raise for a stream that was not read to its end."""
-        if self._stream.length % 4 or not is_whole(self._coder):
-            begin = self._stream.begin
-            raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
-
-    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Do nothing: they are decoded."""
-
-    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Write values that were read."""
-        write_numbers(numbers, raw, form)
-
-    def list_flagged(self, content: Content, block: Block) -> None:
-        """List in the tables which cells of a block are split, or kept nodes, by their flags."""
-        begin, end, flags = block.begin, block.end, content.arrays.flags
-        for flag, cells in (
-            (SPLIT, content.split.cells[begin.split : end.split]),
-            (KEPT, content.kept.cells[begin.kept : end.kept]),
-        ):
-            found = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
-            if found.size != cells.size:
-                raise DamagedError("its flags mark other cells than its blocks say; copy it again")
-            cells[:] = found
-        own = content.split.cells[begin.split : end.split]
-        content.split.facings[begin.split : end.split] = flags[own] & np.uint8(FACING_FLAGS)
-        if owners_of(content.split, block).size != end.row - begin.row:
-            raise DamagedError("its split cells have other rows than its blocks say; copy it again")
 
 
 class _Part(NamedTuple):
@@ -249,8 +200,8 @@ class Decoding:
 
     def _decode_block(self, task: tuple[_Part, list[str]]) -> None:
         part, kinds = task
-        streams = _Streams(self._content, [part.streams[kind] for kind in kinds])
-        code_block(self._coded, self._codings, part.block, kinds, streams, self._models)
+        streams = ((each.begin, each.read(self._content)) for each in map(part.streams.get, kinds) if each)
+        code_block(self._coded, self._codings, part.block, kinds, self._models, streams)
 
     def _decode_piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
         found = unpacked(stream.read(self._content), end - begin)

@@ -71,18 +71,9 @@ def model_of(form: Form) -> Model:
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
     """Return values (n, components, size) as whole numbers (n, components), green first."""
-    numbers = np.empty(raw.shape[:2], np.int64)
-    read_numbers(numbers, raw, form)
-    return numbers
-
-
-def read_numbers(numbers: Int64s | Uint32s, raw: Uint8s, form: Form) -> None:
-    """Write into ``numbers`` what `numbers_of` returns."""
+    numbers = raw.view(f"<u{form.size}")[:, _order(form), 0].astype(np.int64)
     sign = 1 << (8 * form.size - 1)
-    for place, j in enumerate(_order(form)):
-        numbers[:, place] = raw.view(f"<u{form.size}")[:, j, 0]
-    if form.is_float:
-        numbers[:] = np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign)
+    return np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign) if form.is_float else numbers
 
 
 def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
