@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import octex
-from octex.ahead import ahead
+from octex.ahead import SECTIONS, ahead, warm_up
 from octex.cli.addresses import TEXTURE_ENDINGS, check_texture
 from octex.cli.bake import bake, baking
 from octex.cli.common import Reporter, bytes_text, check_outputs, limited, run, say, tell
@@ -161,10 +161,8 @@ def _tell_what_was_made(
 
 
 def _warm_up(quiet: bool, program: str) -> int:
-    from octex.cli.warm_up import warm_up
-
     began = time.perf_counter()
-    with Reporter(program, quiet, announce=False) as progress, ahead("warm-up"):
+    with Reporter(program, quiet, announce=False) as progress, ahead(*SECTIONS):
         warm_up(progress)
     if not quiet:
         say(f"compiled and cached in {time.perf_counter() - began:.1f} s")

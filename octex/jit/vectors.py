@@ -29,7 +29,7 @@ class Vector(types.Type):  # type: ignore[misc]
         super().__init__(f"vector({element}, {count})")
 
 
-@register_model(Vector)  # type: ignore[untyped-decorator]
+@register_model(Vector)
 class _Model(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Vector) -> None:
         element = manager.lookup(kind.element).get_value_type()

@@ -1,4 +1,4 @@
-"""Everything that octex compiles, compiled: tiny models taken along every path."""
+"""Tiny models taken along every path of octex: they call all kernels (`tools/release/signatures.py`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
-from octex.parallel import Progress
 from octex.preview import Bump, write_preview
 from octex.source.vxz import unpack_vxz
 from octex.texture import FILTERS
@@ -67,29 +66,25 @@ f 2 5 3
 """
 
 
-def warm_up(progress: Progress) -> None:
-    """Read, convert, save, open, sample, validate, draw and paint tiny models, to cache all kernels."""
+def main(_arguments: list[str]) -> int:
+    """Read, convert, save, open, sample, validate, draw and paint tiny models."""
     with scratch_folder() as folder:
         surfaces = _surfaces(folder)
         light = Environment.of(np.full((4, 8, 3), 128, np.uint8))
-        stages = 2 * len(surfaces) + 1
-        for number, surface in enumerate(surfaces):
-            progress("compile", 2 * number, stages)
+        for surface in surfaces:
             _convert_and_look(surface, folder)
-            progress("compile", 2 * number + 1, stages)
             texture = octex.convert(surface, 3)
             write_preview(folder / "model.png", surface, texture, (64, 64))
             bump = Bump("base_color", 0.01)
             write_preview(folder / "lit.png", surface, texture, (64, 64), light=light, bump=bump)
         light.irradiance([[0.0, 0.0, 1.0]])
-        progress("compile", stages - 1, stages)
         _map(surfaces[0])
         _take(surfaces[0])
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
         _bake(surfaces, folder)
         _ptex(folder)
-        progress("compile", stages, stages)
+    return 0
 
 
 def _surfaces(folder: Path) -> list[octex.Surface]:
