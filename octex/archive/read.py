@@ -76,7 +76,9 @@ def read(path: str | os.PathLike[str]) -> Contents:
             if os.fstat(file.fileno()).st_size < START:
                 raise DamagedError("is cut off; copy it again")
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                return _decoded(content)
+                decoding = Decoding(content)
+                decoding.decode_all()
+                return decoding.contents
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (MemoryError, OverflowError):
@@ -85,23 +87,13 @@ def read(path: str | os.PathLike[str]) -> Contents:
         raise TextureFileError(f"{path}: {error}") from error
 
 
-def _decoded(content: mmap.mmap) -> Contents:
-    decoding = Decoding(content)
-    decoding.decode_all()
-    return decoding.contents
-
-
-def _nothing(_ranges: Sequence[tuple[int, int]]) -> None:
-    pass
-
-
 class Decoding:
     """The decoding of one archive, whole or in part: a block's stream after what it is decoded with.
 
     ``fetch`` is told which bytes of ``content`` are about to be read. Raises DamagedError, as its methods do.
     """
 
-    def __init__(self, content: mmap.mmap, fetch: Fetch = _nothing) -> None:
+    def __init__(self, content: mmap.mmap, fetch: Fetch = lambda _ranges: None) -> None:
         self._content, self._fetch = content, fetch
         self._directory = read_directory(content, fetch)
         self._models: dict[str, Model] = {}
@@ -143,8 +135,12 @@ class Decoding:
         if not self.is_whole:
             self._fetch([(START, self._directory.begin)])
             self._decode({kind: np.ones(len(self._parts), np.bool_) for kind in self._kinds})
-            for piece in self._others:
-                self._decode_piece(*piece)
+            for name, begin, end, stream in self._others:
+                found = unpacked(stream.read(self._content), end - begin)
+                if found is None:
+                    raise stream.damaged()
+                flat = self._directory.tensors[name].reshape(-1).view(np.uint8)
+                flat[begin:end] = np.frombuffer(found, np.uint8)
             self.is_whole = True
 
     def decode_structure(self, level: int) -> bool:
@@ -202,12 +198,6 @@ class Decoding:
         part, kinds = task
         streams = ((each.begin, each.read(self._content)) for each in map(part.streams.get, kinds) if each)
         code_block(self._coded, self._codings, part.block, kinds, self._models, streams)
-
-    def _decode_piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
-        found = unpacked(stream.read(self._content), end - begin)
-        if found is None:
-            raise stream.damaged()
-        self._directory.tensors[name].reshape(-1).view(np.uint8)[begin:end] = np.frombuffer(found, np.uint8)
 
     def _stream(self) -> _Stream:
         """Return where the next stream of the file lies."""

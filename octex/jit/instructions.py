@@ -52,12 +52,12 @@ def popcount(bits: int | np.uint64) -> int:
     return int(bits).bit_count()
 
 
-def _write_zeros(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
-    zero_is_undefined = ir.Constant(ir.IntType(1), 0)
-    return builder.cttz(*given, zero_is_undefined)
+_ALSO_ZERO = ir.Constant(ir.IntType(1), 0)
 
 
-@instruction(lambda _: types.int64(types.uint64), _write_zeros)
+@instruction(
+    lambda _: types.int64(types.uint64), lambda _c, builder, _s, given: builder.cttz(*given, _ALSO_ZERO)
+)
 def trailing_zeros(bits: int | np.uint64) -> int:
     """Index of the lowest set bit of a non-zero unsigned 64-bit integer: one instruction."""
     bits = int(bits)

@@ -146,11 +146,7 @@ def _vector(numbers: Any) -> Any:
     return np.array(numbers)
 
 
-def _write_chosen(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
-    return builder.select(*given)
-
-
-@instruction(lambda mask, one, other: one(mask, one, other), _write_chosen)
+@instruction(lambda mask, one, other: one(mask, one, other), lambda _c, to, _s, given: to.select(*given))
 def chosen(mask: Any, one: Any, other: Any) -> Any:
     """Return the vector of one's numbers where ``mask`` is true, and of the other's else."""
     return np.where(mask, one, other)
