@@ -71,7 +71,7 @@ def model_of(form: Form) -> Model:
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
     """Return values (n, components, size) as whole numbers (n, components), green first."""
-    numbers = raw.view(f"<u{form.size}")[:, _order(form), 0].astype(np.int64)
+    numbers = raw.view(f"<u{form.size}")[:, _order(form), 0].astype(np.int64, order="C")
     sign = 1 << (8 * form.size - 1)
     return np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign) if form.is_float else numbers
 
