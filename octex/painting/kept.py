@@ -20,7 +20,7 @@ from octex.painting.cells import (
 )
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
 from octex.tree.edit import among, locate, places, with_all_above
-from octex.tree.layout import FACING_FLAGS, OPPOSITE, SPLIT
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 
 
@@ -104,7 +104,7 @@ def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Pa
     chosen = ~is_beside
     for bit in np.unique(skirt.flags[is_beside] & np.uint8(FACING_FLAGS)).tolist():
         if bit.bit_count() == 1:
-            opposite = OPPOSITE[bit]
+            opposite = bit << 1 if bit & POSITIVE_FACINGS else bit >> 1
             flags = [tree.arrays.flags[locate(tree, own, at).cells] for at, own in enumerate(far)]
             seeing = [own[each & FACING_FLAGS != opposite] for own, each in zip(far, flags, strict=True)]
             own = is_beside & (skirt.flags & FACING_FLAGS == bit)
