@@ -35,9 +35,9 @@ from urllib.parse import unquote
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork takes no threads along
 
+from octex.ahead import warm_up
 from octex.cli import convert
 from octex.cli.common import TRACEBACK_VARIABLE, bytes_text
-from octex.ahead import warm_up
 from octex.errors import ExitCode, ImageError
 from octex.parallel import silent
 from octex.source.images.decode import decode_image
