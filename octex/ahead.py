@@ -17,8 +17,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from octex.parallel import cpu_count
+from octex.parallel import Progress, cpu_count
 
+#: Of the list: what commands call, and "warm-up" what else there is.
+SECTIONS = "convert", "preview", "view", "paint", "warm-up"
 LIST = Path(__file__).with_name("signatures.txt")
 #: What code that a wheel brings along is compiled for: numba's names of a processor and its features.
 PORTABLE = {
@@ -93,9 +95,23 @@ def main() -> None:
     number, count = map(int, sys.argv[1:3])
     threading.Thread(target=_watch, args=[_writing()], daemon=True).start()
     for line in lines(*sys.argv[3:])[::-1][number::count]:
-        with suppress(Exception):
-            kernel, arguments = read(line)
-            kernel.compiled.compile(arguments)
+        _compile(line)
+
+
+def compile_listed(progress: Progress) -> None:
+    """Compile all that is listed; later commands start at once."""
+    listed = lines(*SECTIONS)
+    for done, line in enumerate(listed):
+        progress("compile", done, len(listed))
+        _compile(line)
+    progress("compile", len(listed), len(listed))
+
+
+def _compile(line: str) -> None:
+    """Compile a line of the list, or pass over one that no longer fits."""
+    with suppress(Exception):
+        kernel, arguments = read(line)
+        kernel.compiled.compile(arguments)
 
 
 def _writing() -> AbstractContextManager[Any]:

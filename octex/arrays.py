@@ -16,6 +16,7 @@ from octex.errors import OutputError
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
 Int8s = npt.NDArray[np.int8]
+Int16s = npt.NDArray[np.int16]
 Int32s = npt.NDArray[np.int32]
 Int64s = npt.NDArray[np.int64]
 Integers = npt.NDArray[np.integer[Any]]

@@ -49,20 +49,6 @@ def as_progress(progress: Progress | None) -> Progress:
     return silent if progress is None else progress
 
 
-def as_executor(executor: Executor | None) -> Executor | None:
-    """Return an executor or None, or raise ArgumentError."""
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise ArgumentError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
-    return executor
-
-
-def as_threads(threads: int | None) -> int | None:
-    """Return a number of threads or None, or raise ArgumentError."""
-    from octex.checks import as_whole  # imports numpy, which commands do without at first
-
-    return None if threads is None else as_whole(threads, "threads", 1, _MOST_THREADS)
-
-
 def memory_size() -> float:
     """Return the bytes of memory that this machine has, infinity if it does not say."""
     try:
@@ -168,7 +154,12 @@ def workers(
     task, and for None in a thread that works for octex already. Raises ArgumentError for threads and an
     executor, and for what is neither.
     """
-    executor, threads = as_executor(executor), as_threads(threads)
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise ArgumentError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
+    if threads is not None:
+        from octex.checks import as_whole  # imports numpy, which commands do without at first
+
+        threads = as_whole(threads, "threads", 1, _MOST_THREADS)
     if executor is not None and threads is not None:
         raise ArgumentError("give threads or an executor, not both")
     if executor is not None:

@@ -23,7 +23,7 @@ _SHAPES = 21 * 3 * 4 * 4 + 3
 _CONTEXTS = _SHAPES * _PARTS
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
-_STEPS = np.array([4, 9, 17, 25, 36])
+_STEPS = 4, 9, 17, 25, 36
 _NO_AXIS = 20
 #: Tokens of differences: 8 less or more, 0, 1, 2, then how many bits they have less one, and 2; the last has
 #: 7. Of each the bits, and the least that they are.
@@ -31,7 +31,7 @@ _LENGTHS = np.searchsorted([1, 2, 3, 5, 9, 17, 33, 65], np.arange(256), side="ri
 _BITS_OF = np.array([6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
 _LEAST_OF = np.array([65, 33, 17, 9, 5, 3, 2, 1, 0, 1, 2, 3, 5, 9, 17, 33])
 
-Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s, Uint8s, Int64s, Int64s]
+Tables = tuple[Int64s, Uint8s, Uint8s, Uint8s, Int64s, Int64s]
 
 
 def model() -> Model:
@@ -42,15 +42,14 @@ def model() -> Model:
 def area_tables() -> Tables:
     """Return what kernels take.
 
-    These are 2³⁰ times the areas of codes, whole; steps of an octave; parts; axes; tokens of differences.
+    These are 2³⁰ times the areas of codes, whole; steps of an octave; axes; tokens of differences.
     """
     areas = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
     areas[0] = 0
     steps = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
-    parts = _PARTS - 1 - np.searchsorted(_STEPS, np.arange(256), side="right")
     axes = np.full(FACING_FLAGS + 1, 3, np.uint8)
     axes[1 << np.arange(6)] = np.arange(6) >> 1
-    return areas, steps, parts.astype(np.uint8), axes, _LENGTHS, _BITS_OF, _LEAST_OF
+    return areas, steps, axes, _LENGTHS, _BITS_OF, _LEAST_OF
 
 
 @inlined
@@ -66,10 +65,12 @@ def _code(area: int, areas: Int64s, steps: Uint8s) -> int:
 @inlined
 def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, tables: Tables, coder: Coder) -> int:
     """Note or decode an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
-    areas, steps, parts, _, lengths, bits, least = tables
-    code = _code(max(rest, areas[np.uint64(whole)] >> 8), areas, steps)
-    part = wide(parts[np.uint64(min(max(whole - code, 0), 255))])
-    guess = code if guess < 0 else guess
+    areas, steps, _, lengths, bits, least = tables
+    rest, part = max(rest, areas[np.uint64(whole)] >> 8), wide(0)
+    for step in _STEPS:
+        part += wide(rest >= areas[np.uint64(max(whole + 1 - step, 0))])
+    if guess < 0:
+        guess = _code(rest, areas, steps)
     far = (area - guess + 128 & 255) - 128
     size = abs(far)
     token = wide(lengths[np.uint64(size)])
@@ -89,14 +90,14 @@ def _size(area: int, whole: int) -> int:
 @kernel
 def code_areas(
     rows: Int32s,
-    cells: Int64s,
+    around: Uint32s,
     flags: Uint8s,
     areas: Uint8s,
     begin: int,
     tables: Tables,
     coder: Coder,
 ) -> None:
-    """Note or decode the areas of cells from ``begin`` on; ``rows``, ``cells`` lie around them."""
+    """Note or decode the areas of cells from ``begin`` on; ``rows``, ``around`` lie around them."""
     rest = whole = wide(0)
     left, node = 1, -1
     beside = np.zeros(3, np.int64)
@@ -104,7 +105,7 @@ def code_areas(
         if left == 1:
             node += 1
             # A child's face is a quarter of its parent's: so many steps.
-            whole = min(wide(areas[cells[node, OWN]]) + 2 * AREA_STEPS, 255)
+            whole = min(wide(areas[around[node, OWN]]) + 2 * AREA_STEPS, 255)
             rest = tables[0][whole]
         about = wide(rows[np.uint64(t), ABOUT])
         left = about & 15
@@ -113,10 +114,10 @@ def code_areas(
             # Whether one lies there is as good as random: no branch.
             is_there = -wide(other >= 0)
             beside[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
-        axis = wide(tables[3][flags[begin + t] & FACING_FLAGS])
-        own = np.uint64(axis & -wide(axis < 3))
-        along, beside[own] = beside[own], 0
-        across = max(beside[0], max(beside[1], beside[2]))
+        axis = wide(tables[2][flags[begin + t] & FACING_FLAGS])
+        x, y, z = beside[0], beside[1], beside[2]
+        along = y if axis == 1 else z if axis == 2 else x
+        across = max(x if axis == 1 or axis == 2 else 0, max(0 if axis == 1 else y, 0 if axis == 2 else z))
         shape, guess = wide(_NO_AXIS), whole
         if axis < 3:
             pairs = about >> 8 & 63
@@ -125,10 +126,10 @@ def code_areas(
             if pair == 0:
                 guess = across if across > 0 else whole
             elif pair < 3 and along > 0:
-                column = tables[0][areas[cells[node, OWN]]]
+                column = tables[0][areas[around[node, OWN]]]
                 for k in range(2 * axis, 2 * axis + 2):
-                    if cells[node, k] != cells[node, OWN]:
-                        column += tables[0][areas[cells[node, k]]]
+                    if around[node, k] != around[node, OWN]:
+                        column += tables[0][areas[around[node, k]]]
                 guess = _code(max(column - tables[0][along], column >> 6), tables[0], tables[1])
         context = ((shape * 3 + min(left, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
         guess = -1 if left == 1 else guess

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s, Uint16s, Uint32s
-from octex.jit import count_begun, inlined, kernel, move_begins
+from octex.arrays import Int16s, Int64s, Uint8s, Uint32s
+from octex.jit import chosen, inlined, kernel, mask_bits, popcount, put, sixteen, sixteen_at
 
 #: Bits of a frequency.
 PRECISION = 15
@@ -39,13 +39,14 @@ _TOKEN_OF = np.searchsorted(_TOKENS[0], np.arange(256), side="right").astype(np.
 _LONG = np.append(_TOKENS[1][:-1], 5)
 _STEPS = _RATES, *_TOKENS, _LONG, _TOKEN_OF, np.zeros(SYMBOLS, np.int64)
 #: What a context begins with.
-_EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] * (_ROW - _SEEN), np.uint16)
+_EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] * (_ROW - _SEEN), np.int16)
+_LANES = np.arange(SYMBOLS, dtype=np.int16)
 
 
 class Model(NamedTuple):
     """What a stream has learned: what kernels take."""
 
-    numbers: Uint16s  # (contexts · 32,)
+    numbers: Int16s  # (contexts · 32,)
     odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
 
 
@@ -131,14 +132,17 @@ def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder
     """Note or decode a symbol of 16 in a context and its plain bits, ``bits`` of each symbol; return both."""
     numbers, at = coder.model.numbers, context * _ROW
     if coder.work == DECODES:
-        symbol = count_begun(numbers, at, _low(coder)) - 1
+        begins = sixteen_at(numbers, at) + sixteen_at(_LANES, 0)
+        symbol = popcount(mask_bits(begins <= sixteen(_low(coder)))) - 1
     own = np.uint64(at + symbol)
     start = wide(numbers[own])
     size = wide(numbers[own + np.uint64(1)]) - start + 1
     plain = _code(start + symbol, size, plain, bits[np.uint64(symbol)], coder)
     seen = wide(numbers[np.uint64(at + _SEEN)])
     numbers[np.uint64(at + _SEEN)] = min(seen + 1, coder.rates.size - 1)
-    move_begins(numbers, at, symbol, coder.rates[np.uint64(seen)])
+    row, rate = sixteen_at(numbers, at), sixteen(coder.rates[np.uint64(seen)])
+    is_after = sixteen_at(_LANES, 0) > sixteen(symbol)
+    put(numbers, at, row - (row >> rate) + chosen(is_after, sixteen(_MOST) >> rate, sixteen(0)))
     return symbol, plain
 
 

@@ -23,6 +23,7 @@ from octex.archive.layout import (
     TREE_NAMES,
     Coding,
     Content,
+    DamagedError,
     Form,
     Named,
     Place,
@@ -42,10 +43,6 @@ _LONGEST, _MOST_FOR_XZ = 1 << 28, 1 << 26
 
 #: Is told which bytes of the file, from … to before …, are about to be read.
 Fetch = Callable[[Sequence[tuple[int, int]]], None]
-
-
-class DamagedError(Exception):
-    """Say what is wrong, without the file's name."""
 
 
 class Directory(NamedTuple):

@@ -42,6 +42,10 @@ def is_archive(path: str | os.PathLike[str]) -> bool:
     return False
 
 
+class DamagedError(Exception):
+    """Say what is wrong, without the file's name."""
+
+
 class Place(NamedTuple):
     """How many of each come before a place in the file's order."""
 

@@ -11,28 +11,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive.around import around_nodes
+from octex.archive.around import OWN, around_nodes
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Coder, Model, decoder, is_whole
-from octex.archive.head import DamagedError, Fetch, pieces_of, read_directory, unpacked
+from octex.archive.entropy import Model
+from octex.archive.head import Fetch, pieces_of, read_directory, unpacked
 from octex.archive.layout import (
     AREAS,
     START,
     STRUCTURE,
     Block,
-    Content,
-    Form,
+    DamagedError,
     Place,
     after_root,
-    owners_of,
     runs,
 )
-from octex.archive.values import write_numbers
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, Int64s
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import open_file
 from octex.parallel import ordered_map, workers
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
 class Contents(NamedTuple):
@@ -62,51 +58,6 @@ class _Stream(NamedTuple):
         return DamagedError(f"its bytes from {self.begin} on are damaged; copy it again")
 
 
-class _Streams:
-    """Streams of a block, read one after the other."""
-
-    def __init__(self, content: mmap.mmap, streams: list[_Stream]) -> None:
-        self._content = content
-        self._left = iter(streams)
-        self._stream: _Stream
-        self._coder: Coder
-
-    def begin(self, model: Model, most: int) -> Coder:  # noqa: ARG002 (for those that write)
-        """Return the coder of the next stream."""
-        self._stream = next(self._left)
-        self._coder = decoder(model, self._stream.read(self._content))
-        return self._coder
-
-    def end(self) -> None:
-        """Raise for a stream that was not read to its end."""
-        if self._stream.length % 4 or not is_whole(self._coder):
-            begin = self._stream.begin
-            raise DamagedError(f"its bytes from {begin} on make no sense: damaged, or not by octex")
-
-    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Do nothing: they are decoded."""
-
-    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Write values that were read."""
-        write_numbers(numbers, raw, form)
-
-    def list_flagged(self, content: Content, block: Block) -> None:
-        """List in the tables which cells of a block are split, or kept nodes, by their flags."""
-        begin, end, flags = block.begin, block.end, content.arrays.flags
-        for flag, cells in (
-            (SPLIT, content.split.cells[begin.split : end.split]),
-            (KEPT, content.kept.cells[begin.kept : end.kept]),
-        ):
-            found = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
-            if found.size != cells.size:
-                raise DamagedError("its flags mark other cells than its blocks say; copy it again")
-            cells[:] = found
-        own = content.split.cells[begin.split : end.split]
-        content.split.facings[begin.split : end.split] = flags[own] & np.uint8(FACING_FLAGS)
-        if owners_of(content.split, block).size != end.row - begin.row:
-            raise DamagedError("its split cells have other rows than its blocks say; copy it again")
-
-
 class _Part(NamedTuple):
     """A block, and where its streams lie."""
 
@@ -125,7 +76,9 @@ def read(path: str | os.PathLike[str]) -> Contents:
             if os.fstat(file.fileno()).st_size < START:
                 raise DamagedError("is cut off; copy it again")
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                return _decoded(content)
+                decoding = Decoding(content)
+                decoding.decode_all()
+                return decoding.contents
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (MemoryError, OverflowError):
@@ -134,23 +87,13 @@ def read(path: str | os.PathLike[str]) -> Contents:
         raise TextureFileError(f"{path}: {error}") from error
 
 
-def _decoded(content: mmap.mmap) -> Contents:
-    decoding = Decoding(content)
-    decoding.decode_all()
-    return decoding.contents
-
-
-def _nothing(_ranges: Sequence[tuple[int, int]]) -> None:
-    pass
-
-
 class Decoding:
     """The decoding of one archive, whole or in part: a block's stream after what it is decoded with.
 
     ``fetch`` is told which bytes of ``content`` are about to be read. Raises DamagedError, as its methods do.
     """
 
-    def __init__(self, content: mmap.mmap, fetch: Fetch = _nothing) -> None:
+    def __init__(self, content: mmap.mmap, fetch: Fetch = lambda _ranges: None) -> None:
         self._content, self._fetch = content, fetch
         self._directory = read_directory(content, fetch)
         self._models: dict[str, Model] = {}
@@ -192,8 +135,12 @@ class Decoding:
         if not self.is_whole:
             self._fetch([(START, self._directory.begin)])
             self._decode({kind: np.ones(len(self._parts), np.bool_) for kind in self._kinds})
-            for piece in self._others:
-                self._decode_piece(*piece)
+            for name, begin, end, stream in self._others:
+                found = unpacked(stream.read(self._content), end - begin)
+                if found is None:
+                    raise stream.damaged()
+                flat = self._directory.tensors[name].reshape(-1).view(np.uint8)
+                flat[begin:end] = np.frombuffer(found, np.uint8)
             self.is_whole = True
 
     def decode_structure(self, level: int) -> bool:
@@ -212,8 +159,9 @@ class Decoding:
             blocks &= ~self._done[kind]
             for number in range(blocks.size - 1, -1, -1):  # with what they are guessed from, levels above
                 if blocks[number]:
-                    cells, _ = around_nodes(self._coded.arrays, self._parts[number].block)
-                    blocks |= self._marked([("cell", cells.reshape(-1))]) & ~self._done[kind]
+                    around = around_nodes(self._coded.arrays, self._parts[number].block)
+                    cells = around[:, : OWN + 1].astype(np.int64).reshape(-1)
+                    blocks |= self._marked([("cell", cells)]) & ~self._done[kind]
         return self._decode(marked) or was_more
 
     def level_of(self, table: str, rows: Int64s) -> int:
@@ -248,14 +196,8 @@ class Decoding:
 
     def _decode_block(self, task: tuple[_Part, list[str]]) -> None:
         part, kinds = task
-        streams = _Streams(self._content, [part.streams[kind] for kind in kinds])
-        code_block(self._coded, self._codings, part.block, kinds, streams, self._models)
-
-    def _decode_piece(self, name: str, begin: int, end: int, stream: _Stream) -> None:
-        found = unpacked(stream.read(self._content), end - begin)
-        if found is None:
-            raise stream.damaged()
-        self._directory.tensors[name].reshape(-1).view(np.uint8)[begin:end] = np.frombuffer(found, np.uint8)
+        streams = ((each.begin, each.read(self._content)) for each in map(part.streams.get, kinds) if each)
+        code_block(self._coded, self._codings, part.block, kinds, self._models, streams)
 
     def _stream(self) -> _Stream:
         """Return where the next stream of the file lies."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import OWN, children_of, lowest, ones
+from octex.archive.around import NO_NODE, NODES, OWN, before, children_of, lowest, ones
 from octex.archive.entropy import DECODES, FAULT, Coder, Model, code_bit, code_symbol, new_model, wide
-from octex.arrays import Int64s, Uint8s, Uint64s
+from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
 from octex.jit import inlined, kernel
 from octex.tree.layout import FACING_FLAGS
 
@@ -25,8 +25,8 @@ def model() -> Model:
 
 @inlined
 def _mask(masks: Int64s, node: int) -> int:
-    """Return the mask of a node of the block, 0 for one below it."""
-    is_own = wide(node >= 0)  # as good as random: no branch
+    """Return the mask of a node, by its number in the block, 0 for one outside it."""
+    is_own = wide(node >= 0) & wide(node < masks.size)  # as good as random: no branch
     return wide(masks[np.uint64(node * is_own)] & -is_own)
 
 
@@ -41,8 +41,7 @@ def code_structure(
     end_node: int,
     end_cell: int,
     may_be_nodes: bool,
-    cells: Int64s,
-    nodes: Int64s,
+    around: Uint32s,
     coder: Coder,
 ) -> None:
     """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
@@ -58,19 +57,20 @@ def code_structure(
         own = node - first
         is_node = is_leaf = 0
         if not decodes:
-            is_node, is_leaf, _, _ = children_of(groups, node)
+            is_node, stored, _, _ = children_of(groups, node)
+            is_leaf = stored ^ is_node
         elif node & 7 == 0:
             groups[node >> 3, 0] = 0
             groups[node >> 3, 1] = 0
             groups[node >> 3, 2] = np.uint64(next_node) | np.uint64(next_cell) << np.uint64(32)
         faces = leaves_beside = 0
         for k in range(6):
-            is_there = wide(cells[own, k] != cells[own, OWN])
+            is_there = wide(around[own, k] != around[own, OWN])
             faces |= is_there << k
-            leaves_beside += is_there & wide(nodes[own, k] < 0)
-        x = _mask(masks, nodes[own, 0] - first)
-        y = _mask(masks, nodes[own, 2] - first)
-        z = _mask(masks, nodes[own, 4] - first)
+            leaves_beside += is_there & wide(around[own, NODES + k] == NO_NODE)
+        x = _mask(masks, wide(around[own, NODES + 0]) - first)
+        y = _mask(masks, wide(around[own, NODES + 2]) - first)
+        z = _mask(masks, wide(around[own, NODES + 4]) - first)
         given = wide(is_node | is_leaf)
         context = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
         context |= (faces >> 1 & 1 | faces >> 2 & 2) << 8
@@ -82,7 +82,7 @@ def code_structure(
             coder.state[FAULT] = 1
             return
         masks[own], begins[own] = there, next_cell
-        parent = wide(flags[cells[own, OWN]])
+        parent = wide(flags[around[own, OWN]])
         count, leaves, alike = ones(there), wide(0), wide(1)
         bits = there if may_be_nodes else 0
         while bits:
@@ -106,9 +106,9 @@ def code_structure(
             some = wide(0)
             for axis in range(3):
                 across = octant ^ 1 << axis
-                other = own if octant >> axis & 1 else nodes[own, 2 * axis] - first
-                if other >= 0 and masks[other] >> across & 1:
-                    some |= wide(flags[begins[other] + ones(masks[other] & ((1 << across) - 1))])
+                other = own if octant >> axis & 1 else wide(around[own, NODES + 2 * axis]) - first
+                if _mask(masks, other) >> across & 1:
+                    some |= wide(flags[begins[other] + before(masks[other], across)])
             flag, found, left = (0 if decodes else wide(flags[next_cell])), wide(0), shown
             while left:
                 facing = lowest(left)

@@ -71,18 +71,9 @@ def model_of(form: Form) -> Model:
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
     """Return values (n, components, size) as whole numbers (n, components), green first."""
-    numbers = np.empty(raw.shape[:2], np.int64)
-    read_numbers(numbers, raw, form)
-    return numbers
-
-
-def read_numbers(numbers: Int64s | Uint32s, raw: Uint8s, form: Form) -> None:
-    """Write into ``numbers`` what `numbers_of` returns."""
+    numbers = raw.view(f"<u{form.size}")[:, _order(form), 0].astype(np.int64, order="C")
     sign = 1 << (8 * form.size - 1)
-    for place, j in enumerate(_order(form)):
-        numbers[:, place] = raw.view(f"<u{form.size}")[:, j, 0]
-    if form.is_float:
-        numbers[:] = np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign)
+    return np.where(numbers & sign, 2 * sign - 1 - numbers, numbers | sign) if form.is_float else numbers
 
 
 def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
@@ -163,7 +154,7 @@ class _Room(NamedTuple):
 @kernel
 def code_values(
     rows: Int32s,
-    cells: Int64s,
+    around: Uint32s,
     raw: Uint8s,
     numbers: Uint32s,
     form: Form,
@@ -171,7 +162,7 @@ def code_values(
     tables: Steps,
     coder: Coder,
 ) -> None:
-    """Note or decode the values of a block's cells, around which lie ``rows`` and ``cells``.
+    """Note or decode the values of a block's cells, around which lie ``rows`` and ``around``.
 
     ``raw`` are the bytes of the levels above; ``numbers`` (cells + 1, components) are noted, and written as
     they will be read; the last row is room.
@@ -184,17 +175,17 @@ def code_values(
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
-        _code_values(rows, cells, raw, flat, Form(3, 1, 0, 0, 0), tables, room, coder)
+        _code_values(rows, around, raw, flat, Form(3, 1, 0, 0, 0), tables, room, coder)
     elif is_plain and form.components == 1:
-        _code_values(rows, cells, raw, flat, Form(1, 1, 0, 0, 0), tables, room, coder)
+        _code_values(rows, around, raw, flat, Form(1, 1, 0, 0, 0), tables, room, coder)
     else:
-        _code_values(rows, cells, raw, flat, form, tables, room, coder)
+        _code_values(rows, around, raw, flat, form, tables, room, coder)
 
 
 @inlined
 def _code_values(
     rows: Int32s,
-    cells: Int64s,
+    around: Uint32s,
     raw: Uint8s,
     numbers: Uint32s,
     form: Form,
@@ -207,7 +198,8 @@ def _code_values(
         about = wide(rows[t, ABOUT])
         if left == 1:
             node += 1
-            flat = _begin_node(wide(t), about, node, was_flat, cells, raw, numbers, form, tables, room, coder)
+            own = around[np.uint64(node)]
+            flat = _begin_node(wide(t), about, own, was_flat, raw, numbers, form, tables, room, coder)
             was_flat = was_flat if flat < 0 else flat
         left = about & 15
         if flat > 0:
@@ -234,9 +226,8 @@ def _code_values(
 def _begin_node(
     t: int,
     about: int,
-    node: int,
+    around: Uint32s,
     was_flat: int,
-    cells: Int64s,
     raw: Uint8s,
     numbers: Uint32s,
     form: Form,
@@ -245,11 +236,11 @@ def _begin_node(
     coder: Coder,
 ) -> int:
     """Look around a node; return whether its children are as the cells around, −1 if these differ."""
-    i, differ = np.uint64(node), wide(0)
+    differ = wide(0)
     for j in range(form.components):
-        value, total, sum_ = _number_at(raw, cells[i, OWN], j, form), wide(0), wide(0)
+        value, total, sum_ = _number_at(raw, wide(around[OWN]), j, form), wide(0), wide(0)
         for k in range(6):
-            side = _number_at(raw, cells[i, np.uint64(k)], j, form) - value
+            side = _number_at(raw, wide(around[np.uint64(k)]), j, form) - value
             differ |= side
             total += abs(side)
             side = _term(side, form)

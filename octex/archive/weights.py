@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN, around_children, around_nodes, first_below
+from octex.archive.around import ABOUT, OWN, around_children, around_nodes
 from octex.archive.layout import Block, Form, Place
 from octex.archive.values import CLASSES, STEPS, TERMS, WEIGHT_BITS, numbers_of
-from octex.arrays import Array, Int32s, Int64s, Uint8s
+from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s
+from octex.tree.children import children_before
 from octex.tree.layout import TreeArrays
 
 #: About so many nodes of each of the two deepest levels are looked at, so many at a time.
@@ -16,7 +17,7 @@ _ROUNDS = 3
 _MOST = 8 << WEIGHT_BITS
 
 #: Of some nodes: their children's first cell, and what lies around.
-Sampled = list[tuple[int, Int32s, Int64s]]
+Sampled = list[tuple[int, Int32s, Uint32s]]
 
 
 def sampled(arrays: TreeArrays) -> Sampled:
@@ -27,12 +28,11 @@ def sampled(arrays: TreeArrays) -> Sampled:
         count = min(_SAMPLE // _RUN, -(-(end - begin) // _RUN))
         for first in (begin + (end - begin) * n // count for n in range(count)):
             last, none = min(first + _RUN, end), Place(0, 0, 0, 0, 0)
-            cell = first_below(arrays, first)[1]
-            after = first_below(arrays, last)[1] if last < end else int(arrays.level_cells[level + 2])
-            cells, nodes = around_nodes(arrays, Block(level, first, last, none, none))
+            cell, after = children_before(arrays.groups, np.array([first, last]))[0].tolist()
+            around = around_nodes(arrays, Block(level, first, last, none, none))
             rows = np.empty((after - cell, 4), np.int32)
-            around_children(arrays.groups, first, last, cells, nodes, cell, rows)
-            found.append((cell, rows, cells))
+            around_children(arrays.groups, first, last, around, cell, rows)
+            found.append((cell, rows, around[:, : OWN + 1]))
     return found
 
 
@@ -69,7 +69,7 @@ def fitted(raw: Uint8s, form: Form, sample: Sampled) -> Int64s:
     return weights.reshape(-1)
 
 
-def _terms(raw: Uint8s, form: Form, begin: int, rows: Int32s, cells: Int64s) -> tuple[Array, ...]:
+def _terms(raw: Uint8s, form: Form, begin: int, rows: Int32s, cells: Uint32s) -> tuple[Array, ...]:
     """Return terms (components, terms, cells), what values have more than their parents', classes, and kinds.
 
     All but the kinds are by component and cell, in the channel's unit.

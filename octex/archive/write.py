@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from octex import container
-from octex.archive.around import first_below
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Coder, Model, encoded, noter
+from octex.archive.entropy import Model
 from octex.archive.head import channels_in, packed, pieces_of
 from octex.archive.layout import (
     AREAS,
@@ -33,11 +32,12 @@ from octex.archive.layout import (
     of_root,
     runs,
 )
-from octex.archive.values import numbers_of, read_numbers, write_numbers
+from octex.archive.values import numbers_of
 from octex.archive.weights import fitted, sampled
-from octex.arrays import Array, Uint8s, Uint32s, zeros
+from octex.arrays import Array, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
+from octex.tree.children import children_before
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
 
@@ -117,8 +117,9 @@ def _planned(content: Content) -> Iterator[list[Block]]:
 
     for level, (first_node, end_node) in enumerate(pairwise(arrays.level_nodes[:-1].tolist())):
         own = list(runs(first_node, end_node))
-        places = [place(*first_below(arrays, first)) for first, _ in own]
-        places.append(place(int(arrays.level_nodes[level + 2]), int(arrays.level_cells[level + 2])))
+        firsts = np.array([*(first for first, _ in own), end_node])
+        cells, nodes = children_before(arrays.groups, firsts)
+        places = list(map(place, nodes.tolist(), cells.tolist()))
         yield [Block(level, *run, *ends) for run, ends in zip(own, pairwise(places), strict=True)]
 
 
@@ -133,39 +134,9 @@ def _form(channel: Named, dtype: np.dtype[Any], error: int) -> Form:
     return form._replace(error=0 if form.is_float else error)
 
 
-class _Streams:
-    """Streams that are written."""
-
-    def __init__(self) -> None:
-        self._coder: Coder
-        self.found: list[bytes] = []
-
-    def begin(self, model: Model, most: int) -> Coder:
-        """Return a coder with room for so many notes."""
-        self._coder = noter(model, most)
-        return self._coder
-
-    def end(self) -> None:
-        """Encode what was noted."""
-        self.found.append(encoded(self._coder))
-
-    def read(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Write values as they will be noted."""
-        read_numbers(numbers, raw, form)
-
-    def write(self, numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-        """Write values as they will be read, where these may move."""
-        if form.error:
-            write_numbers(numbers, raw, form)
-
-    def list_flagged(self, content: Content, block: Block) -> None:
-        """Do nothing: they are listed."""
-
-
 def _encoded(
     content: Content, codings: Mapping[str, Coding], models: dict[str, Model], block: Block
 ) -> tuple[list[int], list[bytes]]:
     """Return what a block's record begins with, and its streams."""
-    streams = _Streams()
-    code_block(content, codings, block, (STRUCTURE, AREAS, *codings), streams, models)
-    return [after - before for before, after in zip(block.begin, block.end, strict=True)], streams.found
+    streams = code_block(content, codings, block, (STRUCTURE, AREAS, *codings), models)
+    return [after - before for before, after in zip(block.begin, block.end, strict=True)], streams

@@ -16,7 +16,7 @@ from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
-from octex.jit import inlined, kernel, popcount, spline_rows, trailing_zeros
+from octex.jit import inlined, kernel, popcount, spline_box, trailing_zeros
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -104,7 +104,7 @@ def add_up(
     of_x, of_y, of_z = _weights(x), _weights(y), _weights(z)
     for vector in range(vectors):
         first = ((which * vectors + vector) * _LEVELS + level) * _PLACES
-        _write(totals, vector, spline_rows(windows.rows, first, of_x, of_y, of_z))
+        _write(totals, vector, spline_box(windows.rows, first, (1, 3, 9), of_x, of_y, of_z))
 
 
 @inlined

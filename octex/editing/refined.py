@@ -17,7 +17,7 @@ from octex.field.neighborhood import refined_taps
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.layout import FACING_FLAGS, OPPOSITE, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, find_rows
 
@@ -122,14 +122,8 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
     rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
     cells = _cells_of(tree, rows)
     facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-    weights[(facings & bits == 0) & (facings & _opposite(bits) != 0)] *= _AWAY
+    weights[(facings & bits == 0) & (facings & OPPOSITE[bits] != 0)] *= _AWAY
     return _Taps(starts, rows, weights), *find_rows(tree.split, cells, bits)
-
-
-def _opposite(facings: Uint8s) -> Uint8s:
-    """Return the facings opposite to some."""
-    positive = np.uint8(POSITIVE_FACINGS)
-    return (facings & positive) << np.uint8(1) | facings >> np.uint8(1) & positive
 
 
 def _cells_of(tree: Octree, rows: Uint32s) -> Int64s:
@@ -165,7 +159,6 @@ def _blended(
 @kernel
 def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
     """Mark cells (n,) whose facings may see something else: a tap is split, or hidden from one."""
-    positive = np.uint8(POSITIVE_FACINGS)
     for n in range(facings.size):
         if facings[n] == 0:
             continue
@@ -174,7 +167,6 @@ def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s,
             if row >= flags.size:
                 row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
             own = flags[min(row, np.int64(flags.size) - 1)]
-            opposite = (own & positive) << np.uint8(1) | own >> np.uint8(1) & positive
-            if own & SPLIT or facings[n] & ~own & opposite:
+            if own & SPLIT or facings[n] & ~own & OPPOSITE[own & FACING_FLAGS]:
                 sees_apart[n] = True
                 break

@@ -9,11 +9,12 @@ decorators    kernel, part …: what compiles functions
 cache         where compiled kernels lie on disk, and whether they are still what the source says
 signatures    the types of a kernel's arguments as text
 instructions  bits, memory, arrays
-vectors       rows of four numbers, and boxes eight at a time
+vectors       numbers side by side; sums of rows of four, boxes eight at a time
 """
 
 from octex.jit.decorators import DISABLED as DISABLED
 from octex.jit.decorators import direct as direct
+from octex.jit.decorators import fused_inlined as fused_inlined
 from octex.jit.decorators import fused_kernel as fused_kernel
 from octex.jit.decorators import fused_part as fused_part
 from octex.jit.decorators import inlined as inlined
@@ -29,12 +30,14 @@ from octex.jit.instructions import popcount as popcount
 from octex.jit.instructions import prefetch as prefetch
 from octex.jit.instructions import trailing_zeros as trailing_zeros
 from octex.jit.vectors import add_to_rows as add_to_rows
-from octex.jit.vectors import count_begun as count_begun
-from octex.jit.vectors import move_begins as move_begins
+from octex.jit.vectors import chosen as chosen
+from octex.jit.vectors import mask_bits as mask_bits
 from octex.jit.vectors import nearest_box as nearest_box
+from octex.jit.vectors import put as put
 from octex.jit.vectors import refine_rows as refine_rows
+from octex.jit.vectors import sixteen as sixteen
+from octex.jit.vectors import sixteen_at as sixteen_at
 from octex.jit.vectors import spline_box as spline_box
-from octex.jit.vectors import spline_rows as spline_rows
 from octex.jit.vectors import squares_to_boxes as squares_to_boxes
 from octex.jit.vectors import weighted_cube as weighted_cube
 from octex.jit.vectors import weighted_rows as weighted_rows

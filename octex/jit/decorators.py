@@ -128,6 +128,11 @@ def inlined(function: Function) -> Function:
     return _compiled(function, _nrt=False, forceinline=True)
 
 
+def fused_inlined(function: Function) -> Function:
+    """Compile like ``inlined``, but let a product and a sum be one instruction, rounded once."""
+    return _compiled(function, _nrt=False, forceinline=True, fastmath={"contract"})
+
+
 def _compiled(function: Function, kind: type[Part] = Part, **options: Any) -> Function:
     if DISABLED:
         return function

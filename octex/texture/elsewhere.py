@@ -12,8 +12,7 @@ from threading import RLock
 
 import numpy as np
 
-from octex.archive.head import DamagedError
-from octex.archive.layout import AREAS, KEPT_NAME, SPLIT_NAMES, TREE_NAMES, known_names
+from octex.archive.layout import AREAS, KEPT_NAME, SPLIT_NAMES, TREE_NAMES, DamagedError, known_names
 from octex.archive.read import Decoding
 from octex.arrays import Array, Int64s
 from octex.errors import ArgumentError, TextureFileError

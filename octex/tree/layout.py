@@ -30,6 +30,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
 
 #: Deepest level of any tree; a Morton code then has 63 bits.
@@ -48,6 +50,10 @@ KEPT = 0b1000000  # a node that keeps the coefficient of the leaf it once was
 SPLIT = 0b10000000  # a cell with a value per facing in the split table
 #: The flags' bits of +x, +y and +z; shifted left by one, those of −x, −y and −z.
 POSITIVE_FACINGS = 0b010101
+#: Of facings, as flags, the opposite ones.
+OPPOSITE: Uint8s = np.array(
+    [(bits & POSITIVE_FACINGS) << 1 | bits >> 1 & POSITIVE_FACINGS for bits in range(64)], np.uint8
+)
 
 # A cell's area: 0 for none, else round(AREA_STEPS · log2(area / edge²)) + AREA_ONE, clamped to 1 … 255.
 # One step is 9 %; the range is 2⁻²⁵·⁷⁵ to 2⁶ times the edge squared.

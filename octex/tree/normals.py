@@ -16,7 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s, Uint8s
 from octex.jit import kernel, summing_kernel
 from octex.tree.areas import AREAS
-from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, TreeArrays
+from octex.tree.layout import FACING_FLAGS, OPPOSITE, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.search import child
 
@@ -149,8 +149,7 @@ def _add_up(
 
     Cells that face only the other way belong to another surface: the far side of a sheet.
     """
-    opposite = (flags & POSITIVE_FACINGS) << 1 | flags >> 1 & POSITIVE_FACINGS
-    own = flags | ~opposite
+    own = flags | ~int(np.int64(OPPOSITE[flags]))
     i, j, k = decode(code)
     w_sum = wx_sum = wy_sum = wz_sum = xx = yy = zz = xy = xz = yz = 0.0
     for n in range(n_around):

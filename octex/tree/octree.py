@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Int64s, Integers, Uint8s, Uint32s, Uint64s, bit_counts
-from octex.checks import as_depth
+from octex.checks import as_array, as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, trailing_zeros
 from octex.tree.children import children, groups_of
@@ -223,10 +223,7 @@ class Octree:
 
 def _whole(numbers: npt.ArrayLike, name: str) -> Array:
     """Return whole numbers (n,) of any type, or raise ArgumentError."""
-    try:
-        array = np.asarray(numbers)
-    except ValueError:  # rows of unequal lengths
-        array = np.empty((), np.void)
+    array = as_array(numbers)
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
         raise ArgumentError(f"{name} must be whole numbers of shape (n,), not {array.dtype} {array.shape}")
     if array.dtype == np.uint64 and array.size and array.max() > np.iinfo(np.int64).max:

@@ -5,20 +5,17 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
-import io
 import os
 import pkgutil
 import re
 import subprocess
 import sys
-from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import octex
-from octex.cli.main import main
+from octex import ahead
 from octex.cli.options import COMMANDS, OPTIONS
 from octex.cli.parser import Options, Parser
 from octex.cli.values import DTYPES, FILTERS, picture_size
@@ -32,6 +29,7 @@ def parsed(*words: str, command: str = "convert") -> Options:
     return Parser(f"octex {command}", COMMANDS[command], COMMANDS).parsed(words)
 
 
+TOOLS = Path(__file__).parents[2] / "tools" / "release"
 HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
 
 
@@ -182,38 +180,43 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
     assert done.stderr.splitlines()[-1] == "[]"
 
 
-@pytest.fixture(scope="module")
-def warmed() -> tuple[str, set[Any]]:
-    """What warming up says, and the kernels that Python calls meanwhile."""
-    from octex.field import lookups
-    from octex.jit.decorators import Kernel
-
-    called, said = set[Any](), io.StringIO()
-    call = Kernel.__call__
-
-    def recorded(kernel: Any, *arguments: Any) -> Any:
-        called.add(kernel.py_func)
-        return call(kernel, *arguments)
-
-    with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
-        changed.setattr(Kernel, "__call__", recorded)
-        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without that
-        assert main(["warm-up"]) == ExitCode.DONE
-    return said.getvalue(), called
-
-
-def test_warming_up_says_how_long_it_took(
-    warmed: tuple[str, set[Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@needs_jit
+def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", warmed[0])
-    monkeypatch.setattr("octex.cli.warm_up.compile_all", lambda _progress: None)
+    done: list[str] = []
+    monkeypatch.setattr("octex.ahead._compile", done.append)
+    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "warm-up"))
+    assert done == ahead.lines(*ahead.SECTIONS)
     assert result(capsys, "warm-up", "--quiet") == ""
 
 
+@pytest.fixture(scope="module")
+def called() -> set[str]:
+    """What Python calls kernels with along every path."""
+    from octex.field import lookups
+
+    with pytest.MonkeyPatch.context() as changed:
+        changed.syspath_prepend(str(TOOLS))
+        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without recording
+        import every_path
+        import signatures
+
+        with signatures.recorded() as found:
+            assert every_path.main([]) == 0
+    return set(found)
+
+
 @needs_jit
-def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[str, set[Any]]) -> None:
+def test_all_that_kernels_are_called_with_is_listed(called: set[str]) -> None:
+    # Where this fails, `python tools/release/signatures.py` lists anew.
+    assert sorted(called - set(ahead.lines(*ahead.SECTIONS))) == []
+
+
+@needs_jit
+def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]) -> None:
     decorators = {"kernel", "inlined", "step", "part"}
-    decorators |= {"fused_part", "summing_kernel", "fused_kernel"}
+    decorators |= {"fused_part", "fused_inlined", "summing_kernel", "fused_kernel"}
     entries = {}
     for found in pkgutil.walk_packages(octex.__path__, "octex."):
         module = importlib.import_module(found.name)
@@ -226,9 +229,9 @@ def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[
                     name.id for name in names if isinstance(name.ctx, ast.Store)
                 }
                 kernels = [getattr(getattr(module, word, None), "py_func", None) for word in words]
-                entries |= {each: f"{each.__module__}.{each.__name__}" for each in kernels if each}
+                entries |= {each: f"{each.__module__}:{each.__qualname__}" for each in kernels if each}
     assert len(entries) > 20
-    assert sorted(name for kernel, name in entries.items() if kernel not in warmed[1]) == []
+    assert set(entries.values()) - {line.split(" ", 1)[0] for line in called} == set()
 
 
 # --- the order of arguments

@@ -17,7 +17,7 @@ from octex.conversion.nearness import Decoded, far_cells
 from octex.conversion.patches import BARE, NEAR, near_cells
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
-from octex.jit import DISABLED, kernel, spline_box, spline_rows
+from octex.jit import DISABLED, kernel, spline_box
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -247,7 +247,7 @@ def _spline_rows(rows: Array, first: int, weights: Array) -> tuple[float, float,
     x = weights[0, 0], weights[0, 1], weights[0, 2]
     y = weights[1, 0], weights[1, 1], weights[1, 2]
     z = weights[2, 0], weights[2, 1], weights[2, 2]
-    return spline_rows(rows, first, x, y, z)
+    return spline_box(rows, first, (1, 3, 9), x, y, z)
 
 
 @kernel

@@ -17,8 +17,6 @@ from octex.cli.main import main
 from octex.jit.signatures import types_text
 from tests.conftest import needs_jit
 
-SECTIONS = "convert", "preview", "view", "paint", "warm-up"
-
 
 @pytest.fixture
 def helpers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
@@ -166,7 +164,7 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
 
 
 @needs_jit
-@pytest.mark.parametrize("section", SECTIONS)
+@pytest.mark.parametrize("section", ahead.SECTIONS)
 def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -> None:
     # Where this fails, `python tools/release/signatures.py` lists anew. Some lines may be
     # behind: they do no harm.

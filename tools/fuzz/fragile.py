@@ -35,9 +35,9 @@ from urllib.parse import unquote
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork takes no threads along
 
+from octex.ahead import compile_listed
 from octex.cli.common import TRACEBACK_VARIABLE, bytes_text
 from octex.cli.main import main as octex_main
-from octex.cli.warm_up import compile_all
 from octex.errors import ExitCode, ImageError
 from octex.parallel import silent
 from octex.source.images.decode import decode_image
@@ -211,7 +211,7 @@ def tried(folders: Iterable[Path], depth: int, seconds: int, copies: int) -> Ite
     """Try all models, voxels and images below some folders, and damaged copies of each."""
     with TemporaryDirectory(prefix="octex-fragile-") as name_of_scratch:
         scratch = Path(name_of_scratch)
-        compile_all(silent)
+        compile_listed(silent)
         plain = scratch / "plain.obj"
         plain.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", encoding="ascii")
         plainly = [forked(lambda: attempt(plain, scratch, depth), scratch, 60, RESERVED) for _ in range(2)]

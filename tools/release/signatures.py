@@ -5,55 +5,67 @@ usage: python tools/release/signatures.py
 
 from __future__ import annotations
 
+import importlib
 import json
-import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numba
+
+from octex import ahead, jit
+from octex.jit.decorators import Kernel
+from octex.jit.signatures import types_text
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "samples" / "droid.glb"
 _HEAD = "# What kernels are called with, by `tools/release/signatures.py`. See `octex/ahead.py`.\n"
-_RECORDER = """
-import json, sys, threading
-from numba.core import event
-from octex import ahead
-from octex.jit.signatures import types_text
-
-ahead.cpu_count = lambda: 1  # no helpers
-calls = []
-
-class Depth(threading.local):  # of compilations within another, a thread each
-    now = 0
-
-depth = Depth()
-
-class Recorder(event.Listener):
-    def on_start(self, told):
-        function = told.data["dispatcher"].py_func
-        if depth.now == 0:  # what Python calls, and not a kernel
-            calls.append(f"{function.__module__}:{function.__qualname__} {types_text(told.data['args'])}")
-        depth.now += 1
-
-    def on_end(self, told):
-        depth.now -= 1
-
-event.register("numba:compile", Recorder())
-from octex.cli.main import main
-code = main(sys.argv[1:])
-print(json.dumps(calls))
-sys.exit(code)
-"""
 
 
-def record(command: str, *arguments: str | Path) -> list[str]:
-    """Run a command of octex and return what it calls kernels with, each once."""
-    call = [sys.executable, "-c", _RECORDER, command, *map(str, arguments), "--quiet"]
-    with tempfile.TemporaryDirectory() as cache:  # an empty one: what is compiled is what is recorded
-        variables = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True, env=variables)
-    return list(dict.fromkeys(json.loads(done.stdout.splitlines()[-1])))
+@contextmanager
+def recorded() -> Iterator[list[str]]:
+    """List what Python calls kernels with while the block lasts."""
+    calls: dict[str, None] = {}
+
+    def called(kernel: Any, *arguments: Any) -> Any:
+        given = tuple(map(jit.unlocked, arguments))
+        function = kernel.py_func
+        calls[f"{function.__module__}:{function.__qualname__} {types_text(map(numba.typeof, given))}"] = None
+        return kernel.compiled(*given)
+
+    found: list[str] = []
+    usual, Kernel.__call__ = Kernel.__call__, called  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        Kernel.__call__ = usual  # type: ignore[method-assign]
+        found += calls
+
+
+def record(module: str, *arguments: str | Path) -> list[str]:
+    """Run a module's command in a process of its own; return what it calls kernels with, each once."""
+    call = [sys.executable, __file__, module, *map(str, arguments)]
+    done = subprocess.run(call, stdout=subprocess.PIPE, text=True, check=True)
+    return list(json.loads(done.stdout.splitlines()[-1]))
+
+
+def command(*words: str | Path) -> list[str]:
+    """Return what a command of octex calls kernels with."""
+    return record("octex.cli.main", *words, "--quiet")
+
+
+def recorder(module: str, *arguments: str) -> int:
+    """Be that process."""
+    ahead.cpu_count = lambda: 1  # no helpers
+    jit.direct = lambda kernel: kernel
+    with recorded() as found:
+        code = importlib.import_module(module).main(list(arguments))
+    print(json.dumps(found))
+    return int(code)
 
 
 def main() -> int:
@@ -62,13 +74,13 @@ def main() -> int:
             Path(name) / file for file in ("t.octex", "preview.png", "view.png", "camera.json", "p.octex")
         )
         sections = {}
-        sections["convert"] = record("convert", MODEL, texture)
-        sections["preview"] = record("convert", MODEL, texture, "--preview", preview, "--force")
-        sections["view"] = record("draw", texture, MODEL, view, "--as", "paint", "--camera-out", camera)
-        sections["paint"] = record(
+        sections["convert"] = command("convert", MODEL, texture)
+        sections["preview"] = command("convert", MODEL, texture, "--preview", preview, "--force")
+        sections["view"] = command("draw", texture, MODEL, view, "--as", "paint", "--camera-out", camera)
+        sections["paint"] = command(
             "paint", texture, MODEL, painted, view, "--since", "nothing", "--camera", camera
         )
-        sections["warm-up"] = record("warm-up")
+        sections["warm-up"] = record("every_path")
     sections["preview"] = [line for line in sections["preview"] if line not in sections["convert"]]
     blocks = ["\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items()]
     (ROOT / "octex" / "signatures.txt").write_text(_HEAD + "\n".join(blocks), encoding="utf-8")
@@ -76,4 +88,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(recorder(*sys.argv[1:]) if sys.argv[1:] else main())

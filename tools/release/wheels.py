@@ -21,12 +21,11 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-_SECTIONS = "convert", "preview", "view", "paint", "warm-up"
-_COMPILE = "import sys; from octex import ahead; ahead.main()"
+_COMPILE = "from octex import ahead; ahead.warm_up(lambda *_: None)"
 _PORTABLE = "from octex.ahead import PORTABLE; print(*PORTABLE.values())"
-_KERNELS = f"""
+_KERNELS = """
 from octex import ahead
-print(*dict.fromkeys(line.split(" ")[0] for line in ahead.lines(*{_SECTIONS})))
+print(*dict.fromkeys(line.split(" ")[0] for line in ahead.lines(*ahead.SECTIONS)))
 """
 _VARIABLES = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 _TAG = "import sys; print('cp%d%d' % sys.version_info[:2])"
@@ -63,15 +62,10 @@ def compiled_wheel(plain: Path, python: str, folder: Path) -> Path:
     programs = environment_of(python, plain, folder / "builder")
     processor, features = run(programs / "python", "-P", "-c", _PORTABLE).split()
     settings = {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features}
-    # A helper ends with its standard input, which stays open here.
-    with subprocess.Popen(
-        [programs / "python", "-P", "-c", _COMPILE, "0", "1", *_SECTIONS],
-        stdin=subprocess.PIPE,
-        env=_VARIABLES | settings | {"NUMBA_CACHE_DIR": str(folder / "portable")},
-        cwd=folder,
-    ) as compiler:
-        if compiler.wait() != 0:
-            raise SystemExit(f"{python}: compiling ended with {compiler.returncode}")
+    cache = {"NUMBA_CACHE_DIR": str(folder / "portable")}
+    subprocess.run(
+        [programs / "python", "-P", "-c", _COMPILE], env=_VARIABLES | settings | cache, cwd=folder, check=True
+    )
     run(sys.executable, "-m", "wheel", "unpack", plain, "--dest", folder)
     (unpacked,) = folder.glob("octex-*")
     shipped = unpacked / "octex" / "compiled"
