@@ -92,11 +92,10 @@ def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
 def shaped_model(path: Path, options: Options, **settings: Any) -> Surface:
     """Read a model as ``octex.load_surface`` does, with --rest, --pose and --subdiv."""
     surface = octex.load_surface(path, options.rest, pose=options.pose, **settings)
-    return (
-        surface
-        if options.subdiv is None
-        else octex.subdivide(surface, options.subdiv[0], rest=options.subdiv[1])
-    )
+    if options.subdiv is None:
+        return surface
+    levels, rest = options.subdiv
+    return octex.subdivide(surface, levels, rest=rest)
 
 
 def bare_model(path: Path, options: Options) -> Surface:

@@ -47,7 +47,7 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "comment octex: a point a leaf of an octree texture",
         "comment units: those of the model; colours: sRGB",
     ]
-    with replacing(Path(path)) as file:
+    with replacing(path) as file:
         file.write(_header([*lines, *_element("vertex", texture.tree.n_leaves, vertex)]))
         for points in leaf_points(texture, path, progress):
             file.write(_vertices(texture, points, vertex).tobytes())
