@@ -94,14 +94,20 @@ class CubeLookups(NamedTuple):
         )
 
     def residuals(
-        self, values: Float32s, targets: Float32s, shares: Float32s, components: int, is_light: int
+        self,
+        values: Float32s,
+        targets: Float32s,
+        mixed: Float32s,
+        shares: Float32s,
+        components: int,
+        is_light: int,
     ) -> Float32s:
         """Return the residuals of values. See `solve.residuals`."""
         rows = np.empty((self.samples.size, 4), np.float32)
         for cubes in self.cubes:
             _residuals(
                 *(cubes, self.firsts, self.axes, self.coverage, values),
-                *(targets, shares, components, is_light, rows),
+                *(targets, mixed, shares, components, is_light, rows),
             )
         return rows
 
@@ -226,6 +232,7 @@ def _residuals(
     coverage: Float32s,
     values: Float32s,
     targets: Float32s,
+    mixed: Float32s,
     shares: Float32s,
     components: int,
     is_light: int,
@@ -253,7 +260,7 @@ def _residuals(
                 axes[n, 9] = inverse
                 share = shares[n] if total > zero else zero
                 found = x * inverse, y * inverse, z * inverse
-                write_residual(found, targets, share, components, is_light, sample, rows)
+                write_residual(found, targets, mixed, share, components, is_light, sample, rows)
         for entry in range(begin, end):
             to = np.uint64(4) * np.uint64(cubes.places[entry])
             for part in range(4):

@@ -101,11 +101,15 @@ def _gather_kinds(
 
 def has_opposite(normals: Int8s, kinds: Uint64s) -> Bools:
     """Say whether something of some kinds (n,) is split, or faces away from what has normals (n, 3)."""
+    opposite: Bools = (kinds & _OPPOSITE[facings_of(normals)]) != 0
+    return opposite
+
+
+def facings_of(normals: Int8s) -> Int64s:
+    """Return the numbers of the facings that are nearest to normals (n, 3)."""
     normals = normals.astype(np.int16)
     axes = np.abs(normals).argmax(axis=1)
-    facings = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
-    opposite: Bools = (kinds & _OPPOSITE[facings]) != 0
-    return opposite
+    return 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
 
 
 #: By the number of a facing: the kinds of cells that have the opposite one and not this, and of split ones.
