@@ -27,7 +27,8 @@ The rooms, each of which knows only those before it
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
-    conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
+    voxelize    a surface in cells: those that it meets exactly, its fragments in them, sums a level
+    conversion  the tree of these, the fit, adaptive depth
     view        cameras and their files, what a camera sees, studio light
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures

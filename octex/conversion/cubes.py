@@ -105,10 +105,8 @@ class CubeLookups(NamedTuple):
         """Return the residuals of values. See `solve.residuals`."""
         rows = np.empty((self.samples.size, 4), np.float32)
         for cubes in self.cubes:
-            _residuals(
-                *(cubes, self.firsts, self.axes, self.coverage, values),
-                *(targets, mixed, shares, components, is_light, rows),
-            )
+            place = cubes, self.firsts, self.axes, self.coverage
+            _residuals(*place, values, targets, mixed, shares, components, is_light, rows)
         return rows
 
     def equations(self) -> Equations:

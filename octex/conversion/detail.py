@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s, bit_counts
 from octex.checks import as_choice
-from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer
 from octex.jit import kernel
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
+from octex.voxelize.fragments import Pieces
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
 DetailFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]

@@ -109,7 +109,8 @@ def facings_of(normals: Int8s) -> Int64s:
     """Return the numbers of the facings that are nearest to normals (n, 3)."""
     normals = normals.astype(np.int16)
     axes = np.abs(normals).argmax(axis=1)
-    return 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
+    found: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
+    return found
 
 
 #: By the number of a facing: the kinds of cells that have the opposite one and not this, and of split ones.

@@ -10,21 +10,10 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
-from octex.conversion.accumulate import (
-    SumColumns,
-    Sums,
-    by_channel,
-    count_entries,
-    level_means,
-    sum_children,
-    sum_pieces,
-)
-from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
@@ -37,16 +26,32 @@ from octex.tree.edit import among
 from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import (
+    Blocks,
+    Pieces,
+    Run,
+    bin_triangles,
+    cut,
+    even_runs,
+    most_pieces,
+    some_blocks,
+)
+from octex.voxelize.grid import BLOCK_BITS, SPREAD, count_degenerate, on_grid
+from octex.voxelize.sums import (
+    SumColumns,
+    Sums,
+    by_channel,
+    count_entries,
+    level_means,
+    sum_children,
+    sum_pieces,
+)
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
 #: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44); and with samples more for each
 #: (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
-#: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
-TASK_PIECES = 400_000
-#: Little work is cut into so many tasks, of no fewer pieces than this.
-_TASKS, _LEAST_PIECES = 8, 250_000
 
 #: Files of parts that are joined to one.
 _JOINED = 16
@@ -107,15 +112,6 @@ class Job(NamedTuple):
     wanted: Wanted | None
 
 
-def on_grid(rest: Float64s, placement: Placement) -> Int32s:
-    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
-    steps = placement.to_texture_space(rest)
-    steps *= 1 << GRID_BITS
-    np.rint(steps, out=steps)
-    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
-    return steps.astype(np.int32)
-
-
 def cell_levels(
     surface: Surface,
     channels: tuple[ChannelFormat, ...],
@@ -138,7 +134,7 @@ def cell_levels(
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
     grid = on_grid(surface.rest, placement)
-    degenerate, faces = _count_degenerate(grid, surface.triangles)
+    degenerate, faces = count_degenerate(grid, surface.triangles)
     if degenerate == len(surface.triangles):
         raise ModelError(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
@@ -187,7 +183,7 @@ def memory_needed(
     has_samples: bool,
 ) -> float:
     """Return how many bytes of memory a conversion takes at least."""
-    _, faces = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    _, faces = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return _least_cells(faces, depth) * _cell_memory(channels, has_samples)
 
 
@@ -204,14 +200,6 @@ def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
     row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
     per_sample = SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row if has_samples else 0
     return CELL_MEMORY + VALUE_MEMORY * row + per_sample
-
-
-def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
-    """Return some of blocks, the first one if none is chosen."""
-    chosen[0] |= not chosen.any()
-    counts = np.diff(blocks.starts)
-    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
-    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
 
 
 def _gathered(parts: Iterable[Part]) -> list[Part]:
@@ -262,25 +250,6 @@ def _joined_cells(parts: Sequence[LevelCells], join: Callable[[list[Array]], Arr
         join([part.split_areas for part in parts]),
         [join([part.split_values[n] for part in parts]) for n in channels],
     )
-
-
-class Run(NamedTuple):
-    """The work of one task: a run of blocks, with a bound of their pieces."""
-
-    first_block: int
-    last_block: int  # exclusive
-    most: int
-
-
-def even_runs(bounds: Int64s) -> list[Run]:
-    """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
-    totals = np.cumsum(bounds)
-    size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)
-    ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
-    ends = np.unique(np.append(ends, len(totals)))
-    starts = np.append(0, ends[:-1])
-    most = np.add.reduceat(bounds, starts)
-    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]
 
 
 def _convert_run(job: Job, run: Run) -> Part:
@@ -462,21 +431,5 @@ def _join_octants(codes: Int64s, parents: Int64s, masks: Uint8s) -> None:
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:
     """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
-    count, _ = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    count, _ = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return count == len(surface.triangles)
-
-
-@kernel
-def _count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
-    """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
-    corners = np.empty((3, 3), np.int64)
-    normal = np.empty(3, np.int64)
-    count = 0
-    doubled = 0.0
-    for i in range(triangles.shape[0]):
-        if load_triangle(grid, triangles, i, corners, normal) < 0:
-            count += 1
-        else:
-            x, y, z = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
-            doubled += np.sqrt(x * x + y * y + z * z)
-    return count, 0.5 * doubled

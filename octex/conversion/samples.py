@@ -17,13 +17,13 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
-from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, popcount
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
 from octex.tree.search import Origin
+from octex.voxelize.fragments import Pieces
 
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.

@@ -13,7 +13,6 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, encode
 from octex.conversion.levels import assemble, cell_levels
-from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near, coarsest_of
@@ -54,6 +53,7 @@ from octex.tree.edit import (
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
+from octex.voxelize.fragments import Blocks
 
 #: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
 _HIDING = 1.0 - 1.0 / 512.0

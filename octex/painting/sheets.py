@@ -13,9 +13,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
-from octex.conversion.cells import BLOCK_BITS, SPREAD
-from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
@@ -28,6 +25,17 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
+from octex.voxelize.fragments import (
+    Blocks,
+    Pieces,
+    Run,
+    bin_triangles,
+    cut,
+    even_runs,
+    most_pieces,
+    some_blocks,
+)
+from octex.voxelize.grid import BLOCK_BITS, SPREAD, on_grid
 
 #: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
 _SLACK = 1e-6

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.conversion.cells import SPREAD
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
+from octex.voxelize.fragments import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
+from octex.voxelize.grid import SPREAD
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
 

@@ -11,9 +11,9 @@ import pytest
 import octex
 from octex.channels import ChannelFormat
 from octex.conversion.detail import channel_of, deepest_wanted, wanted_levels
-from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Source
+from octex.voxelize.fragments import Pieces
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
 
 DEPTH = 10

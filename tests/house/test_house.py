@@ -44,6 +44,7 @@ ROWS = [
     {"kernels"},
     {"editing"},
     {"source"},
+    {"voxelize"},
     {"conversion"},
     {"view"},
     {"painting"},
@@ -58,7 +59,7 @@ ROWS = [
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "conversion", "view", "painting"}
+MADE = {"source", "voxelize", "conversion", "view", "painting"}
 FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 #: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
 NEW_IN_NUMPY_2 = {

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 import octex
-from octex.conversion import facings, large, levels, sides
+from octex.conversion import facings, large, sides
 from octex.errors import ArgumentError, InputError, OutputError
 from octex.parallel import sharing
 from octex.source import materials
 from octex.source.images.pyramid import store
+from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import bent, sheet, tetrahedron, turned
 
@@ -198,7 +199,7 @@ def test_images_are_made_ready_once_for_all_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = []
-    monkeypatch.setattr(levels, "_LEAST_PIECES", 1)  # many tasks
+    monkeypatch.setattr(fragments, "_LEAST_PIECES", 1)  # many tasks
     monkeypatch.setattr(materials, "store", lambda *given: made.append(given) or store(*given))
     model = Path(__file__).parents[2] / "samples" / "droid.glb"
     octex.convert(model, 7, path=tmp_path / "a.octex", executor=Sending())

@@ -23,12 +23,12 @@ from measuring import memory, timed
 from painted_sphere import view
 
 import octex
-from octex.conversion.cells import SPREAD
-from octex.conversion.levels import assemble, cell_levels, on_grid
-from octex.conversion.pieces import bin_triangles, cut, most_pieces
+from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import bin_triangles, cut, most_pieces
+from octex.voxelize.grid import SPREAD, on_grid
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float64s, Int64s
-from octex.conversion.cells import (
+from octex.jit import inlined
+from octex.voxelize.grid import (
     BLOCK_EDGE,
     COLUMN_FIRST,
     COLUMN_INSIDE,
@@ -18,7 +19,6 @@ from octex.conversion.cells import (
     COLUMN_U,
     COLUMN_V,
 )
-from octex.jit import inlined
 
 #: A triangle has three vertices, each of the up to six planes that bound a cell adds one; with room to spare.
 MAX_VERTICES = 12

@@ -10,8 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s, Uint8s
-from octex.conversion.cells import (
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode
+from octex.voxelize.clip import MAX_VERTICES, POLYGONS, clip_to_columns
+from octex.voxelize.grid import (
     BLOCK_BITS,
     BLOCK_CELLS,
     BLOCK_EDGE,
@@ -24,10 +28,11 @@ from octex.conversion.cells import (
     columns_met,
     load_triangle,
 )
-from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
-from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.layout import GRID_BITS
-from octex.tree.morton import decode
+
+#: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
+TASK_PIECES = 400_000
+#: Little work is cut into so many tasks, of no fewer pieces than this.
+_TASKS, _LEAST_PIECES = 8, 250_000
 
 
 class Blocks(NamedTuple):
@@ -298,3 +303,30 @@ def cut(
         barycentric[:n_pieces],
         areas[:n_pieces],
     )
+
+
+def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
+    """Return some of blocks, the first one if none is chosen."""
+    chosen[0] |= not chosen.any()
+    counts = np.diff(blocks.starts)
+    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
+    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
+
+
+class Run(NamedTuple):
+    """The work of one task: a run of blocks, with a bound of their pieces."""
+
+    first_block: int
+    last_block: int  # exclusive
+    most: int
+
+
+def even_runs(bounds: Int64s) -> list[Run]:
+    """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
+    totals = np.cumsum(bounds)
+    size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)
+    ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
+    ends = np.unique(np.append(ends, len(totals)))
+    starts = np.append(0, ends[:-1])
+    most = np.add.reduceat(bounds, starts)
+    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]
