@@ -17,7 +17,7 @@ from octex.jit import kernel
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
-from octex.voxelize.fragments import Pieces
+from octex.voxelize.fragments import Fragments
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
 DetailFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
@@ -68,12 +68,12 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 
-def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: Float32s) -> Uint8s:
-    """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
-    levels = wanted(pieces.triangles, pieces.barycentric, widths)
-    counts = bit_counts(pieces.flags).astype(np.int64)
+def deepest_wanted(wanted: Wanted, fragments: Fragments, widths: Float32s) -> Uint8s:
+    """Return the whole level (cells,) that the middles of the fragments in each cell want to go to."""
+    levels = wanted(fragments.triangles, fragments.barycentric, widths)
+    counts = bit_counts(fragments.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
-    _deepen(pieces.entries, levels, of_entries)
+    _deepen(fragments.entries, levels, of_entries)
     deepest: Uint8s = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
     return deepest
 

@@ -8,7 +8,7 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import NamedTuple
@@ -50,8 +50,6 @@ RINGS = 1
 LEAF_SAMPLES = 8
 #: Sweeps over the leaves, back and forth; for 8 bits those after the first two round. One more wins 0.04 dB.
 SWEEPS, FREE_SWEEPS = 4, 2
-#: Taps that a sample mostly has at most.
-TAPS = 16
 #: Light by so much above 1 is 1, rounded.
 LEAST_BRIGHT = 2.0**-10
 #: What samples that nothing covers still weigh.
@@ -90,10 +88,34 @@ class Job(NamedTuple):
     placement: Placement
     leaves: Leaves
     heads: Heads | None  # if the leaves are all finest cells
-    groups: list[Group]
-    ranges: list[tuple[float, float]]  # of each group
     unfitted: Collection[str]  # channels whose means stay
     is_facing: bool  # whether lookups are those with the samples' normals
+    groups: list[Group]
+    ranges: list[tuple[float, float]]  # of each group
+
+    @classmethod
+    def of(
+        cls,
+        field: Field,
+        channels: Mapping[str, Channel],
+        samples: Samples,
+        placement: Placement,
+        leaves: Leaves,
+        heads: Heads | None,
+        unfitted: Collection[str],
+        *,
+        is_facing: bool,
+    ) -> Job:
+        """Take the channels that the samples have."""
+        given = [channels[form.name] for form in samples.channels]
+        groups = _groups(samples.channels)
+        ranges = [group.range(samples) for group in groups]
+        return cls(field, given, samples, placement, leaves, heads, unfitted, is_facing, groups, ranges)
+
+    def merged(self, channels: Mapping[str, Channel], found: Iterable[Channel]) -> dict[str, Channel]:
+        """Return channels, those that are fitted as they were found."""
+        names = (channel for channel in found if channel.format.name not in self.unfitted)
+        return dict(channels) | {channel.format.name: channel for channel in names}
 
 
 class Lookups(NamedTuple):
@@ -155,18 +177,17 @@ def fitted(
         finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
         samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
         leaves = leaves.some(chosen, tree.n_cells)
-    given = [channels[form.name] for form in samples.channels]
-    values = [large.copied(channel.values) for channel in given]
-    job = _job(tree, given, samples, placement, leaves, unfitted, is_facing=False)
+    field, heads = Field(tree), None
+    if field.tiles is not None and not leaves.cells.size:
+        heads = Heads.of(field.tiles, samples.codes)
+    job = Job.of(field, channels, samples, placement, leaves, heads, unfitted, is_facing=False)
+    values = [large.copied(channel.values) for channel in job.channels]
     for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
         for whole, part in zip(values, parts, strict=True):
             whole[cells] = part
-    return dict(channels) | {
-        channel.format.name: channel._replace(values=each)
-        for channel, each in zip(given, values, strict=True)
-        if channel.format.name not in unfitted
-    }
+    found = zip(job.channels, values, strict=True)
+    return job.merged(channels, (channel._replace(values=each) for channel, each in found))
 
 
 def fitted_rows(
@@ -184,39 +205,15 @@ def fitted_rows(
 
     These are all samples in these leaves, and looked up with their normals. All else is as in ``fitted``.
     """
-    given = [channels[form.name] for form in samples.channels]
-    values = [channel.split_values.copy() for channel in given]
-    after_cells = [channel._replace(kept_values=channel.split_values) for channel in given]
-    job = _job(tree, after_cells, samples, placement, rows, unfitted, is_facing=True)
+    field = Field(tree)
+    field.facings  # noqa: B018 (built before threads share it)
+    job = Job.of(field, channels, samples, placement, rows, None, unfitted, is_facing=True)
+    values = [channel.split_values.copy() for channel in job.channels]
     for (first, end), parts in _fit_bricks(job, executor, progress):
         for whole, part in zip(values, parts, strict=True):
             whole[rows.numbers(first, end) - tree.n_cells] = part
-    return dict(channels) | {
-        channel.format.name: channel._replace(split_values=each)
-        for channel, each in zip(given, values, strict=True)
-        if channel.format.name not in unfitted
-    }
-
-
-def _job(
-    tree: Octree,
-    channels: list[Channel],
-    samples: Samples,
-    placement: Placement,
-    leaves: Leaves,
-    unfitted: Collection[str],
-    *,
-    is_facing: bool,
-) -> Job:
-    field, heads = Field(tree), None
-    if is_facing:
-        field.facings  # noqa: B018 (built before threads share it)
-    tiles = field.tiles
-    if tiles is not None and not leaves.cells.size:
-        heads = Heads.of(tiles, samples.codes)
-    groups = _groups(samples.channels)
-    ranges = [group.range(samples) for group in groups]
-    return Job(field, channels, samples, placement, leaves, heads, groups, ranges, unfitted, is_facing)
+    found = zip(job.channels, values, strict=True)
+    return job.merged(channels, (channel._replace(split_values=each) for channel, each in found))
 
 
 def _fit_bricks(
@@ -276,7 +273,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         lookups = CubeLookups.of(job.samples, job.heads, job.leaves, *brick)
     equations = None
     is_fixed = job.leaves.ranks_of(lookups.cells[: lookups.unknowns]) < 0
-    values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
+    values = _values(job.channels, lookups.cells, job.field.tree.n_cells, is_facing=job.is_facing)
     targets = job.samples.values.take(lookups.samples, axis=0)
     shares = job.samples.shares.take(lookups.samples) * (lookups.strides * np.float32(1 / SHARE_STEPS))
     for group, limits in zip(job.groups, job.ranges, strict=True):
@@ -320,7 +317,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     outside = Outside.of(0)
     ring = leaves.with_samples(np.arange(first, end))
     samples, strides, changes, starts = [], [], [], [np.zeros(1, np.int64)]
-    numbers, weights = np.empty(0, np.int32), np.empty(0, np.float32)
+    numbers, weights = [], []
     n_taps = unknowns = 0
     for _ in range(RINGS + 1):
         known = int(outside.total[0])
@@ -336,13 +333,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         points = sample_points(job.samples, members, job.placement)
         for taps in job.field.runs(points, job.placement, normals=normals):
             room = int((taps.ends - taps.starts).sum())
-            if n_taps + room > numbers.size:
-                more = (n_taps + room) * 2 + TAPS * len(members)
-                numbers, weights = _with_room(numbers, n_taps, more), _with_room(weights, n_taps, more)
             outside = outside.with_room(room)
             ends = np.empty(taps.starts.size, np.int64)
-            found = number(taps, leaves, first, end, outside, ends, numbers[n_taps:], weights[n_taps:])
+            some, shares = np.empty(room, np.int32), np.empty(room, np.float32)
+            found = number(taps, leaves, first, end, outside, ends, some, shares)
             starts.append(ends + n_taps)
+            numbers.append(some[:found])
+            weights.append(shares[:found])
             n_taps += found
         ranks = leaves.ranks_of(outside.found()[known:])
         ring = leaves.with_samples(ranks[ranks >= 0])
@@ -350,19 +347,12 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate(samples),
         np.concatenate(strides),
         np.concatenate(starts),
-        numbers[:n_taps],
-        weights[:n_taps],
+        np.concatenate(numbers),
+        np.concatenate(weights),
         np.concatenate([own, outside.found()]),
         unknowns,
         np.append(np.flatnonzero(np.concatenate(changes)), sum(map(len, samples))),
     )
-
-
-def _with_room(array: Array, used: int, room: int) -> Array:
-    """Return an array of ``room`` entries that begins with the first ``used`` of another."""
-    larger = np.empty(room, array.dtype)
-    larger[:used] = array[:used]
-    return larger
 
 
 def _four(columns: Floats) -> Float32s:
@@ -372,14 +362,15 @@ def _four(columns: Floats) -> Float32s:
     return rows
 
 
-def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int) -> Float32s:
-    """Return the decoded values (rows, components) of cells, and after them of kept coefficients."""
-    kept = np.flatnonzero(rows >= n_cells)
-    cells = np.minimum(rows, n_cells - 1) if kept.size else rows
+def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int, *, is_facing: bool) -> Float32s:
+    """Return the decoded values (rows, components) of cells, and after them of rows or kept coefficients."""
+    beyond = np.flatnonzero(rows >= n_cells)
+    cells = np.minimum(rows, n_cells - 1) if beyond.size else rows
     found = np.empty((len(rows), sum(channel.format.components for channel in channels)), np.float32)
     end = 0
     for channel in channels:
         start, end = end, end + channel.format.components
-        found[:, start:end] = decode(channel.values.take(cells, axis=0), channel.format.space)
-        found[kept, start:end] = decode(channel.kept_values[rows[kept] - n_cells], channel.format.space)
+        more, space = channel.split_values if is_facing else channel.kept_values, channel.format.space
+        found[:, start:end] = decode(channel.values.take(cells, axis=0), space)
+        found[beyond, start:end] = decode(more[rows[beyond] - n_cells], space)
     return found

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,20 +23,20 @@ from octex.source.surface import Surface
 from octex.texture.channel import Channel
 from octex.tree.children import rank
 from octex.tree.edit import among
-from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 from octex.voxelize.fragments import (
     Blocks,
-    Pieces,
+    Fragments,
     Run,
     bin_triangles,
     cut,
     even_runs,
-    most_pieces,
+    most_fragments,
     some_blocks,
 )
-from octex.voxelize.grid import BLOCK_BITS, SPREAD, count_degenerate, on_grid
+from octex.voxelize.grid import BLOCK_BITS, count_degenerate, on_grid
 from octex.voxelize.sums import (
     SumColumns,
     Sums,
@@ -44,7 +44,7 @@ from octex.voxelize.sums import (
     count_entries,
     level_means,
     sum_children,
-    sum_pieces,
+    sum_fragments,
 )
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
@@ -56,7 +56,6 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Files of parts that are joined to one.
 _JOINED = 16
 
-Rows = TypeVar("Rows", Sums, Taken)
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -67,8 +66,6 @@ class LevelCells(NamedTuple):
     flags: Uint8s  # normal flags, and SPLIT
     areas: Uint8s
     values: list[Array]  # one array (cells, components) for each channel
-    split_cells: Int64s  # index into these cells
-    split_facings: Uint8s
     split_areas: Uint8s  # a row for each facing
     split_values: list[Array]
 
@@ -127,6 +124,7 @@ def cell_levels(
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
+    ``channels`` are the surface's, as they are stored; or none, for cells, facings and areas alone.
     What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
     one block there always is. If it ``has_gaps``, cells that are gaps alone, for their ``alpha`` is 0, are
     left out, and count for cells above these.
@@ -154,17 +152,19 @@ def cell_levels(
         blocks = some_blocks(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
-    surface.source.prepare()
+    if channels:
+        surface.source.prepare()
     job = Job(
         surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
     )
-    runs = even_runs(most_pieces(grid, surface.triangles, blocks, depth))
+    runs = even_runs(most_fragments(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
     codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
-    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns, left)
+    tops = _end_to_end([part.top for part in parts], np.concatenate)
+    upper, _ = climb(tops, block_level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     taken = [part.taken for part in parts if part.taken is not None]
@@ -210,88 +210,52 @@ def _gathered(parts: Iterable[Part]) -> list[Part]:
     for part in parts:
         some.append(part)
         if len(some) == _JOINED:
-            found.append(large.moved(_joined(some)))
+            found.append(large.moved(_end_to_end(some, np.concatenate)))
             some = []
     return found + some
 
 
-def _joined(parts: Sequence[Part]) -> Part:
-    """Join parts that follow one another."""
-    taken = [part.taken for part in parts if part.taken is not None]
-    wanted = [part.wanted for part in parts if part.wanted is not None]
-    return Part(
-        np.concatenate([part.codes for part in parts]),
-        np.concatenate([part.gaps for part in parts]),
-        [
-            _joined_cells(cells, np.concatenate)
-            for cells in zip(*(part.levels for part in parts), strict=True)
-        ],
-        _joined_rows([part.top for part in parts]),
-        _joined_rows(taken) if taken else None,
-        np.concatenate(wanted) if wanted else None,
-    )
-
-
-def _joined_rows(parts: Sequence[Rows]) -> Rows:
-    """Lay the arrays of several tuples of them end to end."""
-    return type(parts[0])(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
-def _joined_cells(parts: Sequence[LevelCells], join: Callable[[list[Array]], Array]) -> LevelCells:
-    """Join cells that follow one another."""
-    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
-    channels = range(len(parts[0].values))
-    return LevelCells(
-        join([part.flags for part in parts]),
-        join([part.areas for part in parts]),
-        [join([part.values[n] for part in parts]) for n in channels],
-        join([part.split_cells + start for part, start in zip(parts, starts, strict=False)]),
-        join([part.split_facings for part in parts]),
-        join([part.split_areas for part in parts]),
-        [join([part.split_values[n] for part in parts]) for n in channels],
-    )
+def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
+    """Join arrays that follow one another, or those in tuples and lists of them; None stays None."""
+    first = parts[0]
+    if first is None or isinstance(first, np.ndarray):
+        return first if first is None else join(parts)
+    each = [_end_to_end(some, join) for some in zip(*parts, strict=True)]
+    return each if isinstance(first, list) else type(first)(*each)
 
 
 def _convert_run(job: Job, run: Run) -> Part:
     """Convert a run of blocks."""
     surface = job.surface
-    pieces = cut(
-        job.grid,
-        surface.triangles,
-        job.blocks,
-        run.first_block,
-        run.last_block,
-        job.depth,
-        run.most,
-        0,
-        SPREAD,
-    )
-    # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
-    widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
-    values = surface.evaluate_all(pieces.triangles, pieces.barycentric, widths)
+    fragments = cut(job.grid, surface.triangles, job.blocks, run, job.depth)
+    # A fragment is read with a footprint of its own size: a cell's mean is then that of all that lies in it.
+    widths = (np.sqrt(fragments.areas) * job.cell).astype(np.float32)
+    values = np.empty((widths.size, 0), np.float32)
+    if job.channels:
+        values = surface.evaluate_all(fragments.triangles, fragments.barycentric, widths)
     end = 0
-    for given, stored in zip(surface.channels, job.channels, strict=True):
+    for given, stored in zip(surface.channels, job.channels, strict=bool(job.channels)):
         start, end = end, end + given.components
         check_range(values[:, start:end], given, stored.dtype, surface.name)
-    n_entries = count_entries(pieces.flags)
-    sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
-    leaves = Sums(pieces.codes, pieces.flags, sums)
-    left, gaps = None, pieces.codes[:0]
+    n_entries = count_entries(fragments.flags)
+    sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
+    leaves = Sums(fragments.codes, fragments.flags, sums)
+    left, gaps = None, fragments.codes[:0]
     if job.has_gaps:
         is_left = _is_left(leaves, job.channels, job.columns)
-        left, gaps = pieces.codes[is_left], pieces.codes[~is_left]
+        left, gaps = fragments.codes[is_left], fragments.codes[~is_left]
         if gaps.size:
-            pieces, chosen = _some_pieces(pieces, is_left)
+            fragments, chosen = _some_fragments(fragments, is_left)
             widths, values = widths[chosen], values[chosen]
     levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
-    wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
+    wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)
     taken = None
     if job.has_samples:
         taken = take_samples(
-            surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+            surface, job.grid, fragments, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
         )
-    return Part(pieces.codes, gaps, levels, top, taken, wanted)
+    return Part(fragments.codes, gaps, levels, top, taken, wanted)
 
 
 def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> Bools:
@@ -304,17 +268,17 @@ def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumn
     return found
 
 
-def _some_pieces(pieces: Pieces, cells: Bools) -> tuple[Pieces, Bools]:
-    """Return the pieces of some cells, and say which they are."""
-    owned = np.repeat(cells, bit_counts(pieces.flags))
-    chosen = owned[pieces.entries]
-    some = Pieces(
-        pieces.codes[cells],
-        pieces.flags[cells],
-        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[pieces.entries[chosen]],
-        pieces.triangles[chosen],
-        pieces.barycentric[chosen],
-        pieces.areas[chosen],
+def _some_fragments(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:
+    """Return the fragments of some cells, and say which they are."""
+    owned = np.repeat(cells, bit_counts(fragments.flags))
+    chosen = owned[fragments.entries]
+    some = Fragments(
+        fragments.codes[cells],
+        fragments.flags[cells],
+        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[fragments.entries[chosen]],
+        fragments.triangles[chosen],
+        fragments.barycentric[chosen],
+        fragments.areas[chosen],
     )
     return some, chosen
 
@@ -372,13 +336,15 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         facing_values = [each[rows] for each in facing_values]
         flags = flags.copy()
         flags[cells] |= SPLIT
-    return LevelCells(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
+    return LevelCells(flags, means.areas, values, facing_areas, facing_values)
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
     """Build the tree, and lay the parts of each level end to end."""
-    cells = _joined_cells([part for level in filled.levels for part in level], large.joined)
-    split = SplitTable(cells.split_cells.astype(np.uint32), cells.split_facings, cells.split_areas)
+    cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
+    split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
+    facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
+    split = SplitTable(split_cells, facings, cells.split_areas)
     tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
     values = {
         channel.name: Channel(

@@ -32,7 +32,6 @@ from octex.painting.cells import (
     skirt_paint,
     some,
 )
-from octex.painting.flat import Flat
 from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
 from octex.painting.pictures import Blend
@@ -393,16 +392,14 @@ def _met_cells(
     nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
         return nothing
-    part = ground.surface.part(chosen, Flat())
-    channels = part.source.channels
     try:
         filled = cell_levels(
-            part, channels, texture.placement, depth, executor, progress,
+            ground.surface.part(chosen), (), texture.placement, depth, executor, progress,
             has_samples=False, reached=partial(_are_near, tops),
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return nothing
-    tree, _ = assemble(channels, filled)
+    tree, _ = assemble((), filled)
     return Met(tree, [codes for codes, _ in tree.walk()])
 
 
