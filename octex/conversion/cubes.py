@@ -17,6 +17,7 @@ from octex.conversion.solve import LEAST_WEIGHT, Equations, by_unknown, write_re
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import fused_kernel, kernel, weighted_cube
 from octex.tree.morton import decode, decode_cells
+from octex.tree.octree import distinct
 
 #: Bits of a cell's code below that of its cube.
 _BITS = 9
@@ -40,7 +41,7 @@ class Heads(NamedTuple):
     @classmethod
     def of(cls, tiles: Tiles, codes: Int64s) -> Heads:
         """List the cubes of finest cells (n,), which ascend."""
-        firsts = _firsts(codes)
+        firsts = np.append(np.flatnonzero(np.diff(codes >> _BITS, prepend=-1)), codes.size)
         return cls(tiles, tiles.masks.size // 8 - firsts.size, firsts)
 
 
@@ -70,11 +71,10 @@ class CubeLookups(NamedTuple):
         """Find what is around leaves ``first`` … ``end`` − 1, which are finest cells."""
         own = np.arange(first, end)
         inner = _cubes(samples, heads, own)
-        outside = Outside.of(_count_outside(inner.cells, first, end))
-        _collect(inner.cells, first, end, outside)
-        ring = np.sort(outside.found())
+        ring = distinct(inner.cells[(inner.cells < first) | (inner.cells >= end)])
         outer = _cubes(samples, heads, ring)
-        outside = Outside.of(ring.size + _count_outside(outer.cells, first, end))
+        others = int(np.count_nonzero((outer.cells < first) | (outer.cells >= end)))
+        outside = Outside.of(ring.size + others)
         extend(outside, ring)
         for each in (inner, outer):
             _number(each.cells, first, end, outside)
@@ -116,21 +116,6 @@ class CubeLookups(NamedTuple):
     def covered(self, coverage: Float32s) -> CubeLookups:
         """Return the same with cells (m,) that weigh by their coverage."""
         return self._replace(coverage=coverage)
-
-
-@kernel
-def _firsts(codes: Int64s) -> Int64s:
-    """Return where cells of another cube begin, and the end."""
-    count = 0
-    for n in range(codes.size):
-        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
-    firsts = np.empty(count + 1, np.int64)
-    count = 0
-    for n in range(codes.size):
-        firsts[count] = n
-        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
-    firsts[count] = codes.size
-    return firsts
 
 
 def _cubes(samples: Samples, heads: Heads, cells: Int64s) -> Cubes:
@@ -178,21 +163,6 @@ def _list(codes: Int64s, heads: Heads, chosen: Int64s, cubes: Cubes) -> None:
                 places[entry], cells[entry] = _PLACES[at] + shift, cell
                 entry += np.uint64(_SIDES[at] & sides == sides)
         cubes.starts[cube + 1] = entry
-
-
-@kernel
-def _count_outside(cells: Int32s, first: int, end: int) -> int:
-    count = 0
-    for n in range(cells.size):
-        count += (cells[n] < first) | (cells[n] >= end)
-    return count
-
-
-@kernel
-def _collect(cells: Int32s, first: int, end: int, outside: Outside) -> None:
-    for n in range(cells.size):
-        if not first <= cells[n] < end:
-            number_of(outside, int(cells[n]))
 
 
 @kernel

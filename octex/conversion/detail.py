@@ -13,7 +13,6 @@ from octex.arrays import Float32s, Float64s, Int32s, Uint8s, bit_counts
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer
-from octex.jit import kernel
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
@@ -70,19 +69,12 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
 
 def deepest_wanted(wanted: Wanted, fragments: Fragments, widths: Float32s) -> Uint8s:
     """Return the whole level (cells,) that the middles of the fragments in each cell want to go to."""
-    levels = wanted(fragments.triangles, fragments.barycentric, widths)
+    levels = np.maximum(np.ceil(wanted(fragments.triangles, fragments.barycentric, widths) - _SLACK), 0.0)
     counts = bit_counts(fragments.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
-    _deepen(fragments.entries, levels, of_entries)
+    np.maximum.at(of_entries, fragments.entries, levels.astype(np.uint8))
     deepest: Uint8s = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
     return deepest
-
-
-@kernel
-def _deepen(entries: Int32s, levels: Float64s, deepest: Uint8s) -> None:
-    for n in range(entries.size):
-        level = max(int(np.ceil(levels[n] - _SLACK)), 0)
-        deepest[entries[n]] = np.uint8(max(level, int(deepest[entries[n]])))
 
 
 def _by_function(

@@ -41,7 +41,6 @@ from octex.voxelize.sums import (
     SumColumns,
     Sums,
     by_channel,
-    count_entries,
     level_means,
     sum_children,
     sum_fragments,
@@ -237,7 +236,7 @@ def _convert_run(job: Job, run: Run) -> Part:
     for given, stored in zip(surface.channels, job.channels, strict=bool(job.channels)):
         start, end = end, end + given.components
         check_range(values[:, start:end], given, stored.dtype, surface.name)
-    n_entries = count_entries(fragments.flags)
+    n_entries = int(bit_counts(fragments.flags).sum())
     sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(fragments.codes, fragments.flags, sums)
     left, gaps = None, fragments.codes[:0]

@@ -19,6 +19,7 @@ from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.jit import inlined, kernel, popcount
 from octex.source.surface import Surface
+from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
@@ -136,11 +137,10 @@ def take_samples(
     most = np.finfo(rows.dtype).max
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
-    bits = np.uint32 if is_fine else np.uint16
-    _reorder(found.astype(rows.dtype).view(bits), chosen.order, rows.view(bits))
+    rows[chosen.order] = found
     faces = face_normals(grid, surface.triangles, triangles)
     normals = np.empty_like(faces)
-    _reorder(faces.view(np.uint8), chosen.order, normals.view(np.uint8))
+    normals[chosen.order] = faces
     return Taken(chosen.counts, places, normals, chosen.shares, rows)
 
 
@@ -241,25 +241,12 @@ def _points(
         if not (firsts[cell] <= sample < firsts[cell + 1]):
             cell += 1  # mostly the next
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
-                cell = _last_not_above(firsts, sample)
+                cell = np.int64(first_not_below(firsts, int(sample) + 1, int(cell)) - 1)
         i, j, k = decode(codes[cell])
         points[n, 0] = origin[0] + (i + (places[sample, 0] + 0.5) * step) * edge
         points[n, 1] = origin[1] + (j + (places[sample, 1] + 0.5) * step) * edge
         points[n, 2] = origin[2] + (k + (places[sample, 2] + 0.5) * step) * edge
     return points
-
-
-@inlined
-def _last_not_above(firsts: Int64s, sample: np.int64) -> np.int64:
-    """Return the place of the last of ascending numbers that is not above another."""
-    low, high = 0, firsts.size  # numpy's search compiles for half a second
-    while low < high:
-        middle = (low + high) // 2
-        if firsts[middle] <= sample:
-            low = middle + 1
-        else:
-            high = middle
-    return np.int64(low - 1)
 
 
 @kernel
@@ -330,18 +317,6 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
                 means[entry, 0], means[entry, 1] = n, largest[entry, 0]
             n += 1
     return Chosen(counts, shares[:n_samples].copy(), order, chosen, is_mean, means)
-
-
-@kernel
-def _reorder(
-    rows: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
-    order: Int32s,
-    found: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
-) -> None:
-    """Write row i to row order[i]."""
-    for i in range(order.size):
-        for column in range(rows.shape[1]):
-            found[order[i], column] = rows[i, column]
 
 
 @kernel

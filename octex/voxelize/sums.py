@@ -215,12 +215,3 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
                 row += 1
         entry += n_facings
     return Means(values, areas, two_sided, facing_values, facing_areas)
-
-
-@kernel
-def count_entries(flags: Uint8s) -> int:
-    """Count the facings of all cells."""
-    count = 0
-    for i in range(flags.size):
-        count += popcount(np.uint64(flags[i]))
-    return count
