@@ -13,6 +13,7 @@ The words
     facing      one of six directions that the surface shows; a split cell has a value for each side
     kept        of a node above finer paint: it keeps the value that the field beside the paint is made of
     residual    what a node's value has beyond the average of the cells below it
+    fragment    the part of a triangle that lies in a cell
     layer       paint as a texture of its own: a channel, and how much of each cell it covers
     source      what a point's value comes from: images, functions, numbers, other models, points
     patch       a disc of a surface, laid flat to be painted on in a picture

@@ -26,7 +26,7 @@ from octex.conversion.evaluator import (
 from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
 from octex.conversion.prune import Pruned
-from octex.conversion.samples import MOST_POINTS, Samples, lay_out
+from octex.conversion.samples import MOST_POINTS, Samples, lay_first, lay_out
 from octex.field.weights import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import inlined, kernel
@@ -198,7 +198,10 @@ def _is_far(
     normal = scratch.normal
     view = view_of(normal, 0)
     for sample in range(samples.firsts[cell], samples.firsts[cell + 1]):
-        count = lay_out(samples.places, samples.normals, sample, scratch.points)
+        if is_all_over:
+            count = lay_out(samples.places, samples.normals, sample, scratch.points)
+        else:
+            count = lay_first(samples.places, sample, scratch.points)
         for look in range(2 if is_all_over else 1):  # without a normal, then with it
             one, other = 0, 1
             if look == 1:
