@@ -19,6 +19,7 @@ The words
     split cell  a cell that stores a value for each facing of the surface in it, one row each
     kept node   a node above finer paint that also stores its old leaf value, for the field next to the paint
     adaptive    of a tree: it has leaves of several levels
+    fragment    the part of a triangle that lies in a cell
     layer       a texture that holds only paint: one channel, and its coverage as alpha
     patch       a disc of a surface, laid flat to be painted on in a picture
 
@@ -31,9 +32,10 @@ The rooms, each of which knows only those before it
     kernels     lookups of one point, for one's own compiled loops
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
-    conversion  cells met exactly, sums over clipped pieces, the fit, adaptive depth
+    voxelize    a surface in cells: those that it meets exactly, its fragments in them, sums a level
+    conversion  the tree of these, the fit, adaptive depth
     cameras     cameras, their lenses and their files
-    view        what a camera sees: a z-buffer and the visibility of points; studio light
+    view        what a camera sees: a z-buffer and the visibility of points
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     processing  textures from textures
     baking      textures to images at texture coordinates

@@ -1,16 +1,14 @@
-"""From a surface to an octree texture: the cells that it meets, and what it shows in each of them.
+"""From a surface to an octree texture.
 
 convert     all of it; sets: textures of a model's parts; points, voxels: without a surface
 apart       parts moved off each other
-numbering   which blocks of cells triangles reach
-cells       which cells they meet, exactly; pieces, clip: what of them lies in each cell
-accumulate  sums over the pieces: means, areas, facings
-levels      these steps, block by block, and the tree made of what they give
+levels      the surface voxelized block by block: means of all cells, and the tree of these
 gaps        cells that a source knows nothing of
-facings     cells whose sides show different values
-samples     points of the surface in each cell
-fit, solve  leaves whose field meets the samples; cubes: where all are finest cells; sides: for each facing
-adapt       leaves merged where the field stays near: detail, measure, prune, distances, patches, nearness,
-            coefficients
+samples     points of the surface in each cell, with what the source shows there
+fit, solve  leaves whose field meets the samples; numbering: which these are; cubes: all are finest cells
+sides       a value for each side of a leaf; facings: which leaves have several
+detail      how deep to go where; prune: trees with nodes as leaves
+adapt       leaves merged where the field stays near; differences: how near, evaluator, measure: of what
 formats     how channels are stored
+large       arrays in files
 """

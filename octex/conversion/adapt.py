@@ -7,38 +7,32 @@ detail than that, a leaf that meets it at some points can be far off at others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from itertools import count
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import decode
-from octex.conversion import large
-from octex.conversion.distances import Looked, coverage_of, far_samples, near_alone
-from octex.conversion.measure import ErrorColumns, encoded
-from octex.conversion.nearness import Decoded, far_cells
-from octex.conversion.patches import BARE, NEAR, near_cells
+from octex.arrays import Bools, Int64s, Uint8s
+from octex.checks import as_real
+from octex.conversion.differences import Decoded, far_cells
+from octex.conversion.evaluator import Coefficients
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.conversion.sides import Fit, Split
 from octex.errors import ArgumentError
 from octex.parallel import Progress, ordered_map, sharing
 from octex.texture.channel import Channel
-from octex.tree.morton import decode_cells, encode_cells
-from octex.tree.octree import Octree
+from octex.tree.beside import near
+from octex.tree.octree import Octree, distinct
 
 #: Says something of finest cells (n,), which ascend.
-Judge: TypeAlias = Callable[[Int64s], npt.NDArray[np.uint8 | np.bool_]]
+Judge: TypeAlias = Callable[[Int64s], Bools]
 
-#: Finest cells or samples that are tested at once.
+#: Finest cells that are tested at once.
 _BLOCK = 1 << 14
-#: Cells whose means are decoded at once.
-_ROWS = 1 << 20
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
@@ -50,10 +44,7 @@ _SPARSE = 8
 
 def as_max_error(max_error: float) -> float:
     """Return a number of 8-bit codes, finite and 0 or more, or raise ArgumentError."""
-    try:
-        number = float(max_error)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"max_error must be a number of 8-bit codes, not {max_error!r}") from None
+    number = as_real(max_error, "max_error", "a number of 8-bit codes")
     if not 0.0 <= number < np.inf:
         raise ArgumentError(f"max_error must be finite and not negative, not {number:g}")
     return number
@@ -68,7 +59,7 @@ def adapted(
     wanted: Uint8s | None,
     fit: Fit | None,
     split: Split | None,
-    executor: Executor | None,
+    executor: Executor,
     progress: Progress,
 ) -> tuple[Octree, dict[str, Channel]]:
     """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``, then ``split``.
@@ -101,7 +92,7 @@ def adapted(
         pruned = prune(finest, limits)
     full, known = grafted(tree, channels, pruned, whole, values)
     finest = finest._replace(tree=full)
-    merger = _Merger(finest, channels, known, samples, max_error, limits, executor, progress)
+    merger = _Merger(finest, known, samples, max_error, limits, executor, progress)
     return merger.merged(fit)
 
 
@@ -111,28 +102,22 @@ class _Merger:
     def __init__(
         self,
         finest: Finest,
-        means: Channels,
         known: Channels,
         samples: Samples,
         max_error: float,
         limits: Uint8s,
-        executor: Executor | None,
+        executor: Executor,
         progress: Progress,
     ) -> None:
         self._finest = finest
-        self._means = means
         self._known = dict(known)
         self._samples = samples
-        self._columns = ErrorColumns.of(samples.channels)
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
-        self._whole = prune(finest, limits)
-        self._full = self._looked(self._whole)
-        #: (samples, columns)   the full tree's field, and (samples,) by how much it counts
-        self._wanted = self._codes(self._full)
-        self._coverage = coverage_of(self._wanted, samples.channels)
+        self._decoded = Decoded.of(known, samples.channels)
+        self._full = self._decoded.pruned(prune(finest, limits))
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
@@ -164,6 +149,7 @@ class _Merger:
         values = fit(pruned.tree, pruned.carried(self._known), is_merged)
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
+        self._decoded.put(self._known, self._samples.channels, pruned.cells[merged])
 
     def _merge(self, level: int, depths: Uint8s) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
@@ -171,56 +157,38 @@ class _Merger:
         Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
         average is: beside an edge the former are not, but finer leaves on the edge will keep it.
         """
-        finest, samples = self._finest, self._samples
+        finest = self._finest
         firsts = finest.firsts[level]
-        may = np.maximum.reduceat(depths, firsts) == level + 1
-        if not may.any():
+        candidates = np.maximum.reduceat(depths, firsts) == level + 1
+        if not candidates.any():
             return
-        rows = slice(*finest.tree.arrays.level_cells[level : level + 2])
-        starts = np.append(samples.firsts[firsts], samples.firsts[-1])
-        task = self._own_codes(rows), self._wanted, starts, self._coverage
-        near = near_alone(*task, self._columns.alpha, self._most, may)
-        may &= ~near
         # What is small, finer levels have seen: one of the finest cells in each child will do, and most nodes
         # that fail do so in the first.
-        looked = Looked.of(finest.tree.truncated(level), self._means, samples.channels)
+        averages = self._decoded.truncated(finest.tree, level)
+        merges = candidates.copy()
         for first in (firsts, finest.first(level + 1)):
             chosen = np.zeros(finest.codes.size, np.bool_)
             chosen[first] = True
-            failing = self._far(looked, chosen & finest.spread(level, may))
-            may &= ~np.logical_or.reduceat(failing, firsts)
-        depths[finest.spread(level, near | may)] = level
-
-    def _own_codes(self, cells: slice) -> Float32s:
-        """Return the means of some cells in codes (n, columns)."""
-        own = [self._means[form.name] for form in self._samples.channels]
-        parts = []
-        for begin in range(cells.start, cells.stop, _ROWS):
-            some = slice(begin, min(begin + _ROWS, cells.stop))
-            values = [decode(each.values[some], each.format.space) for each in own]
-            parts.append(encoded(np.concatenate(values, axis=1), self._columns))
-        return large.joined(parts)
+            failing = self._far(averages, chosen & finest.spread(level, merges))
+            merges &= ~np.logical_or.reduceat(failing, firsts)
+        own = np.arange(firsts.size) + finest.tree.arrays.level_cells[level]
+        owners = np.repeat(own, np.diff(firsts, append=finest.codes.size))
+        failing = self._far(averages, finest.spread(level, candidates & ~merges), owners=owners)
+        merges |= candidates & ~np.logical_or.reduceat(failing, firsts)
+        depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:
         """Split merged leaves until the field is near everywhere, looked up with normals too.
 
         Where it is not, it mostly is not in many cells: some of them find most leaves, before all are tested.
         """
-        decoded = Decoded.of(self._known, self._samples.channels)
-        full = decoded.pruned(self._whole)
         self._split(depths)
         for step in (_SPARSE, 1):
             tested = np.arange(depths.size) % step == 0
             suspects = tested
             for attempt in count():
                 pruned = prune(self._finest, depths)
-                work: Judge = partial(near_cells, self._looked(pruned), self._full, self._samples, self._most)
-                near = self._judged(work, suspects)
-                suspects = suspects & (near < NEAR)
-                if suspects.any():
-                    fields = decoded.pruned(pruned), full
-                    work = partial(far_cells, *fields, self._samples, self._most, near == BARE)
-                    suspects = self._judged(work, suspects) > 0
+                suspects = self._far(self._decoded.pruned(pruned), suspects, is_all_over=True)
                 suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE) & tested
                 if not suspects.any():
                     break
@@ -228,7 +196,7 @@ class _Merger:
     def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""
         pruned = prune(self._finest, depths)
-        failing = self._far(self._looked(pruned), np.ones(depths.size, np.bool_))
+        failing = self._far(self._decoded.pruned(pruned), np.ones(depths.size, np.bool_))
         self._refined(failing, pruned, depths, 1)
 
     def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
@@ -237,7 +205,10 @@ class _Merger:
         Returns the cells that this reaches.
         """
         splits = self._splits(failing, pruned, depths)
-        reached = self._around(pruned.starts[splits[pruned.starts]], depths)
+        starts = pruned.starts[splits[pruned.starts]]
+        reached = np.zeros(depths.size, np.bool_)
+        for level in np.unique(depths[starts]).tolist():  # in these leaves, and in cells of their size around
+            reached |= self._beside(self._finest.codes[starts[depths[starts] == level]], level)
         depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
         return reached
 
@@ -247,107 +218,23 @@ class _Merger:
         Those that hold the place; where the leaf there has not merged, those whose values reach it.
         """
         may = depths < self._limits
-        codes, depth = self._finest.codes, self._finest.tree.max_depth
-        chosen, others = failing & may, codes[failing & ~may]
+        chosen, others = failing & may, self._finest.codes[failing & ~may]
         for level in np.unique(depths[may]).tolist() if others.size else ():
-            beside = self._held(_around(others >> 3 * (depth - level), level), level)
-            chosen |= beside & may & (depths == level)
+            chosen |= self._beside(others, level) & may & (depths == level)
         return np.repeat(np.logical_or.reduceat(chosen, pruned.starts), pruned.sizes)
 
-    def _around(self, starts: Int64s, depths: Uint8s) -> Bools:
-        """Mark the finest cells in leaves and in the cells of their sizes around: as far as splits reach."""
-        codes, depth = self._finest.codes, self._finest.tree.max_depth
-        marked = np.zeros(codes.size, np.bool_)
-        for level in np.unique(depths[starts]).tolist():
-            held = codes[starts[depths[starts] == level]] >> 3 * (depth - level)
-            marked |= self._held(_around(held, level), level)
-        return marked
-
-    def _held(self, cells: Int64s, level: int) -> Bools:
-        """Mark the finest cells in cells of a level."""
+    def _beside(self, codes: Int64s, level: int) -> Bools:
+        """Mark the finest cells in the cells of a level that hold some of them, or beside these."""
         shift = 3 * (self._finest.tree.max_depth - level)
-        firsts, ends = np.searchsorted(self._finest.codes, [cells << shift, cells + 1 << shift])
-        return _marked(firsts, ends, self._finest.codes.size)
+        return near(self._finest.codes >> shift, distinct(codes >> shift), level)
 
-    def _looked(self, pruned: Pruned) -> Looked:
-        """Return what is looked up of a pruned tree."""
-        return Looked.of(pruned.tree, pruned.carried(self._known), self._samples.channels)
-
-    def _codes(self, looked: Looked) -> Float32s:
-        """Return what is looked up at all samples (n,), in codes (n, columns)."""
-        runs = _Runs(self._samples.places.shape[0])
-        work = partial(looked.codes, self._samples, columns=self._columns)
-        width = self._columns.kinds.size + int((self._columns.vectors >= 0).sum())
-        found: Float32s = large.empty((runs.size, width), np.float32)
-        for number, codes in enumerate(self._mapped(work, runs)):
-            found[number * _BLOCK :][: len(codes)] = codes
-        return found
-
-    def _far(self, looked: Looked, chosen: Bools) -> Bools:
-        """Say in which of the chosen finest cells what is looked up at samples is too far off."""
-        return self._judged(partial(self._far_in, looked), chosen) > 0
-
-    def _far_in(self, looked: Looked, cells: Int64s) -> Bools:
-        rows = self._samples.rows(cells)
-        task = self._wanted, rows, self._coverage, self._columns.alpha, self._most
-        far = far_samples(looked.codes(self._samples, rows, self._columns), *task)
-        counts = self._samples.firsts[cells + 1] - self._samples.firsts[cells]
-        return np.logical_or.reduceat(far, np.cumsum(counts) - counts)
-
-    def _judged(self, work: Judge, chosen: Bools) -> Uint8s:
-        """Return what ``work`` says of the chosen finest cells, 0 for the others."""
+    def _far(self, found: Coefficients, chosen: Bools, **how: Any) -> Bools:
+        """Say in which of the chosen finest cells a field is too far off: see `far_cells`."""
+        work: Judge = partial(far_cells, found, self._full, self._samples, self._most, **how)
         cells = np.flatnonzero(chosen)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        judged = np.zeros(chosen.size, np.uint8)
-        for block, found in zip(blocks, self._mapped(work, blocks), strict=True):
-            judged[block] = found
-        return judged
-
-    def _mapped(self, work: Callable[[Int64s], Any], blocks: Sequence[Int64s]) -> Iterator[Any]:
-        """Yield what ``work`` says of each block; it reads all samples, which do not travel."""
-        if self._executor is None:
-            yield from map(work, blocks)
-            return
-        with sharing(self._executor) as pool:
-            yield from ordered_map(pool, work, blocks)
-
-
-class _Runs(Sequence[Int64s]):
-    """The numbers from 0 on, in blocks."""
-
-    def __init__(self, count: int) -> None:
-        self.size = count
-
-    def __len__(self) -> int:
-        return -(-self.size // _BLOCK)
-
-    def __getitem__(self, number: Any) -> Any:
-        if number >= len(self):
-            raise IndexError(number)
-        return np.arange(number * _BLOCK, min((number + 1) * _BLOCK, self.size))
-
-
-_OFFSETS = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
-
-
-def _around(codes: Int64s, level: int) -> Int64s:
-    """Return cells of a level, which ascend, and all around them, each once."""
-    cells = decode_cells(_each_once(codes))
-    around = (cells[:, None] + _OFFSETS).reshape(-1, 3)
-    around = encode_cells(around[((around >= 0) & (around < 1 << level)).all(axis=1)])
-    around.sort()
-    return _each_once(around)
-
-
-def _each_once(codes: Int64s) -> Int64s:
-    """Leave out what is there twice of codes (n,) that ascend: in a tenth of the time of numpy's unique."""
-    return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
-
-
-def _marked(firsts: Int64s, ends: Int64s, size: int) -> Bools:
-    """Mark all from each of ``firsts`` up to its end."""
-    changes = np.zeros(size + 1, np.int32)
-    np.add.at(changes, firsts, 1)
-    np.add.at(changes, ends, -1)
-    np.cumsum(changes, out=changes)
-    return changes[:-1] > 0
+        far = np.zeros(chosen.size, np.bool_)
+        with sharing(self._executor) as pool:  # all samples are read, which do not travel
+            for block, answer in zip(blocks, ordered_map(pool, work, blocks), strict=True):
+                far[block] = answer
+        return far

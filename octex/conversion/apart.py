@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from octex.checks import as_depth, as_number, as_positive
 from octex.errors import ArgumentError
 from octex.source.parts import Overlaps
@@ -28,6 +30,13 @@ class Separated(NamedTuple):
 
     surface: Surface
     found: Overlaps  # of the surface as it was
+
+
+def as_margin(separate: float | bool | None) -> float | None:
+    """Return by how many finest cells to keep parts apart, None for not at all, or raise ArgumentError."""
+    if isinstance(separate, (bool, np.bool_)):
+        return CELLS if separate else None
+    return None if separate is None else as_number(separate, "separate", *RANGE)
 
 
 def separate(

@@ -8,31 +8,29 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 import octex
-from octex.channels import ALPHA
+from octex.channels import ALPHA, ChannelFormat
 from octex.checks import (
     as_bytes,
     as_depth,
     as_entries,
     as_flag,
     as_names,
-    as_number,
     as_path,
     as_positive,
-    as_real,
     is_path,
     is_several,
 )
 from octex.conversion import apart, large
 from octex.conversion.adapt import adapted, as_max_error
-from octex.conversion.detail import DetailFunction, channel_of, wanted_levels
+from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
 from octex.conversion.formats import Dtypes, formats_as
-from octex.conversion.gaps import without_gaps, without_opaque
-from octex.conversion.levels import assemble, cell_levels, memory_needed
+from octex.conversion.gaps import Remaining, without_gaps, without_opaque
+from octex.conversion.levels import CellLevels, assemble, cell_levels, memory_needed
 from octex.conversion.points import convert_points
 from octex.conversion.sides import fitters
 from octex.conversion.voxels import convert_voxels
@@ -43,8 +41,9 @@ from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels, is_voxels
-from octex.texture import OctreeTexture, open_texture
+from octex.texture import Channel, OctreeTexture, open_texture
 from octex.texture.file import ENDING
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 DEFAULT_DEPTH = 10
@@ -121,34 +120,30 @@ def convert(
     if memory is not None and target is None:
         raise ArgumentError("memory needs a path: where the texture is written, NAME.octex")
     most_memory = None if memory is None else as_bytes(memory, "memory")
-    most = None
-    if max_error is not None:
-        most = as_max_error(as_real(max_error, "max_error", "a number of 8-bit codes"))
+    most = None if max_error is None else as_max_error(max_error)
     depth, cell = as_fineness(depth, cell)
     fit = as_flag(fit, "fit")
-    cells = None
-    if isinstance(separate, (bool, np.bool_)):
-        cells = apart.CELLS if separate else None
-    elif separate is not None:
-        cells = as_number(separate, "separate", *apart.RANGE)
-    if is_path(model) and is_voxels(as_path(model, "model")):
-        model = Voxels.load(model)
-    elif is_path(model) and is_cloud(as_path(model, "model")):
-        model = PointCloud.load(model)
+    margin = apart.as_margin(separate)
+    if is_path(model):
+        path_of_model = as_path(model, "model")
+        if is_voxels(path_of_model):
+            model = Voxels.load(path_of_model)
+        elif is_cloud(path_of_model):
+            model = PointCloud.load(path_of_model)
     if isinstance(model, (PointCloud, Voxels)):
-        of_surfaces = {
-            "rest": rest, "sources": sources, "filter": filter, "max_error": max_error, "detail": detail,
-            "separate": cells, "threads": threads, "executor": executor, "fit": None if fit else fit,
+        options = {
+            "rest": rest, "sources": sources, "filter": filter, "max_error": most, "detail": detail,
+            "separate": margin, "threads": threads, "executor": executor, "fit": None if fit else fit,
             "memory": memory, "path": path,
         }  # fmt: skip
-        for name, given in of_surfaces.items():
-            if given is not None:
+        for name, option in options.items():
+            if option is not None:
                 raise ArgumentError(f"{name} needs a surface, which {model.name} is not; leave it out")
-        if isinstance(model, Voxels):
-            if depth is not None or cell is not None:
-                raise ArgumentError(f"{model.name}: voxels have their own depth; leave depth and cell out")
-            return convert_voxels(model, channels=channels, dtype=dtype, progress=report)
-        return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
+        if isinstance(model, PointCloud):
+            return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
+        if depth is not None or cell is not None:
+            raise ArgumentError(f"{model.name}: voxels have their own depth; leave depth and cell out")
+        return convert_voxels(model, channels=channels, dtype=dtype, progress=report)
     names = None if channels is None else as_names(channels, "channels")
     steering = channel_of(detail)
     if names is None or steering is None or steering in names:
@@ -156,84 +151,140 @@ def convert(
     else:
         whole = surface_of(model, rest, [*names, steering], sources, filter, report)
         surface = whole.with_channels(names)
-    if cells is not None:
-        surface = apart.separate(surface, cells, depth=depth, cell=cell).surface
-    stored = formats_as(surface.channels, dtype)
-    placement, depth = placed(surface, depth, cell)
-    wanted = None if detail is None else wanted_levels(detail, whole, depth)
-    has_samples = fit or most is not None
-    is_mapped = target is not None and executor is not None
-    must_stay = surface.source.has_gaps or surface.source.alpha_is_coverage
-    if most_memory is not None and not is_mapped:
-        needed = memory_needed(surface, stored, placement, depth, has_samples=has_samples)
-        is_mapped = needed * (1 if must_stay else _MOST_TAKEN) > most_memory
+    if margin is not None:
+        surface = apart.separate(surface, margin, depth=depth, cell=cell).surface
+    placement, finest = placed(surface, depth, cell)
+    plan = Plan(
+        surface, formats_as(surface.channels, dtype), placement, finest, cell, fit, most, margin, detail,
+        None if detail is None else wanted_levels(detail, whole, finest),
+    )  # fmt: skip
     with ExitStack() as stack:
         pool = stack.enter_context(workers(threads, executor))
-        if target is not None and is_mapped:
-            is_here = executor is None or shares_memory(executor)
-            if must_stay:
-                raise ArgumentError(
-                    f"{surface.name}: sources with gaps need all of it in memory; leave out memory, and path "
-                    "if there is an executor"
-                )
-            if not is_here and (most is not None or detail is not None):
-                raise ArgumentError(
-                    f"{surface.name}: max_error and detail need all of it on one machine; leave out path or "
-                    "the executor"
-                )
+        if target is not None and _is_mapped(plan, most_memory, executor):
             folder = stack.enter_context(large.scratch(target.parent))
-            pool = large.Tasks(pool, folder, is_here=is_here)
-        filled = cell_levels(
-            surface, stored, placement, depth, pool, report, has_samples=has_samples, wanted=wanted
-        )
-        report("build", 0, 1)
-        tree, values = assemble(stored, filled)
-        report("build", 1, 1)
-        samples, degenerate, deepest, empty = filled.samples, filled.degenerate, filled.wanted, 0
-        if surface.source.has_gaps:
-            coverage = None
-            if not surface.source.alpha_is_coverage:
-                known = surface.coverage
-                coverage = cell_levels(
-                    known, known.channels, placement, depth, pool, report, has_samples=False
-                )
-            tree, values, samples, deepest, empty = without_gaps(tree, values, filled, placement, coverage)
-            if not tree.n_leaves:
-                raise ModelError(
-                    f"{surface.name}: its source is too far from all of it, or faces another way; allow more "
-                    "distance, or a larger angle"
-                )
-        del filled  # holds all values once more
-        fitting = splitting = None
-        if samples is not None and fit:
-            # With a fitted alpha, what is covered would not seem to be beside gaps.
-            unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
-            fitting, splitting = fitters(samples, placement, pool, report, unfitted)
-        tree, values = adapted(
-            tree, values, samples,
-            max_error=most, wanted=deepest, fit=fitting, split=splitting, executor=pool, progress=report,
-        )  # fmt: skip
-        if surface.source.alpha_is_coverage and not empty:
-            values = without_opaque(values)
-        options = {
-            **({"depth": depth} if cell is None else {"cell": float(cell)}),
-            "fit": fit,
-            **({} if most is None else {"max_error": most}),
-            **({} if detail is None else {"detail": detail if isinstance(detail, str) else "function"}),
-            "channels": {name: channel.format.dtype for name, channel in values.items()},
-            **({} if cells is None else {"separate": float(cells)}),
-            "triangles": len(surface.triangles),
-            "degenerate": degenerate,
-            **({"empty": empty} if empty else {}),
-        }
-        metadata = {**surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
-        texture = OctreeTexture(tree, values, placement, surface.bounds, metadata)
-        texture = refaced(texture) if empty else texture
+            pool = large.Tasks(pool, folder, is_here=executor is None or shares_memory(executor))
+        texture = _converted(plan, pool, report)
         if target is None:
             return texture
         texture.save(target)
-        del texture, tree, values, samples
+        del texture
     return open_texture(target)
+
+
+class Plan(NamedTuple):
+    """What is converted, and how."""
+
+    surface: Surface
+    stored: tuple[ChannelFormat, ...]
+    placement: Placement
+    depth: int
+    cell: float | None
+    fit: bool
+    max_error: float | None
+    margin: float | None  # cells that parts are kept apart by
+    detail: DetailFunction | str | None
+    wanted: Wanted | None
+
+    @property
+    def has_samples(self) -> bool:
+        """Say whether samples of the surface are taken."""
+        return self.fit or self.max_error is not None
+
+
+def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
+    """Voxelize a surface, build the tree, fit its leaves, give them sides, merge them."""
+    surface, placement = plan.surface, plan.placement
+    filled = cell_levels(
+        surface, plan.stored, placement, plan.depth, pool, report,
+        has_samples=plan.has_samples, wanted=plan.wanted,
+    )  # fmt: skip
+    report("build", 0, 1)
+    tree, values = assemble(plan.stored, filled)
+    report("build", 1, 1)
+    known = Remaining(tree, values, filled.samples, filled.wanted, 0)
+    degenerate = filled.degenerate
+    if surface.source.has_gaps:
+        known = _without_gaps(plan, tree, values, filled, pool, report)
+    del filled, tree, values  # they hold all values once more
+    fit = split = None
+    if known.samples is not None and plan.fit:
+        # With a fitted alpha, what is covered would not seem to be beside gaps.
+        unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
+        fit, split = fitters(known.samples, placement, pool, report, unfitted)
+    tree, channels = adapted(
+        known.tree, known.channels, known.samples,
+        max_error=plan.max_error, wanted=known.wanted, fit=fit, split=split, executor=pool, progress=report,
+    )  # fmt: skip
+    if surface.source.alpha_is_coverage and not known.empty:
+        channels = without_opaque(channels)
+    metadata = _metadata(plan, channels, degenerate, known.empty)
+    texture = OctreeTexture(tree, channels, placement, surface.bounds, metadata)
+    return refaced(texture) if known.empty else texture
+
+
+def _without_gaps(
+    plan: Plan,
+    tree: Octree,
+    values: dict[str, Channel],
+    filled: CellLevels,
+    pool: Executor,
+    report: Progress,
+) -> Remaining:
+    """Leave out the cells that the source knows nothing of; raises ModelError if those are all."""
+    coverage = None
+    if not plan.surface.source.alpha_is_coverage:
+        known = plan.surface.coverage
+        task = known, known.channels, plan.placement, plan.depth, pool, report
+        coverage = cell_levels(*task, has_samples=False)
+    found = without_gaps(tree, values, filled, plan.placement, coverage)
+    if not found.tree.n_leaves:
+        raise ModelError(
+            f"{plan.surface.name}: its source is too far from all of it, or faces another way; allow more "
+            "distance, or a larger angle"
+        )
+    return found
+
+
+def _is_mapped(plan: Plan, most_memory: int | None, executor: Executor | None) -> bool:
+    """Say whether large arrays go to files; raises ArgumentError where they cannot."""
+    source, name = plan.surface.source, plan.surface.name
+    must_stay = source.has_gaps or source.alpha_is_coverage
+    if executor is None:
+        if most_memory is None:
+            return False
+        needed = memory_needed(
+            plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
+        )
+        if needed * (1 if must_stay else _MOST_TAKEN) <= most_memory:
+            return False
+    if must_stay:
+        raise ArgumentError(
+            f"{name}: sources with gaps need all of it in memory; leave out memory, and path if there is an "
+            "executor"
+        )
+    is_here = executor is None or shares_memory(executor)
+    if not is_here and (plan.max_error is not None or plan.wanted is not None):
+        raise ArgumentError(
+            f"{name}: max_error and detail need all of it on one machine; leave out path or the executor"
+        )
+    return True
+
+
+def _metadata(plan: Plan, channels: Mapping[str, Channel], degenerate: int, empty: int) -> dict[str, str]:
+    """Return what a texture remembers of its conversion."""
+    detail = plan.detail if isinstance(plan.detail, str) else "function"
+    options = {
+        **({"depth": plan.depth} if plan.cell is None else {"cell": float(plan.cell)}),
+        "fit": plan.fit,
+        **({} if plan.max_error is None else {"max_error": plan.max_error}),
+        **({} if plan.detail is None else {"detail": detail}),
+        "channels": {name: channel.format.dtype for name, channel in channels.items()},
+        **({} if plan.margin is None else {"separate": float(plan.margin)}),
+        "triangles": len(plan.surface.triangles),
+        "degenerate": degenerate,
+        **({"empty": empty} if empty else {}),
+    }
+    return {**plan.surface.provenance, "octex": octex.__version__, "convert": json.dumps(options)}
 
 
 def _as_target(path: str | os.PathLike[str]) -> Path:

@@ -17,6 +17,7 @@ from octex.conversion.solve import LEAST_WEIGHT, Equations, by_unknown, write_re
 from octex.field.tiles import Tiles, tile_row
 from octex.jit import fused_kernel, kernel, weighted_cube
 from octex.tree.morton import decode, decode_cells
+from octex.tree.octree import distinct
 
 #: Bits of a cell's code below that of its cube.
 _BITS = 9
@@ -40,7 +41,7 @@ class Heads(NamedTuple):
     @classmethod
     def of(cls, tiles: Tiles, codes: Int64s) -> Heads:
         """List the cubes of finest cells (n,), which ascend."""
-        firsts = _firsts(codes)
+        firsts = np.append(np.flatnonzero(np.diff(codes >> _BITS, prepend=-1)), codes.size)
         return cls(tiles, tiles.masks.size // 8 - firsts.size, firsts)
 
 
@@ -70,11 +71,10 @@ class CubeLookups(NamedTuple):
         """Find what is around leaves ``first`` … ``end`` − 1, which are finest cells."""
         own = np.arange(first, end)
         inner = _cubes(samples, heads, own)
-        outside = Outside.of(_count_outside(inner.cells, first, end))
-        _collect(inner.cells, first, end, outside)
-        ring = np.sort(outside.found())
+        ring = distinct(inner.cells[(inner.cells < first) | (inner.cells >= end)])
         outer = _cubes(samples, heads, ring)
-        outside = Outside.of(ring.size + _count_outside(outer.cells, first, end))
+        others = int(np.count_nonzero((outer.cells < first) | (outer.cells >= end)))
+        outside = Outside.of(ring.size + others)
         extend(outside, ring)
         for each in (inner, outer):
             _number(each.cells, first, end, outside)
@@ -94,15 +94,19 @@ class CubeLookups(NamedTuple):
         )
 
     def residuals(
-        self, values: Float32s, targets: Float32s, shares: Float32s, components: int, is_light: int
+        self,
+        values: Float32s,
+        targets: Float32s,
+        mixed: Float32s,
+        shares: Float32s,
+        components: int,
+        is_light: int,
     ) -> Float32s:
         """Return the residuals of values. See `solve.residuals`."""
         rows = np.empty((self.samples.size, 4), np.float32)
         for cubes in self.cubes:
-            _residuals(
-                *(cubes, self.firsts, self.axes, self.coverage, values),
-                *(targets, shares, components, is_light, rows),
-            )
+            place = cubes, self.firsts, self.axes, self.coverage
+            _residuals(*place, values, targets, mixed, shares, components, is_light, rows)
         return rows
 
     def equations(self) -> Equations:
@@ -112,21 +116,6 @@ class CubeLookups(NamedTuple):
     def covered(self, coverage: Float32s) -> CubeLookups:
         """Return the same with cells (m,) that weigh by their coverage."""
         return self._replace(coverage=coverage)
-
-
-@kernel
-def _firsts(codes: Int64s) -> Int64s:
-    """Return where cells of another cube begin, and the end."""
-    count = 0
-    for n in range(codes.size):
-        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
-    firsts = np.empty(count + 1, np.int64)
-    count = 0
-    for n in range(codes.size):
-        firsts[count] = n
-        count += n == 0 or codes[n] >> _BITS != codes[n - 1] >> _BITS
-    firsts[count] = codes.size
-    return firsts
 
 
 def _cubes(samples: Samples, heads: Heads, cells: Int64s) -> Cubes:
@@ -177,21 +166,6 @@ def _list(codes: Int64s, heads: Heads, chosen: Int64s, cubes: Cubes) -> None:
 
 
 @kernel
-def _count_outside(cells: Int32s, first: int, end: int) -> int:
-    count = 0
-    for n in range(cells.size):
-        count += (cells[n] < first) | (cells[n] >= end)
-    return count
-
-
-@kernel
-def _collect(cells: Int32s, first: int, end: int, outside: Outside) -> None:
-    for n in range(cells.size):
-        if not first <= cells[n] < end:
-            number_of(outside, int(cells[n]))
-
-
-@kernel
 def _number(cells: Int32s, first: int, end: int, outside: Outside) -> None:
     """Replace cells by their numbers: ``first`` … ``end`` − 1 from 0 on, then the rest as they came."""
     for n in range(cells.size):
@@ -226,6 +200,7 @@ def _residuals(
     coverage: Float32s,
     values: Float32s,
     targets: Float32s,
+    mixed: Float32s,
     shares: Float32s,
     components: int,
     is_light: int,
@@ -253,7 +228,7 @@ def _residuals(
                 axes[n, 9] = inverse
                 share = shares[n] if total > zero else zero
                 found = x * inverse, y * inverse, z * inverse
-                write_residual(found, targets, share, components, is_light, sample, rows)
+                write_residual(found, targets, mixed, share, components, is_light, sample, rows)
         for entry in range(begin, end):
             to = np.uint64(4) * np.uint64(cubes.places[entry])
             for part in range(4):

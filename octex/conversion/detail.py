@@ -11,13 +11,12 @@ import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s, bit_counts
 from octex.checks import as_choice
-from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer
-from octex.jit import kernel
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
+from octex.voxelize.fragments import Fragments
 
 #: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
 DetailFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
@@ -68,21 +67,14 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 
-def deepest_wanted(wanted: Wanted, pieces: Pieces, widths: Float32s) -> Uint8s:
-    """Return the whole level (cells,) that the middles of the pieces in each cell want to go to."""
-    levels = wanted(pieces.triangles, pieces.barycentric, widths)
-    counts = bit_counts(pieces.flags).astype(np.int64)
+def deepest_wanted(wanted: Wanted, fragments: Fragments, widths: Float32s) -> Uint8s:
+    """Return the whole level (cells,) that the middles of the fragments in each cell want to go to."""
+    levels = np.maximum(np.ceil(wanted(fragments.triangles, fragments.barycentric, widths) - _SLACK), 0.0)
+    counts = bit_counts(fragments.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
-    _deepen(pieces.entries, levels, of_entries)
+    np.maximum.at(of_entries, fragments.entries, levels.astype(np.uint8))
     deepest: Uint8s = np.maximum.reduceat(of_entries, np.cumsum(counts) - counts)
     return deepest
-
-
-@kernel
-def _deepen(entries: Int32s, levels: Float64s, deepest: Uint8s) -> None:
-    for n in range(entries.size):
-        level = max(int(np.ceil(levels[n] - _SLACK)), 0)
-        deepest[entries[n]] = np.uint8(max(level, int(deepest[entries[n]])))
 
 
 def _by_function(

@@ -8,7 +8,7 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import NamedTuple
@@ -19,9 +19,20 @@ from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.cubes import CubeLookups, Heads
+from octex.conversion.facings import facings_of
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
-from octex.conversion.solve import Codes, Equations, approach, covered, diagonal, residuals, sweep, transpose
+from octex.conversion.solve import (
+    Codes,
+    Equations,
+    approach,
+    covered,
+    diagonal,
+    group_means,
+    residuals,
+    sweep,
+    transpose,
+)
 from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
@@ -39,8 +50,6 @@ RINGS = 1
 LEAF_SAMPLES = 8
 #: Sweeps over the leaves, back and forth; for 8 bits those after the first two round. One more wins 0.04 dB.
 SWEEPS, FREE_SWEEPS = 4, 2
-#: Taps that a sample mostly has at most.
-TAPS = 16
 #: Light by so much above 1 is 1, rounded.
 LEAST_BRIGHT = 2.0**-10
 #: What samples that nothing covers still weigh.
@@ -79,10 +88,34 @@ class Job(NamedTuple):
     placement: Placement
     leaves: Leaves
     heads: Heads | None  # if the leaves are all finest cells
-    groups: list[Group]
-    ranges: list[tuple[float, float]]  # of each group
     unfitted: Collection[str]  # channels whose means stay
     is_facing: bool  # whether lookups are those with the samples' normals
+    groups: list[Group]
+    ranges: list[tuple[float, float]]  # of each group
+
+    @classmethod
+    def of(
+        cls,
+        field: Field,
+        channels: Mapping[str, Channel],
+        samples: Samples,
+        placement: Placement,
+        leaves: Leaves,
+        heads: Heads | None,
+        unfitted: Collection[str],
+        *,
+        is_facing: bool,
+    ) -> Job:
+        """Take the channels that the samples have."""
+        given = [channels[form.name] for form in samples.channels]
+        groups = _groups(samples.channels)
+        ranges = [group.range(samples) for group in groups]
+        return cls(field, given, samples, placement, leaves, heads, unfitted, is_facing, groups, ranges)
+
+    def merged(self, channels: Mapping[str, Channel], found: Iterable[Channel]) -> dict[str, Channel]:
+        """Return channels, those that are fitted as they were found."""
+        names = (channel for channel in found if channel.format.name not in self.unfitted)
+        return dict(channels) | {channel.format.name: channel for channel in names}
 
 
 class Lookups(NamedTuple):
@@ -95,12 +128,19 @@ class Lookups(NamedTuple):
     weights: Float32s  # (taps,)
     cells: Int64s  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
     unknowns: int  # how many of them are solved for
+    firsts: Int64s  # (groups + 1,)   the first sample of each leaf, or of each of its sides
 
     def residuals(
-        self, values: Float32s, targets: Float32s, shares: Float32s, components: int, is_light: int
+        self,
+        values: Float32s,
+        targets: Float32s,
+        mixed: Float32s,
+        shares: Float32s,
+        components: int,
+        is_light: int,
     ) -> Float32s:
         """Return the residuals of values. See `solve.residuals`."""
-        task = values, targets, shares, components, is_light
+        task = values, targets, mixed, shares, components, is_light
         return residuals(self.starts, self.leaves, self.weights, *task)
 
     def equations(self) -> Equations:
@@ -137,18 +177,17 @@ def fitted(
         finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
         samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
         leaves = leaves.some(chosen, tree.n_cells)
-    given = [channels[form.name] for form in samples.channels]
-    values = [large.copied(channel.values) for channel in given]
-    job = _job(tree, given, samples, placement, leaves, unfitted, is_facing=False)
+    field, heads = Field(tree), None
+    if field.tiles is not None and not leaves.cells.size:
+        heads = Heads.of(field.tiles, samples.codes)
+    job = Job.of(field, channels, samples, placement, leaves, heads, unfitted, is_facing=False)
+    values = [large.copied(channel.values) for channel in job.channels]
     for (first, end), parts in _fit_bricks(job, executor, progress):
         cells = leaves.where(first, end)
         for whole, part in zip(values, parts, strict=True):
             whole[cells] = part
-    return dict(channels) | {
-        channel.format.name: channel._replace(values=each)
-        for channel, each in zip(given, values, strict=True)
-        if channel.format.name not in unfitted
-    }
+    found = zip(job.channels, values, strict=True)
+    return job.merged(channels, (channel._replace(values=each) for channel, each in found))
 
 
 def fitted_rows(
@@ -166,39 +205,15 @@ def fitted_rows(
 
     These are all samples in these leaves, and looked up with their normals. All else is as in ``fitted``.
     """
-    given = [channels[form.name] for form in samples.channels]
-    values = [channel.split_values.copy() for channel in given]
-    after_cells = [channel._replace(kept_values=channel.split_values) for channel in given]
-    job = _job(tree, after_cells, samples, placement, rows, unfitted, is_facing=True)
+    field = Field(tree)
+    field.facings  # noqa: B018 (built before threads share it)
+    job = Job.of(field, channels, samples, placement, rows, None, unfitted, is_facing=True)
+    values = [channel.split_values.copy() for channel in job.channels]
     for (first, end), parts in _fit_bricks(job, executor, progress):
         for whole, part in zip(values, parts, strict=True):
             whole[rows.numbers(first, end) - tree.n_cells] = part
-    return dict(channels) | {
-        channel.format.name: channel._replace(split_values=each)
-        for channel, each in zip(given, values, strict=True)
-        if channel.format.name not in unfitted
-    }
-
-
-def _job(
-    tree: Octree,
-    channels: list[Channel],
-    samples: Samples,
-    placement: Placement,
-    leaves: Leaves,
-    unfitted: Collection[str],
-    *,
-    is_facing: bool,
-) -> Job:
-    field, heads = Field(tree), None
-    if is_facing:
-        field.facings  # noqa: B018 (built before threads share it)
-    tiles = field.tiles
-    if tiles is not None and not leaves.cells.size:
-        heads = Heads.of(tiles, samples.codes)
-    groups = _groups(samples.channels)
-    ranges = [group.range(samples) for group in groups]
-    return Job(field, channels, samples, placement, leaves, heads, groups, ranges, unfitted, is_facing)
+    found = zip(job.channels, values, strict=True)
+    return job.merged(channels, (channel._replace(split_values=each) for channel, each in found))
 
 
 def _fit_bricks(
@@ -258,7 +273,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         lookups = CubeLookups.of(job.samples, job.heads, job.leaves, *brick)
     equations = None
     is_fixed = job.leaves.ranks_of(lookups.cells[: lookups.unknowns]) < 0
-    values = _values(job.channels, lookups.cells, job.field.tree.n_cells)
+    values = _values(job.channels, lookups.cells, job.field.tree.n_cells, is_facing=job.is_facing)
     targets = job.samples.values.take(lookups.samples, axis=0)
     shares = job.samples.shares.take(lookups.samples) * (lookups.strides * np.float32(1 / SHARE_STEPS))
     for group, limits in zip(job.groups, job.ranges, strict=True):
@@ -268,11 +283,12 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         if group.format.name not in job.unfitted:
             means = _four(values[:, group.columns])
             found = means.copy()
-            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            mixed = group_means(lookups.firsts, shares, wanted) if is_light else wanted
+            rows = lookups.residuals(found, wanted, mixed, shares, components, is_light)
             equations = equations or lookups.equations()
             approach(equations, rows, found)
             found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
-            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            rows = lookups.residuals(found, wanted, mixed, shares, components, is_light)
             sums, is_flat = diagonal(equations, rows, wanted)
             sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
@@ -300,26 +316,30 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     own = leaves.numbers(first, end)
     outside = Outside.of(0)
     ring = leaves.with_samples(np.arange(first, end))
-    samples, strides, starts = [], [], [np.zeros(1, np.int64)]
-    numbers, weights = np.empty(0, np.int32), np.empty(0, np.float32)
+    samples, strides, changes, starts = [], [], [], [np.zeros(1, np.int64)]
+    numbers, weights = [], []
     n_taps = unknowns = 0
     for _ in range(RINGS + 1):
         known = int(outside.total[0])
         unknowns = len(own) + known
         members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
+        groups = np.searchsorted(leaves.firsts, members, side="right")
+        if job.is_facing:
+            groups = 6 * groups + facings_of(job.samples.normals[members])
+        changes.append(np.diff(groups, prepend=-1) != 0)
         samples.append(members)
         strides.append(stride)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
         points = sample_points(job.samples, members, job.placement)
         for taps in job.field.runs(points, job.placement, normals=normals):
             room = int((taps.ends - taps.starts).sum())
-            if n_taps + room > numbers.size:
-                more = (n_taps + room) * 2 + TAPS * len(members)
-                numbers, weights = _with_room(numbers, n_taps, more), _with_room(weights, n_taps, more)
             outside = outside.with_room(room)
             ends = np.empty(taps.starts.size, np.int64)
-            found = number(taps, leaves, first, end, outside, ends, numbers[n_taps:], weights[n_taps:])
+            some, shares = np.empty(room, np.int32), np.empty(room, np.float32)
+            found = number(taps, leaves, first, end, outside, ends, some, shares)
             starts.append(ends + n_taps)
+            numbers.append(some[:found])
+            weights.append(shares[:found])
             n_taps += found
         ranks = leaves.ranks_of(outside.found()[known:])
         ring = leaves.with_samples(ranks[ranks >= 0])
@@ -327,18 +347,12 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate(samples),
         np.concatenate(strides),
         np.concatenate(starts),
-        numbers[:n_taps],
-        weights[:n_taps],
+        np.concatenate(numbers),
+        np.concatenate(weights),
         np.concatenate([own, outside.found()]),
         unknowns,
+        np.append(np.flatnonzero(np.concatenate(changes)), sum(map(len, samples))),
     )
-
-
-def _with_room(array: Array, used: int, room: int) -> Array:
-    """Return an array of ``room`` entries that begins with the first ``used`` of another."""
-    larger = np.empty(room, array.dtype)
-    larger[:used] = array[:used]
-    return larger
 
 
 def _four(columns: Floats) -> Float32s:
@@ -348,14 +362,15 @@ def _four(columns: Floats) -> Float32s:
     return rows
 
 
-def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int) -> Float32s:
-    """Return the decoded values (rows, components) of cells, and after them of kept coefficients."""
-    kept = np.flatnonzero(rows >= n_cells)
-    cells = np.minimum(rows, n_cells - 1) if kept.size else rows
+def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int, *, is_facing: bool) -> Float32s:
+    """Return the decoded values (rows, components) of cells, and after them of rows or kept coefficients."""
+    beyond = np.flatnonzero(rows >= n_cells)
+    cells = np.minimum(rows, n_cells - 1) if beyond.size else rows
     found = np.empty((len(rows), sum(channel.format.components for channel in channels)), np.float32)
     end = 0
     for channel in channels:
         start, end = end, end + channel.format.components
-        found[:, start:end] = decode(channel.values.take(cells, axis=0), channel.format.space)
-        found[kept, start:end] = decode(channel.kept_values[rows[kept] - n_cells], channel.format.space)
+        more, space = channel.split_values if is_facing else channel.kept_values, channel.format.space
+        found[:, start:end] = decode(channel.values.take(cells, axis=0), space)
+        found[beyond, start:end] = decode(more[rows[beyond] - n_cells], space)
     return found

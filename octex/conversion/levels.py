@@ -6,25 +6,14 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Uint8s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
-from octex.conversion.accumulate import (
-    SumColumns,
-    Sums,
-    by_channel,
-    count_entries,
-    level_means,
-    sum_children,
-    sum_pieces,
-)
-from octex.conversion.cells import BLOCK_BITS, SPREAD, load_triangle
 from octex.conversion.detail import Wanted, deepest_wanted
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
@@ -34,24 +23,38 @@ from octex.source.surface import Surface
 from octex.texture.channel import Channel
 from octex.tree.children import rank
 from octex.tree.edit import among
-from octex.tree.layout import GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import (
+    Blocks,
+    Fragments,
+    Run,
+    bin_triangles,
+    cut,
+    even_runs,
+    most_fragments,
+    some_blocks,
+)
+from octex.voxelize.grid import BLOCK_BITS, count_degenerate, on_grid
+from octex.voxelize.sums import (
+    SumColumns,
+    Sums,
+    by_channel,
+    level_means,
+    sum_children,
+    sum_fragments,
+)
 
 #: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
 #: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44); and with samples more for each
 #: (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
-#: Bound of the pieces in one task: enough to hide what a task costs, few enough to stay in the cache.
-TASK_PIECES = 400_000
-#: Little work is cut into so many tasks, of no fewer pieces than this.
-_TASKS, _LEAST_PIECES = 8, 250_000
 
 #: Files of parts that are joined to one.
 _JOINED = 16
 
-Rows = TypeVar("Rows", Sums, Taken)
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -62,8 +65,6 @@ class LevelCells(NamedTuple):
     flags: Uint8s  # normal flags, and SPLIT
     areas: Uint8s
     values: list[Array]  # one array (cells, components) for each channel
-    split_cells: Int64s  # index into these cells
-    split_facings: Uint8s
     split_areas: Uint8s  # a row for each facing
     split_values: list[Array]
 
@@ -107,15 +108,6 @@ class Job(NamedTuple):
     wanted: Wanted | None
 
 
-def on_grid(rest: Float64s, placement: Placement) -> Int32s:
-    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
-    steps = placement.to_texture_space(rest)
-    steps *= 1 << GRID_BITS
-    np.rint(steps, out=steps)
-    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
-    return steps.astype(np.int32)
-
-
 def cell_levels(
     surface: Surface,
     channels: tuple[ChannelFormat, ...],
@@ -131,6 +123,7 @@ def cell_levels(
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
+    ``channels`` are the surface's, as they are stored; or none, for cells, facings and areas alone.
     What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
     one block there always is. If it ``has_gaps``, cells that are gaps alone, for their ``alpha`` is 0, are
     left out, and count for cells above these.
@@ -138,7 +131,7 @@ def cell_levels(
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
     grid = on_grid(surface.rest, placement)
-    degenerate, faces = _count_degenerate(grid, surface.triangles)
+    degenerate, faces = count_degenerate(grid, surface.triangles)
     if degenerate == len(surface.triangles):
         raise ModelError(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
@@ -158,17 +151,19 @@ def cell_levels(
         blocks = some_blocks(blocks, reached(blocks, block_level))
     columns = SumColumns.of(channels)
     cell = placement.size / 2**depth
-    surface.source.prepare()
+    if channels:
+        surface.source.prepare()
     job = Job(
         surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
     )
-    runs = even_runs(most_pieces(grid, surface.triangles, blocks, depth))
+    runs = even_runs(most_fragments(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
     codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
-    upper, _ = climb(_joined_rows([part.top for part in parts]), block_level, channels, columns, left)
+    tops = _end_to_end([part.top for part in parts], np.concatenate)
+    upper, _ = climb(tops, block_level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     taken = [part.taken for part in parts if part.taken is not None]
@@ -187,7 +182,7 @@ def memory_needed(
     has_samples: bool,
 ) -> float:
     """Return how many bytes of memory a conversion takes at least."""
-    _, faces = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    _, faces = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return _least_cells(faces, depth) * _cell_memory(channels, has_samples)
 
 
@@ -206,14 +201,6 @@ def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
     return CELL_MEMORY + VALUE_MEMORY * row + per_sample
 
 
-def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
-    """Return some of blocks, the first one if none is chosen."""
-    chosen[0] |= not chosen.any()
-    counts = np.diff(blocks.starts)
-    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
-    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
-
-
 def _gathered(parts: Iterable[Part]) -> list[Part]:
     """Return all parts; where they come as files, many are joined, as each keeps its file open."""
     if not large.is_mapped():
@@ -222,107 +209,52 @@ def _gathered(parts: Iterable[Part]) -> list[Part]:
     for part in parts:
         some.append(part)
         if len(some) == _JOINED:
-            found.append(large.moved(_joined(some)))
+            found.append(large.moved(_end_to_end(some, np.concatenate)))
             some = []
     return found + some
 
 
-def _joined(parts: Sequence[Part]) -> Part:
-    """Join parts that follow one another."""
-    taken = [part.taken for part in parts if part.taken is not None]
-    wanted = [part.wanted for part in parts if part.wanted is not None]
-    return Part(
-        np.concatenate([part.codes for part in parts]),
-        np.concatenate([part.gaps for part in parts]),
-        [
-            _joined_cells(cells, np.concatenate)
-            for cells in zip(*(part.levels for part in parts), strict=True)
-        ],
-        _joined_rows([part.top for part in parts]),
-        _joined_rows(taken) if taken else None,
-        np.concatenate(wanted) if wanted else None,
-    )
-
-
-def _joined_rows(parts: Sequence[Rows]) -> Rows:
-    """Lay the arrays of several tuples of them end to end."""
-    return type(parts[0])(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
-def _joined_cells(parts: Sequence[LevelCells], join: Callable[[list[Array]], Array]) -> LevelCells:
-    """Join cells that follow one another."""
-    starts = np.cumsum([0, *(len(part.flags) for part in parts)])
-    channels = range(len(parts[0].values))
-    return LevelCells(
-        join([part.flags for part in parts]),
-        join([part.areas for part in parts]),
-        [join([part.values[n] for part in parts]) for n in channels],
-        join([part.split_cells + start for part, start in zip(parts, starts, strict=False)]),
-        join([part.split_facings for part in parts]),
-        join([part.split_areas for part in parts]),
-        [join([part.split_values[n] for part in parts]) for n in channels],
-    )
-
-
-class Run(NamedTuple):
-    """The work of one task: a run of blocks, with a bound of their pieces."""
-
-    first_block: int
-    last_block: int  # exclusive
-    most: int
-
-
-def even_runs(bounds: Int64s) -> list[Run]:
-    """Cut blocks into runs of about TASK_PIECES or less, by the bounds of their pieces."""
-    totals = np.cumsum(bounds)
-    size = min(max(int(totals[-1]) // _TASKS, _LEAST_PIECES), TASK_PIECES)
-    ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
-    ends = np.unique(np.append(ends, len(totals)))
-    starts = np.append(0, ends[:-1])
-    most = np.add.reduceat(bounds, starts)
-    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]
+def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
+    """Join arrays that follow one another, or those in tuples and lists of them; None stays None."""
+    first = parts[0]
+    if first is None or isinstance(first, np.ndarray):
+        return first if first is None else join(parts)
+    each = [_end_to_end(some, join) for some in zip(*parts, strict=True)]
+    return each if isinstance(first, list) else type(first)(*each)
 
 
 def _convert_run(job: Job, run: Run) -> Part:
     """Convert a run of blocks."""
     surface = job.surface
-    pieces = cut(
-        job.grid,
-        surface.triangles,
-        job.blocks,
-        run.first_block,
-        run.last_block,
-        job.depth,
-        run.most,
-        0,
-        SPREAD,
-    )
-    # A piece is read with a footprint of its own size: a cell's mean is then the mean over what lies in it.
-    widths = (np.sqrt(pieces.areas) * job.cell).astype(np.float32)
-    values = surface.evaluate_all(pieces.triangles, pieces.barycentric, widths)
+    fragments = cut(job.grid, surface.triangles, job.blocks, run, job.depth)
+    # A fragment is read with a footprint of its own size: a cell's mean is then that of all that lies in it.
+    widths = (np.sqrt(fragments.areas) * job.cell).astype(np.float32)
+    values = np.empty((widths.size, 0), np.float32)
+    if job.channels:
+        values = surface.evaluate_all(fragments.triangles, fragments.barycentric, widths)
     end = 0
-    for given, stored in zip(surface.channels, job.channels, strict=True):
+    for given, stored in zip(surface.channels, job.channels, strict=bool(job.channels)):
         start, end = end, end + given.components
         check_range(values[:, start:end], given, stored.dtype, surface.name)
-    n_entries = count_entries(pieces.flags)
-    sums = sum_pieces(pieces.entries, pieces.areas, values, job.columns.alpha, n_entries)
-    leaves = Sums(pieces.codes, pieces.flags, sums)
-    left, gaps = None, pieces.codes[:0]
+    n_entries = int(bit_counts(fragments.flags).sum())
+    sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
+    leaves = Sums(fragments.codes, fragments.flags, sums)
+    left, gaps = None, fragments.codes[:0]
     if job.has_gaps:
         is_left = _is_left(leaves, job.channels, job.columns)
-        left, gaps = pieces.codes[is_left], pieces.codes[~is_left]
+        left, gaps = fragments.codes[is_left], fragments.codes[~is_left]
         if gaps.size:
-            pieces, chosen = _some_pieces(pieces, is_left)
+            fragments, chosen = _some_fragments(fragments, is_left)
             widths, values = widths[chosen], values[chosen]
     levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
-    wanted = None if job.wanted is None else deepest_wanted(job.wanted, pieces, widths)
+    wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)
     taken = None
     if job.has_samples:
         taken = take_samples(
-            surface, job.grid, pieces, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+            surface, job.grid, fragments, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
         )
-    return Part(pieces.codes, gaps, levels, top, taken, wanted)
+    return Part(fragments.codes, gaps, levels, top, taken, wanted)
 
 
 def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> Bools:
@@ -335,17 +267,17 @@ def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumn
     return found
 
 
-def _some_pieces(pieces: Pieces, cells: Bools) -> tuple[Pieces, Bools]:
-    """Return the pieces of some cells, and say which they are."""
-    owned = np.repeat(cells, bit_counts(pieces.flags))
-    chosen = owned[pieces.entries]
-    some = Pieces(
-        pieces.codes[cells],
-        pieces.flags[cells],
-        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[pieces.entries[chosen]],
-        pieces.triangles[chosen],
-        pieces.barycentric[chosen],
-        pieces.areas[chosen],
+def _some_fragments(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:
+    """Return the fragments of some cells, and say which they are."""
+    owned = np.repeat(cells, bit_counts(fragments.flags))
+    chosen = owned[fragments.entries]
+    some = Fragments(
+        fragments.codes[cells],
+        fragments.flags[cells],
+        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[fragments.entries[chosen]],
+        fragments.triangles[chosen],
+        fragments.barycentric[chosen],
+        fragments.areas[chosen],
     )
     return some, chosen
 
@@ -403,13 +335,15 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         facing_values = [each[rows] for each in facing_values]
         flags = flags.copy()
         flags[cells] |= SPLIT
-    return LevelCells(flags, means.areas, values, cells, level.flags[cells], facing_areas, facing_values)
+    return LevelCells(flags, means.areas, values, facing_areas, facing_values)
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
     """Build the tree, and lay the parts of each level end to end."""
-    cells = _joined_cells([part for level in filled.levels for part in level], large.joined)
-    split = SplitTable(cells.split_cells.astype(np.uint32), cells.split_facings, cells.split_areas)
+    cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
+    split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
+    facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
+    split = SplitTable(split_cells, facings, cells.split_areas)
     tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
     values = {
         channel.name: Channel(
@@ -462,21 +396,5 @@ def _join_octants(codes: Int64s, parents: Int64s, masks: Uint8s) -> None:
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:
     """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
-    count, _ = _count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    count, _ = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return count == len(surface.triangles)
-
-
-@kernel
-def _count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
-    """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
-    corners = np.empty((3, 3), np.int64)
-    normal = np.empty(3, np.int64)
-    count = 0
-    doubled = 0.0
-    for i in range(triangles.shape[0]):
-        if load_triangle(grid, triangles, i, corners, normal) < 0:
-            count += 1
-        else:
-            x, y, z = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
-            doubled += np.sqrt(x * x + y * y + z * z)
-    return count, 0.5 * doubled

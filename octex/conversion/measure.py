@@ -16,7 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.split import SLOPE
-from octex.jit import inlined, kernel
+from octex.jit import inlined
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -66,31 +66,6 @@ def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
     if low == high:
         return 0.0
     return _code(high, kind, curve) - _code(low, kind, curve)
-
-
-@kernel
-def encoded(values: Float32s, columns: ErrorColumns) -> Float32s:
-    """Return values (n, components) in codes (n, columns): the components, then those of unit vectors."""
-    components = columns.kinds.size
-    more = 0
-    for component in range(components):
-        more += columns.vectors[component] >= 0
-    codes = np.empty((values.shape[0], components + more), np.float32)
-    for n in range(values.shape[0]):
-        column = components
-        for component in range(components):
-            value = float(values[n, component])
-            kind = columns.kinds[component]
-            codes[n, component] = _code(value, kind, columns.curve)
-            if columns.vectors[component] >= 0:
-                square = 0.0
-                for each in range(columns.vectors[component], components):
-                    if columns.vectors[each] == columns.vectors[component]:
-                        square += float(values[n, each]) ** 2
-                value = value / math.sqrt(square) if square > 0.0 else 0.0
-                codes[n, column] = _code(value, kind, columns.curve)
-                column += 1
-    return codes
 
 
 @inlined

@@ -11,7 +11,6 @@ import octex
 from octex.arrays import Uint8s
 from octex.channels import ALPHA, BASE_COLOR
 from octex.checks import as_choice, as_names
-from octex.conversion.accumulate import SumColumns, Sums
 from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.levels import CellLevels, assemble, climb
 from octex.nearest.boxes import order_of, rows_in
@@ -21,6 +20,7 @@ from octex.texture import OctreeTexture
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH
 from octex.tree.morton import encode_cells
 from octex.tree.placement import Placement
+from octex.voxelize.sums import SumColumns, Sums
 
 #: By default cells are so many times as wide as points are apart: those of an even cloud have no holes, and
 #: of cells around points at random a twentieth or so is empty.

@@ -1,9 +1,9 @@
 """Points of the surface with the source's values: what leaves are fitted to, and fields are measured against.
 
-A finest cell gives points for each facing of the surface in it: the middle of the largest piece that faces
-so, and the middle of all other pieces, with their mean. Samples thus miss nothing that the cell's mean has,
-also where the source differs from piece to piece. More are not worth their time where cells are small (0.3 dB
-for eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
+A finest cell gives points for each facing of the surface in it: the middle of the largest fragment that
+faces so, and the middle of all other fragments, with their mean. So samples have the cell's mean, also where
+the source differs from fragment to fragment. More are not worth their time where cells are small (0.3 dB for
+eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
-from octex.conversion.pieces import Pieces
 from octex.jit import inlined, kernel, popcount
 from octex.source.surface import Surface
+from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
 from octex.tree.search import Origin
+from octex.voxelize.fragments import Fragments
 
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.
@@ -33,8 +34,8 @@ MOST_POINTS = 1 + 3 * 8
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5
-#: The largest piece and the others are two samples if neither is smaller than this part of the other. Else
-#: the largest is the only sample, or the mean of all pieces is.
+#: The largest fragment and the others are two samples if neither is smaller than this part of the other. Else
+#: the largest is the only sample, or the mean of all fragments is.
 LEAST_PART = 0.1
 #: Widths that differ by less than this factor count as one.
 SAME_WIDTH = 1.2
@@ -84,20 +85,20 @@ class Taken(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The pieces that samples are taken from, in the order in which a source is read fastest."""
+    """The fragments that samples are taken from, in the order in which a source is read fastest."""
 
     counts: Uint8s  # (cells,)   how many samples each has
     shares: Uint8s  # (n,)   of the samples, cell by cell
-    order: Int32s  # (n,)   the sample of each piece below
-    pieces: Int64s  # (n,)
-    is_mean: Bools  # (n,)   whether the sample is a mean of other pieces too
-    means: Int64s  # (entries, 2)   the mean's row, and the piece that it leaves out; −1: there is none
+    order: Int32s  # (n,)   the sample of each fragment below
+    fragments: Int64s  # (n,)
+    is_mean: Bools  # (n,)   whether the sample is a mean of other fragments too
+    means: Int64s  # (entries, 2)   the mean's row, and the fragment that it leaves out; −1: there is none
 
 
 def take_samples(
     surface: Surface,
     grid: Int32s,
-    pieces: Pieces,
+    fragments: Fragments,
     widths: Float32s,
     values: Float32s,
     depth: int,
@@ -105,27 +106,30 @@ def take_samples(
     channels: Sequence[ChannelFormat],
     alpha: int,
 ) -> Taken:
-    """Take the samples of a run's pieces, whose ``values`` were read over ``widths``.
+    """Take the samples of a run's fragments, whose ``values`` were read over ``widths``.
 
     ``cell`` is the edge of a cell of ``depth`` in rest units, ``channels`` are as they are stored. ``alpha``
     is the column that holds coverage, or −1.
 
     A sample is read over a width w with w² = cell² − texel², but half a cell at least: the field is as wide
-    as a cell, and the source already as wide as a texel. What a piece was read over will do if it, and the
-    texel with it, is nearly as wide. Means are of what their pieces were read over.
+    as a cell, and the source already as wide as a texel. What a fragment was read over will do if it, and the
+    texel with it, is nearly as wide. Means are of what their fragments were read over.
     """
-    chosen = _choose(pieces.flags, pieces.entries, pieces.areas)
-    triangles = pieces.triangles.take(chosen.pieces)
+    chosen = _choose(fragments.flags, fragments.entries, fragments.areas)
+    triangles = fragments.triangles.take(chosen.fragments)
     texels = surface.source.texel_edges(triangles).astype(np.float64) ** 2
     wanted = np.maximum(cell * cell - texels, (LEAST_WIDTH * cell) ** 2)
-    found, given = values.take(chosen.pieces, axis=0), widths.take(chosen.pieces).astype(np.float64) ** 2
+    found, given = (
+        values.take(chosen.fragments, axis=0),
+        widths.take(chosen.fragments).astype(np.float64) ** 2,
+    )
     places = np.empty((len(triangles), 3), np.uint16)
-    _place(grid, surface.triangles, pieces, chosen, values, alpha, depth, found, places)
+    _place(grid, surface.triangles, fragments, chosen, values, alpha, depth, found, places)
     same, one, other = SAME_WIDTH**2, given + texels, wanted + texels
     differ = np.flatnonzero(((one * same < other) | (one > same * other)) & ~chosen.is_mean)
     found[differ] = surface.evaluate_all(
         triangles[differ],
-        pieces.barycentric.take(chosen.pieces[differ], axis=0),
+        fragments.barycentric.take(chosen.fragments[differ], axis=0),
         np.sqrt(wanted[differ]).astype(np.float32),
     )
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
@@ -133,11 +137,10 @@ def take_samples(
     most = np.finfo(rows.dtype).max
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
-    bits = np.uint32 if is_fine else np.uint16
-    _reorder(found.astype(rows.dtype).view(bits), chosen.order, rows.view(bits))
+    rows[chosen.order] = found
     faces = face_normals(grid, surface.triangles, triangles)
     normals = np.empty_like(faces)
-    _reorder(faces.view(np.uint8), chosen.order, normals.view(np.uint8))
+    normals[chosen.order] = faces
     return Taken(chosen.counts, places, normals, chosen.shares, rows)
 
 
@@ -176,8 +179,7 @@ def lay_out(
     triangles from the sample to the sides have a point at each corner and in the middle of each side. Points
     are columns of ``points`` (3, MOST_POINTS).
     """
-    for axis in range(3):
-        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
+    lay_first(places, sample, points)
     count = _cut(normals[sample, 0], normals[sample, 1], normals[sample, 2], points)
     for corner in range(count):
         at = 1 + 3 * corner
@@ -186,6 +188,14 @@ def lay_out(
             points[axis, at + 1] = (points[axis, at] + points[axis, 0]) / 2
             points[axis, at + 2] = (points[axis, at] + points[axis, after]) / 2
     return 1 + 3 * count
+
+
+@inlined
+def lay_first(places: Uint16s, sample: int, points: Float32s) -> int:
+    """Write where a sample lies in its cell, 0 … 1, to the first of ``points``; return 1."""
+    for axis in range(3):
+        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
+    return 1
 
 
 @inlined
@@ -238,7 +248,7 @@ def _points(
         if not (firsts[cell] <= sample < firsts[cell + 1]):
             cell += 1  # mostly the next
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
-                cell = _last_not_above(firsts, sample)
+                cell = np.int64(first_not_below(firsts, int(sample) + 1, int(cell)) - 1)
         i, j, k = decode(codes[cell])
         points[n, 0] = origin[0] + (i + (places[sample, 0] + 0.5) * step) * edge
         points[n, 1] = origin[1] + (j + (places[sample, 1] + 0.5) * step) * edge
@@ -246,22 +256,9 @@ def _points(
     return points
 
 
-@inlined
-def _last_not_above(firsts: Int64s, sample: np.int64) -> np.int64:
-    """Return the place of the last of ascending numbers that is not above another."""
-    low, high = 0, firsts.size  # numpy's search compiles for half a second
-    while low < high:
-        middle = (low + high) // 2
-        if firsts[middle] <= sample:
-            low = middle + 1
-        else:
-            high = middle
-    return np.int64(low - 1)
-
-
 @kernel
 def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
-    """Choose the samples of each entry: its largest piece, and the mean of the others."""
+    """Choose the samples of each entry: its largest fragment, and the mean of the others."""
     counts = np.empty(flags.size, np.uint8)
     n_entries = 0
     for cell in range(flags.size):
@@ -275,15 +272,15 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
     for entry in range(n_entries):  # numpy's zeros compile for a quarter of a second a type
         totals[entry] = 0.0
         sizes[entry] = 0
-    for piece in range(entries.size):
-        entry = entries[piece]
-        totals[entry] += areas[piece]
+    for fragment in range(entries.size):
+        entry = entries[fragment]
+        totals[entry] += areas[fragment]
         sizes[entry] += 1
-        if largest[entry, 0] < 0 or areas[piece] > areas[largest[entry, 0]]:
+        if largest[entry, 0] < 0 or areas[fragment] > areas[largest[entry, 0]]:
             largest[entry, 1] = largest[entry, 0]
-            largest[entry, 0] = piece
-        elif largest[entry, 1] < 0 or areas[piece] > areas[largest[entry, 1]]:
-            largest[entry, 1] = piece
+            largest[entry, 0] = fragment
+        elif largest[entry, 1] < 0 or areas[fragment] > areas[largest[entry, 1]]:
+            largest[entry, 1] = fragment
     firsts = np.empty(n_entries, np.int32)
     shares = np.empty(2 * n_entries, np.uint8)
     n_samples = 0
@@ -316,29 +313,17 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
     chosen = np.empty(n_samples, np.int64)
     is_mean = np.empty(n_samples, np.bool_)
     n = 0
-    for piece in range(entries.size):
-        entry = entries[piece]
-        is_last = largest[entry, 1] == piece
-        if is_last or largest[entry, 0] == piece:
+    for fragment in range(entries.size):
+        entry = entries[fragment]
+        is_last = largest[entry, 1] == fragment
+        if is_last or largest[entry, 0] == fragment:
             order[n] = firsts[entry] + (is_last and largest[entry, 0] >= 0)
-            chosen[n] = piece
+            chosen[n] = fragment
             is_mean[n] = is_last and sizes[entry] > 2
             if is_mean[n]:
                 means[entry, 0], means[entry, 1] = n, largest[entry, 0]
             n += 1
     return Chosen(counts, shares[:n_samples].copy(), order, chosen, is_mean, means)
-
-
-@kernel
-def _reorder(
-    rows: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
-    order: Int32s,
-    found: npt.NDArray[np.uint8 | np.uint16 | np.uint32],
-) -> None:
-    """Write row i to row order[i]."""
-    for i in range(order.size):
-        for column in range(rows.shape[1]):
-            found[order[i], column] = rows[i, column]
 
 
 @kernel
@@ -377,15 +362,15 @@ def _step(position: float, cell: int) -> int:
 
 @inlined
 def _middle(
-    grid: Int32s, corners: Int32s, pieces: Pieces, piece: np.uint64, scale: float
+    grid: Int32s, corners: Int32s, fragments: Fragments, fragment: np.uint64, scale: float
 ) -> tuple[float, float, float]:
-    """Return the middle of a piece, in cells."""
-    triangle = pieces.triangles[piece]
+    """Return the middle of a fragment, in cells."""
+    triangle = fragments.triangles[fragment]
     a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
     p, q, r = (
-        pieces.barycentric[piece, 0] * scale,
-        pieces.barycentric[piece, 1] * scale,
-        pieces.barycentric[piece, 2] * scale,
+        fragments.barycentric[fragment, 0] * scale,
+        fragments.barycentric[fragment, 1] * scale,
+        fragments.barycentric[fragment, 2] * scale,
     )
     return (
         p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0],
@@ -398,7 +383,7 @@ def _middle(
 def _place(
     grid: Int32s,
     corners: Int32s,
-    pieces: Pieces,
+    fragments: Fragments,
     chosen: Chosen,
     values: Float32s,
     alpha: int,
@@ -406,7 +391,7 @@ def _place(
     found: Float32s,
     places: Uint16s,
 ) -> None:
-    """Write the samples' places in their cells; write the means of all pieces over what one piece has."""
+    """Write the samples' places in their cells, and the means of several fragments over what one has."""
     cells = np.empty(chosen.order.size, np.int32)
     n = 0
     for cell in range(chosen.counts.size):
@@ -417,32 +402,32 @@ def _place(
     middles = np.empty((chosen.order.size, 3), np.float64)
     totals = np.empty((chosen.order.size, 2), np.float64)  # the areas of means, and their coverage
     for n in range(chosen.order.size):
-        piece = np.uint64(chosen.pieces[n])
-        middles[n, 0], middles[n, 1], middles[n, 2] = _middle(grid, corners, pieces, piece, scale)
-        totals[n, 0] = totals[n, 1] = pieces.areas[piece]
+        fragment = np.uint64(chosen.fragments[n])
+        middles[n, 0], middles[n, 1], middles[n, 2] = _middle(grid, corners, fragments, fragment, scale)
+        totals[n, 0] = totals[n, 1] = fragments.areas[fragment]
         if alpha >= 0:
-            totals[n, 1] *= max(np.float64(values[piece, alpha]), LEAST_COVERAGE)
-    for one in range(pieces.entries.size):
-        row, apart = chosen.means[pieces.entries[one], 0], chosen.means[pieces.entries[one], 1]
-        if row < 0 or one == apart or one == chosen.pieces[row]:
+            totals[n, 1] *= max(np.float64(values[fragment, alpha]), LEAST_COVERAGE)
+    for one in range(fragments.entries.size):
+        row, apart = chosen.means[fragments.entries[one], 0], chosen.means[fragments.entries[one], 1]
+        if row < 0 or one == apart or one == chosen.fragments[row]:
             continue
-        piece = np.uint64(one)
-        area = pieces.areas[piece]
-        weight = area if alpha < 0 else area * max(np.float64(values[piece, alpha]), LEAST_COVERAGE)
+        fragment = np.uint64(one)
+        area = fragments.areas[fragment]
+        weight = area if alpha < 0 else area * max(np.float64(values[fragment, alpha]), LEAST_COVERAGE)
         totals[row, 0] += area
         totals[row, 1] += weight
         area /= totals[row, 0]
         weight /= totals[row, 1]
-        x, y, z = _middle(grid, corners, pieces, piece, scale)
+        x, y, z = _middle(grid, corners, fragments, fragment, scale)
         middles[row, 0] += area * (x - middles[row, 0])
         middles[row, 1] += area * (y - middles[row, 1])
         middles[row, 2] += area * (z - middles[row, 2])
         for k in range(values.shape[1]):
             part = area if k == alpha else weight  # a difference of infinities would be no number
-            found[row, k] = (1.0 - part) * np.float64(found[row, k]) + part * np.float64(values[piece, k])
+            found[row, k] = (1.0 - part) * np.float64(found[row, k]) + part * np.float64(values[fragment, k])
     for n in range(chosen.order.size):
         row = chosen.order[n]
-        u, v, w = decode(pieces.codes[cells[row]])
+        u, v, w = decode(fragments.codes[cells[row]])
         places[row, 0] = _step(middles[n, 0], u)
         places[row, 1] = _step(middles[n, 1], v)
         places[row, 2] = _step(middles[n, 2], w)

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, bit_counts
-from octex.conversion.facings import has_opposite, kinds_around
+from octex.conversion.facings import face_opposite, has_opposite, kinds_around
 from octex.conversion.fit import fitted, fitted_rows
 from octex.conversion.numbering import Leaves
 from octex.conversion.samples import Samples, sample_points
@@ -38,7 +38,7 @@ Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels
 _LEAST_WEIGHT = 0.03
 #: Samples looked up at once.
 _BLOCK = 1 << 16
-#: Leaves looked at at once.
+#: Finest cells looked at at once.
 _RUN = 1 << 17
 _UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
@@ -102,17 +102,16 @@ def with_sides(
 
 def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
     """Say which leaves, in order, weigh where lookups with normals find something else than others."""
-    kinds, count = kinds_around(tree, executor), len(leaves.firsts) - 1
-    field = Field(tree)
+    field, depth, count = Field(tree), samples.depth, len(leaves.firsts) - 1
     owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
-    found = np.empty(count, np.bool_)
 
     def reach(first: int) -> None:
-        end = min(first + _RUN, count)
-        counts, around = np.diff(leaves.firsts[first : end + 1]), kinds[leaves.numbers(first, end)]
-        beside = around > 0
-        mixed = np.flatnonzero(np.repeat(beside, counts)) + leaves.firsts[first]
+        end = min(first + _RUN, samples.codes.size)
+        around = kinds_around(tree.arrays, samples.codes[first:end], depth)
+        beside = face_opposite(around)
+        counts = np.diff(samples.firsts[first : end + 1])
+        mixed = np.flatnonzero(np.repeat(beside, counts)) + samples.firsts[first]
         mixed = mixed[has_opposite(samples.normals[mixed], np.repeat(around[beside], counts[beside]))]
         for begin in range(0, mixed.size, _BLOCK):
             some = mixed[begin : begin + _BLOCK]
@@ -124,9 +123,8 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor
                 rows[in_table] = owners[rows[in_table] - tree.n_cells]
                 reached[rows] = True
 
-    for _ in ordered_map(executor, reach, range(0, count, _RUN)):
+    for _ in ordered_map(executor, reach, range(0, samples.codes.size, _RUN)):
         pass
-    for first in range(0, count, _RUN):
-        order = leaves.numbers(first, min(first + _RUN, count))
-        found[first : first + _RUN] = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
+    order = leaves.numbers(0, count)
+    found: Bools = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
     return found

@@ -95,9 +95,34 @@ def by_unknown(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int)
     return Equations(firsts[: unknowns + 1], samples, found)
 
 
+@kernel
+def group_means(firsts: Int64s, shares: Float32s, targets: Float32s) -> Float32s:
+    """Return the mean target (n, 4) of each sample's group.
+
+    Group g has the samples ``firsts[g]`` … ``firsts[g + 1]`` − 1: those of one leaf, or of one side of it. A
+    leaf cannot show how they differ, only their mean in linear light.
+    """
+    means = targets.copy()
+    for group in range(firsts.size - 1):
+        first, end = firsts[group], firsts[group + 1]
+        total = x = y = z = _ZERO
+        for sample in range(first, end):
+            share = shares[sample]
+            total += share
+            x += share * targets[sample, 0]
+            y += share * targets[sample, 1]
+            z += share * targets[sample, 2]
+        if end - first > 1 and total > _ZERO:
+            for sample in range(first, end):
+                means[sample, 0], means[sample, 1], means[sample, 2] = x / total, y / total, z / total
+    return means
+
+
 @inlined
 def _curve(target: np.float32, found: np.float32) -> np.float32:
     """Weight with which (found − target)² has the gradient of the square on sRGB's curve.
+
+    ``target`` is the mean of the leaf's samples: to weigh each by its own value would darken their mean.
 
     It is the curve's slope at what is found, times that of the secant to the target; from 1 on, where the
     curve becomes a logarithm, less. (Slopes at the target alone misjudge a hard edge by up to 8 dB.)
@@ -112,6 +137,7 @@ def _curve(target: np.float32, found: np.float32) -> np.float32:
 def write_residual(
     found: tuple[np.float32, np.float32, np.float32],
     targets: Float32s,
+    mixed: Float32s,
     weight: np.float32,
     components: int,
     is_light: int,
@@ -122,11 +148,11 @@ def write_residual(
     x, y, z = found
     a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
     if is_light:
-        slope = _curve(a, x)
+        slope = _curve(mixed[sample, 0], x)
         if components > 1:
-            slope += _curve(b, y)
+            slope += _curve(mixed[sample, 1], y)
         if components > 2:
-            slope += _curve(c, z)
+            slope += _curve(mixed[sample, 2], z)
         weight *= slope
     rows[sample, 0] = weight * (x - a)
     rows[sample, 1] = weight * (y - b)
@@ -141,6 +167,7 @@ def residuals(
     weights: Float32s,
     values: Float32s,
     targets: Float32s,
+    mixed: Float32s,
     shares: Float32s,
     components: int,
     is_light: int,
@@ -148,12 +175,13 @@ def residuals(
     """Return (samples, 4): the weighted residuals of up to three components, and the weight.
 
     ``values`` (leaves, 4) and ``targets`` (samples, 4) have zeros where there is no component. The weight is
-    the sample's share, times what sRGB's curve makes of it if ``is_light``.
+    the sample's share, times what sRGB's curve makes of ``mixed``, the targets' `group_means`, if
+    ``is_light``.
     """
     rows = np.empty((starts.size - 1, 4), np.float32)
     for sample in range(starts.size - 1):
         x, y, z, _ = weighted_rows(values, leaves, weights, starts[sample], starts[sample + 1])
-        write_residual((x, y, z), targets, shares[sample], components, is_light, sample, rows)
+        write_residual((x, y, z), targets, mixed, shares[sample], components, is_light, sample, rows)
     return rows
 
 

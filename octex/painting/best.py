@@ -7,8 +7,6 @@ from concurrent.futures import Executor
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.conversion.levels import on_grid
-from octex.conversion.pieces import Blocks
 from octex.painting.holes import level_within
 from octex.painting.labels import exposed, feathered, labelled, levelling, views_of
 from octex.painting.multigrid import graph_of
@@ -17,6 +15,8 @@ from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.source import PaintSource
 from octex.source.surface import Surface
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import Blocks
+from octex.voxelize.grid import on_grid
 
 #: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22

@@ -10,9 +10,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
-from octex.conversion.cells import BLOCK_BITS
-from octex.conversion.levels import assemble, cell_levels, on_grid
-from octex.conversion.pieces import bin_triangles
+from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import average
 from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
@@ -34,6 +32,8 @@ from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 from octex.view.shading import face_normals
+from octex.voxelize.fragments import bin_triangles
+from octex.voxelize.grid import BLOCK_BITS, on_grid
 
 #: What becomes of a new texture where no picture saw the surface.
 Holes = Literal["leave", "smooth"]

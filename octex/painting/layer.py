@@ -16,7 +16,6 @@ from octex.channels import ALPHA, ChannelFormat, decode, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import assemble, cell_levels
-from octex.conversion.pieces import Blocks
 from octex.conversion.sides import fitters
 from octex.editing.split import refaced
 from octex.painting.ground import Ground
@@ -30,6 +29,7 @@ from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import Blocks
 
 #: Cells in the width of the finest detail, a pixel: at least so many, and fewer than twice that. With one,
 #: pictures come back in a fourth of the leaves, with 1.3 to 3 times the error (RMS), than with two.

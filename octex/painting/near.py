@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from octex.arrays import Bools, Int32s, Int64s, Uint8s
-from octex.conversion.levels import on_grid
 from octex.jit import inlined, kernel
 from octex.source.surface import Surface
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
+from octex.voxelize.grid import on_grid
 
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7

@@ -12,7 +12,6 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
 from octex.channels import ChannelFormat
 from octex.conversion import large
-from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
 from octex.painting.pictures import Levels, clipped, read_paint
 from octex.painting.shots import TRUSTED, Shot, near_paint, renamed
@@ -31,6 +30,7 @@ from octex.view.visibility import (
     transformed,
     visible_part,
 )
+from octex.voxelize.fragments import Blocks
 
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]

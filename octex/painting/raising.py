@@ -13,7 +13,6 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, encode
 from octex.conversion.levels import assemble, cell_levels
-from octex.conversion.pieces import Blocks
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near, coarsest_of
@@ -33,7 +32,6 @@ from octex.painting.cells import (
     skirt_paint,
     some,
 )
-from octex.painting.flat import Flat
 from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
 from octex.painting.pictures import Blend
@@ -54,6 +52,7 @@ from octex.tree.edit import (
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
+from octex.voxelize.fragments import Blocks
 
 #: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
 _HIDING = 1.0 - 1.0 / 512.0
@@ -393,16 +392,14 @@ def _met_cells(
     nothing = Met(Octree.from_leaves(np.empty(0, np.int64), 0), [np.empty(0, np.int64)] * (depth + 1))
     if not chosen.size:
         return nothing
-    part = ground.surface.part(chosen, Flat())
-    channels = part.source.channels
     try:
         filled = cell_levels(
-            part, channels, texture.placement, depth, executor, progress,
+            ground.surface.part(chosen), (), texture.placement, depth, executor, progress,
             has_samples=False, reached=partial(_are_near, tops),
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return nothing
-    tree, _ = assemble(channels, filled)
+    tree, _ = assemble((), filled)
     return Met(tree, [codes for codes, _ in tree.walk()])
 
 

@@ -13,9 +13,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
-from octex.conversion.cells import BLOCK_BITS, SPREAD
-from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
@@ -28,6 +25,17 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
+from octex.voxelize.fragments import (
+    Blocks,
+    Fragments,
+    Run,
+    bin_triangles,
+    cut,
+    even_runs,
+    most_fragments,
+    some_blocks,
+)
+from octex.voxelize.grid import BLOCK_BITS, on_grid
 
 #: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
 _SLACK = 1e-6
@@ -96,7 +104,7 @@ def sheets_of(
     if within is not None:
         blocks = some_blocks(blocks, within.reaches(blocks, max(level - BLOCK_BITS, 0)))
 
-    runs = even_runs(most_pieces(grid, faces, blocks, level))
+    runs = even_runs(most_fragments(grid, faces, blocks, level))
     columns = list(ordered_map(executor, partial(_columns_of, grid, faces, blocks, level, within), runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.lexsort((codes, triangles))
@@ -135,11 +143,11 @@ def _columns_of(
     grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: Run
 ) -> Columns:
     """Cut what lies in some blocks, and in the region if one is given."""
-    pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
+    pieces = cut(grid, faces, blocks, run, level)
     return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
 
 
-def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
+def _columns(pieces: Fragments, chosen: Bools | None) -> Columns:
     """Return the columns of the pieces in chosen cells, or in all."""
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
     some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])

@@ -8,8 +8,8 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ALPHA, ChannelFormat
-from octex.conversion.pieces import Blocks
 from octex.source.base import Source
+from octex.voxelize.fragments import Blocks
 
 #: Coverage is kept in 16 bits: 8 would change a wash by up to half a step.
 COVERAGE = ALPHA._replace(dtype="uint16")

@@ -95,17 +95,11 @@ def merge(
     fit: Fit | None = None,
 ) -> OctreeTexture:
     """Adapt a tree to what its finest cells hold."""
-    found, values = adapted(
-        tree,
-        channels,
-        sampled(tree, channels),
-        max_error=max_error,
-        wanted=wanted,
-        fit=fit,
-        split=None,
-        executor=None,
-        progress=silent,
-    )
+    with ThreadPoolExecutor(1) as pool:
+        found, values = adapted(
+            tree, channels, sampled(tree, channels),
+            max_error=max_error, wanted=wanted, fit=fit, split=None, executor=pool, progress=silent,
+        )  # fmt: skip
     found.validate()
     return OctreeTexture(found, values, UNIT, [[0, 0, 0], [1, 1, 1]])
 

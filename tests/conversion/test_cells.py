@@ -8,21 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.conversion.cells import SPREAD
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
+from octex.voxelize.fragments import Blocks, Fragments, Run, bin_triangles, block_levels, cut, most_fragments
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
 
 Corner = tuple[int, int, int]
 
 
-def cut_all(triangles: list[list[Corner]], depth: int, keys_only: int = 0) -> Pieces:
+def cut_all(triangles: list[list[Corner]], depth: int) -> Fragments:
     grid = np.array(triangles, np.int32).reshape(-1, 3)
     indices = np.arange(len(grid), dtype=np.int32).reshape(-1, 3)
     blocks = bin_triangles(grid, indices, depth)
-    return cut_blocks(grid, indices, blocks, 0, len(blocks.codes), depth, keys_only)
+    return cut_blocks(grid, indices, blocks, 0, len(blocks.codes), depth)
 
 
 def cut_blocks(
@@ -32,10 +31,9 @@ def cut_blocks(
     first: int,
     last: int,
     depth: int,
-    keys_only: int = 0,
-) -> Pieces:
-    most = int(most_pieces(grid, triangles, blocks, depth)[first:last].sum())
-    return cut(grid, triangles, blocks, first, last, depth, most, keys_only, SPREAD)
+) -> Fragments:
+    most = int(most_fragments(grid, triangles, blocks, depth)[first:last].sum())
+    return cut(grid, triangles, blocks, Run(first, last, most), depth)
 
 
 def check(triangles: list[list[Corner]], depth: int) -> None:
@@ -52,9 +50,6 @@ def check(triangles: list[list[Corner]], depth: int) -> None:
         for facing in facings:
             assert areas[entry] == pytest.approx(expected[cell][facing], rel=1e-9, abs=1e-9)
             entry += 1
-    keys = cut_all(triangles, depth, keys_only=1)
-    assert np.array_equal(keys.codes, pieces.codes)
-    assert np.array_equal(keys.flags, pieces.flags)
 
 
 def corners(low: int, high: int, step: int) -> st.SearchStrategy[Corner]:

@@ -24,6 +24,8 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
+from octex.voxelize import fragments
+from octex.voxelize.grid import on_grid
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells
@@ -58,7 +60,7 @@ def box(size: tuple[float, float, float]) -> Surface:
 def leaf_means(surface: Surface, texture: OctreeTexture) -> dict[tuple[int, ...], npt.NDArray[np.float64]]:
     """Linear colour and area of each leaf, from rational clipping and vertex colours."""
     depth = texture.tree.max_depth
-    grid = levels.on_grid(surface.rest, texture.placement)
+    grid = on_grid(surface.rest, texture.placement)
     colors = surface.evaluate_all(
         np.arange(len(surface.triangles), dtype=np.int32).repeat(3),
         np.tile(np.eye(3), (len(surface.triangles), 1)),
@@ -222,7 +224,7 @@ def test_the_same_bytes_come_from_any_executor(
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
         octex.convert(sphere(), depth=8, executor=alone).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(levels, "TASK_PIECES", 5_000)
+    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
     octex.convert(sphere(), depth=8, executor=executor).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 

@@ -23,10 +23,10 @@ from octex.channels import (
     ChannelFormat,
     decode,
 )
-from octex.conversion import levels
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import (
     FACES,
@@ -96,7 +96,7 @@ def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
         octex.convert(whole(), depth=7, executor=alone).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(levels, "TASK_PIECES", 5_000)
+    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
     with ThreadPoolExecutor(3) as pool:
         octex.convert(whole(), depth=7, executor=pool).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()

@@ -11,9 +11,9 @@ import pytest
 import octex
 from octex.channels import ChannelFormat
 from octex.conversion.detail import channel_of, deepest_wanted, wanted_levels
-from octex.conversion.pieces import Pieces
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Source
+from octex.voxelize.fragments import Fragments
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
 
 DEPTH = 10
@@ -194,7 +194,7 @@ def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
     def wanted(*_: object) -> npt.NDArray[np.float64]:
         return np.array([3.0, 5.0, 2.2, 4.04])
 
-    pieces = Pieces(
+    pieces = Fragments(
         codes=np.array([4, 7]),
         flags=np.array([0b110000, 0b000010], np.uint8),
         entries=np.array([1, 0, 2, 2], np.int32),  # the first cell has two entries, one for each facing
@@ -210,7 +210,7 @@ def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
 )
 def test_halves_in_eight_bits_are_whole_levels(code: int, level: int):
     surface = painted([code / 255] * 2)
-    pieces = Pieces(
+    pieces = Fragments(
         codes=np.array([4]),
         flags=np.array([1], np.uint8),
         entries=np.zeros(1, np.int32),

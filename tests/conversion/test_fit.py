@@ -262,6 +262,26 @@ def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_th
     assert fitted < (1.02 if depth < 3 else 1.0) * plain
 
 
+@pytest.mark.parametrize("depth", range(7))
+def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth: int) -> None:
+    def checkers(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.repeat(np.floor(points[:, :2] * 96).sum(axis=1)[:, None] % 2, 3, axis=1)
+
+    surface = tiles(96).with_sources({"base_color": checkers})
+    points = surface.scatter(20_000, seed=1)
+    texture = octex.convert(surface, depth, channels=["base_color"], dtype="float32")
+    assert abs(texture.sample(points.rest).mean() - 0.5) < 0.01
+
+
+def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light() -> None:
+    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.where(points[:, :1] < 0.5, 0.02, 1.0).repeat(3, axis=1)
+
+    surface = Surface.from_arrays(SQUARE * [1, 1, 0], HALVES).with_sources({"base_color": halves})
+    for texture in pair(surface, 0, dtype="float32"):
+        assert np.abs(texture.channels["base_color"].values - 0.51).max() < 1e-6
+
+
 def test_a_cell_met_without_area_is_fitted_like_others() -> None:
     # The lower faces lie in cell planes: cells on the other side are only touched.
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

@@ -18,7 +18,7 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, encoded, subtract
+from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
 from octex.jit import kernel
 
 Array = npt.NDArray[np.generic]
@@ -38,12 +38,6 @@ def _near_between(differences: Array, count: int, most: float) -> bool:
 @kernel
 def _all_near(bounds: Array, columns: ErrorColumns, most: float) -> bool:
     return all_near(bounds, columns, most)
-
-
-@kernel
-def _subtract(values: Array, columns: ErrorColumns, differences: Array) -> None:
-    for point in range(values.shape[2]):
-        subtract(values, columns, point, differences)
 
 
 def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
@@ -153,15 +147,3 @@ def test_what_rises_between_the_points_of_a_patch_is_found():
     assert _near_between(differences, 10, 2.1)
     differences[0, 5] = np.nan
     assert not _near_between(differences, 10, 1e9)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_codes_are_as_far_apart_as_values(seed: int):
-    random = np.random.default_rng(seed)
-    columns = ErrorColumns.of((BASE_COLOR, NORMAL, ROUGHNESS))
-    values = random.uniform([-0.1, -1, 0], [1.5, 1, 1], (2, 20, 3))[:, :, [0, 0, 0, 1, 1, 1, 2]]
-    values = (values * random.choice([0.0, 0.01, 1.0], values.shape)).astype(np.float32)
-    differences = np.zeros((14, 20))
-    _subtract(np.ascontiguousarray(values.transpose(0, 2, 1)), columns, differences)
-    found, wanted = (encoded(each, columns) for each in values)
-    np.testing.assert_allclose((found - wanted).T, differences[[*range(7), 10, 11, 12]], atol=1e-3)

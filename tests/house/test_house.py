@@ -43,6 +43,7 @@ ROWS = [
     {"kernels"},
     {"editing"},
     {"source"},
+    {"voxelize"},
     {"conversion"},
     {"cameras"},
     {"view"},
@@ -57,7 +58,7 @@ ROWS = [
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "conversion", "cameras", "view", "painting"}
+MADE = {"source", "voxelize", "conversion", "cameras", "view", "painting"}
 FORBIDDEN = {
     "source": STORED,
     "cameras": STORED,

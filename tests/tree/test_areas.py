@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from octex.channels import ROUGHNESS
-from octex.conversion.accumulate import SumColumns, Sums, level_means
 from octex.tree.areas import AREAS, area_codes
 from octex.tree.layout import AREA_ONE, AREA_STEPS
+from octex.voxelize.sums import SumColumns, Sums, level_means
 
 RANGE = 2.0 ** np.random.default_rng(0).uniform(-50, 8, 2000)
 

@@ -23,12 +23,12 @@ from measuring import memory, timed
 from painted_sphere import view
 
 import octex
-from octex.conversion.cells import SPREAD
-from octex.conversion.levels import assemble, cell_levels, on_grid
-from octex.conversion.pieces import bin_triangles, cut, most_pieces
+from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.voxelize.fragments import Run, bin_triangles, cut, most_fragments
+from octex.voxelize.grid import on_grid
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 
@@ -64,8 +64,8 @@ def keys(around: int, across: int, depth: int) -> Callable[[], Answer]:
     def build() -> np.ndarray:
         grid = on_grid(vertices.astype(np.float64), UNIT_CUBE)
         blocks = bin_triangles(grid, triangles, depth)
-        most = int(most_pieces(grid, triangles, blocks, depth).sum())
-        return cut(grid, triangles, blocks, 0, len(blocks.codes), depth, most, 1, SPREAD).codes
+        most = int(most_fragments(grid, triangles, blocks, depth).sum())
+        return cut(grid, triangles, blocks, Run(0, len(blocks.codes), most), depth).codes
 
     def task() -> Answer:
         spent, codes = timed(build)

@@ -1,7 +1,7 @@
-"""How far two trees' fields are apart in finest cells: at samples, and all over the surface around them.
+"""How far two trees' fields are apart in finest cells: at samples, or all over the surface around them.
 
-On a finest cell both fields are rational functions. What they are made of is gathered once a cell, and mostly
-says enough: the same leaves in both, or values that are all near to each other.
+On a finest cell both fields are rational functions. Their coefficients are gathered once a cell, and mostly
+say enough: the same leaves in both, or values that are all near to each other.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Array, Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, ColorSpace, decode
 from octex.conversion import large
-from octex.conversion.coefficients import (
+from octex.conversion.evaluator import (
     Coefficients,
     Windows,
     add_up,
@@ -26,13 +26,14 @@ from octex.conversion.coefficients import (
 from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
 from octex.conversion.prune import Pruned
-from octex.conversion.samples import MOST_POINTS, Samples, lay_out
+from octex.conversion.samples import MOST_POINTS, Samples, lay_first, lay_out
 from octex.field.weights import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import inlined, kernel
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
+from octex.tree.octree import Octree
 
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
@@ -62,15 +63,28 @@ class Decoded(NamedTuple):
         split_values = _side_by_side([channel.split_values for channel in given], spaces)
         return cls(values, split_values, ErrorColumns.of(forms))
 
-    def pruned(self, pruned: Pruned) -> Coefficients:
-        """Return the field of a tree with some nodes as leaves."""
-        tree = pruned.tree
-        taken = large.taken(self.values, pruned.cells)
-        rows = large.joined([taken, self.split_values[pruned.split_rows]])
+    def put(self, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat], cells: Int64s) -> None:
+        """Take other values of some cells (n,), which channels of some formats have."""
+        spaces = [form.space for form in forms]
+        self.values[cells] = _side_by_side([channels[form.name].values[cells] for form in forms], spaces)
+
+    def field(self, tree: Octree, cells: Int64s | slice, split_rows: Bools | slice) -> Coefficients:
+        """Return the field of a tree that has some of the cells and of the rows for facings."""
+        some = large.taken(self.values, cells) if isinstance(cells, np.ndarray) else self.values[cells]
+        rows = large.joined([some, self.split_values[split_rows]])
         kinds, _, alpha, _ = self.columns
         return Coefficients(
             tree.arrays, facings_of(tree).rows, tree.n_cells, rows.reshape(-1, 4), kinds.size, alpha
         )
+
+    def truncated(self, tree: Octree, level: int) -> Coefficients:
+        """Return the field of the averages of a level."""
+        coarse = tree.truncated(level)
+        return self.field(coarse, slice(coarse.n_cells), slice(coarse.split.areas.size))
+
+    def pruned(self, pruned: Pruned) -> Coefficients:
+        """Return the field of a tree with some nodes as leaves."""
+        return self.field(pruned.tree, pruned.cells, pruned.split_rows)
 
 
 def _side_by_side(columns: Sequence[Array], spaces: Sequence[ColorSpace]) -> Float32s:
@@ -107,19 +121,26 @@ class Scratch(NamedTuple):
 
 
 def far_cells(
-    found: Coefficients, full: Coefficients, samples: Samples, most: float, are_bare: Bools, cells: Int64s
+    found: Coefficients,
+    full: Coefficients,
+    samples: Samples,
+    most: float,
+    cells: Int64s,
+    *,
+    owners: Int64s | None = None,
+    is_all_over: bool = False,
 ) -> Bools:
     """Say in which finest cells (n,), which ascend, a field is more than ``most`` codes from the full tree's.
 
-    That is, at a sample; or by more than one code more in the plane of the surface at a sample, as far as it
-    lies in the cell (see `lay_out`); looked up without normals, unless ``are_bare`` (all finest cells,) says
-    that they are near so, or with the sample's own.
+    That is, at a sample, looked up without a normal. With ``owners`` (all finest cells,) it is not the field
+    but the value of such a cell. If ``is_all_over``, also in the plane of the surface at a sample, as far as
+    it lies in the cell (see `lay_out`), by more than one code more; and both with the sample's own normal.
     """
     far = np.zeros(cells.size, np.bool_)
     places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
-    _find_far(
-        (found, full), places, ErrorColumns.of(samples.channels), cells, are_bare[cells], float(most), far
-    )
+    own = np.full(cells.size, -1, np.int64) if owners is None else owners[cells]
+    columns = ErrorColumns.of(samples.channels)
+    _find_far((found, full), places, columns, cells, own, is_all_over, float(most), far)
     return far
 
 
@@ -129,7 +150,8 @@ def _find_far(
     samples: Places,
     columns: ErrorColumns,
     cells: Int64s,
-    are_bare: Bools,
+    owners: Int64s,
+    is_all_over: bool,
     most: float,
     far: Bools,
 ) -> None:
@@ -146,8 +168,8 @@ def _find_far(
         np.zeros((2, components), np.float32),
     )
     for n in range(cells.size):
-        cell, is_bare = int(cells[n]), bool(are_bare[n])
-        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, is_bare, most)
+        cell, owner = int(cells[n]), int(owners[n])
+        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, owner, is_all_over, most)
 
 
 @inlined
@@ -159,22 +181,28 @@ def _is_far(
     columns: ErrorColumns,
     scratch: Scratch,
     cell: int,
-    is_bare: bool,
+    owner: int,
+    is_all_over: bool,
     most: float,
 ) -> bool:
-    """Say whether fields are too far apart in a finest cell; if it ``is_bare``, with normals."""
+    """Say whether fields are too far apart in a finest cell, or the value of its owner if that is not −1."""
     i, j, k = decode_cell(samples.codes[cell])
     shift = MAX_DEPTH - samples.depth
     full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
-    level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
-    if level == full and not is_refined(walks[0], level):
-        return False  # both have the same leaves there
+    level = 0
+    if owner < 0:
+        level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
+        if level == full and not is_refined(walks[0], level):
+            return False  # both have the same leaves there
     place = (i, j, k, samples.depth)
     normal = scratch.normal
     view = view_of(normal, 0)
     for sample in range(samples.firsts[cell], samples.firsts[cell + 1]):
-        count = lay_out(samples.places, samples.normals, sample, scratch.points)
-        for look in range(2):  # without a normal, then with it
+        if is_all_over:
+            count = lay_out(samples.places, samples.normals, sample, scratch.points)
+        else:
+            count = lay_first(samples.places, sample, scratch.points)
+        for look in range(2 if is_all_over else 1):  # without a normal, then with it
             one, other = 0, 1
             if look == 1:
                 is_new = False
@@ -184,23 +212,26 @@ def _is_far(
                 view = view_of(normal, 0)
                 if is_new:
                     windows.known[2:] = False
-                hidden = HIDDEN[full_facings(view)]
+                hidden = HIDDEN[_full_facings(view)]
                 one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
                 other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
                 if one == 0 and other == 1:
                     continue  # the normal changes nothing
-            find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
-            is_first = look == 0 and sample == samples.firsts[cell]
-            if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
-                return False
-            if is_bare and look == 0:
-                continue
-            _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
+            if owner >= 0:
+                _read_value(fields[0], owner, scratch)
+            else:
+                find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
+                is_first = look == 0 and sample == samples.firsts[cell]
+                if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
+                    return False
+                _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
             _look_up(fields[1], windows, other, full, place, 0, 1, scratch)
             subtract(scratch.values, columns, 0, scratch.differences)
             if not are_near(scratch.differences, 0, most):
                 return True
+            if not is_all_over:
+                continue
             _look_up(fields[0], windows, one, level, place, 1, count, scratch)
             _look_up(fields[1], windows, other, full, place, 1, count, scratch)
             if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
@@ -210,6 +241,15 @@ def _is_far(
             if not are_near_between(scratch.differences, count, most + BETWEEN):
                 return True
     return False
+
+
+@inlined
+def _read_value(field: Coefficients, cell: int, scratch: Scratch) -> None:
+    """Write the value of a cell as the field's at the first point."""
+    vectors = (field.components + 4) // 4
+    for component in range(field.components):
+        row = cell * vectors + (component >> 2)
+        scratch.values[0, component, 0] = field.rows[row, component & 3]
 
 
 @inlined
@@ -272,7 +312,7 @@ def _are_all_near(values: Float32s, columns: ErrorColumns, count: int, most: flo
 
 
 @inlined
-def full_facings(view: View) -> int:
+def _full_facings(view: View) -> int:
     """Return the facings that lookups with a normal take in full."""
     x, y, z, signs = view
     full = int(x >= _FULL) << (signs & 1)

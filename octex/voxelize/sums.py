@@ -1,4 +1,4 @@
-"""Sums over the surface in each cell, from the pieces up to the root, and what is stored of them.
+"""Sums over the surface in each cell, from the fragments up to the root, and what is stored of them.
 
 Everything that is averaged is kept as float64 sums for each *entry*, a (cell, facing) pair: a row of
 
@@ -7,8 +7,8 @@ Everything that is averaged is kept as float64 sums for each *entry*, a (cell, f
 in cell faces of the level at hand. Coverage is 1 without an alpha among the channels. The entries of a level
 are sorted by cell, then facing; a cell's flags say which facings it has: popcount(flags) rows.
 
-The rows hold the components of all channels side by side, so that each piece and each child is met once; the
-means lie channel after channel, so that each is encoded in one run through memory.
+The rows hold the components of all channels side by side, so that each fragment and each child is met once;
+the means lie channel after channel, so that each is encoded in one run through memory.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class SumColumns(NamedTuple):
     @classmethod
     def of(cls, channels: Sequence[ChannelFormat]) -> SumColumns:
         """Lay out channels side by side."""
-        widths = [channel.components for channel in channels]
-        firsts = np.cumsum([0, *widths])[:-1]
+        widths = np.array([channel.components for channel in channels], np.int64)
+        firsts = np.cumsum(widths) - widths
         names = [channel.name for channel in channels]
         alpha = int(firsts[names.index("alpha")]) if "alpha" in names else -1
         first = np.repeat(firsts, widths)
@@ -75,20 +75,20 @@ def by_channel(values: Float64s, channels: Sequence[ChannelFormat]) -> Iterator[
 
 
 @kernel
-def sum_pieces(
+def sum_fragments(
     entries: Int32s,
     areas: Float64s,
     values: Float32s,
     alpha: int,
     n_entries: int,
 ) -> Float64s:
-    """Add up the pieces of each entry. ``alpha`` is the column that holds coverage, or −1."""
+    """Add up the fragments of each entry. ``alpha`` is the column that holds coverage, or −1."""
     components = values.shape[1]
     sums = np.empty((n_entries, components + 1), np.float64)
     cleared = 0
     for i in range(entries.size):
         row = entries[i]
-        while cleared <= row:  # in step with the pieces: rows are then still in the cache
+        while cleared <= row:  # in step with the fragments: rows are then still in the cache
             for k in range(components + 1):
                 sums[cleared, k] = 0.0
             cleared += 1
@@ -215,12 +215,3 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
                 row += 1
         entry += n_facings
     return Means(values, areas, two_sided, facing_values, facing_areas)
-
-
-@kernel
-def count_entries(flags: Uint8s) -> int:
-    """Count the facings of all cells."""
-    count = 0
-    for i in range(flags.size):
-        count += popcount(np.uint64(flags[i]))
-    return count

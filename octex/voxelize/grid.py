@@ -18,8 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Int32s, Int64s
-from octex.jit import inlined
+from octex.arrays import Float64s, Int32s, Int64s
+from octex.jit import inlined, kernel
+from octex.tree.layout import GRID_BITS
+from octex.tree.placement import Placement
 
 #: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
 BLOCK_BITS = 5
@@ -37,6 +39,15 @@ SPREAD = np.array(
 # The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its
 # first and last cell along w, and whether it lies wholly inside the triangle as seen along w.
 COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
+
+
+def on_grid(rest: Float64s, placement: Placement) -> Int32s:
+    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
+    steps = placement.to_texture_space(rest)
+    steps *= 1 << GRID_BITS
+    np.rint(steps, out=steps)
+    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
+    return steps.astype(np.int32)
 
 
 @inlined
@@ -237,3 +248,19 @@ def columns_met(
                 columns[count, COLUMN_INSIDE] = 1 if inside else 0
                 count += 1
     return count
+
+
+@kernel
+def count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
+    """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
+    corners = np.empty((3, 3), np.int64)
+    normal = np.empty(3, np.int64)
+    count = 0
+    doubled = 0.0
+    for i in range(triangles.shape[0]):
+        if load_triangle(grid, triangles, i, corners, normal) < 0:
+            count += 1
+        else:
+            x, y, z = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
+            doubled += np.sqrt(x * x + y * y + z * z)
+    return count, 0.5 * doubled

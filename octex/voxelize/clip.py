@@ -1,8 +1,8 @@
-"""The piece of a triangle inside each cell: its area and where its middle lies.
+"""The fragment of a triangle inside each cell: its area and where its middle lies.
 
 Polygons are cut as seen along w (see `cells`), in units of a cell from the block's corner: positions stay
 small, and exact differences become floating point only once. A triangle is cut into strips along u, a strip
-into columns along v, a column into cells along w: one cut for each piece but the last.
+into columns along v, a column into cells along w: one cut for each fragment but the last.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float64s, Int64s
-from octex.conversion.cells import (
+from octex.jit import inlined
+from octex.voxelize.grid import (
     BLOCK_EDGE,
     COLUMN_FIRST,
     COLUMN_INSIDE,
@@ -18,7 +19,6 @@ from octex.conversion.cells import (
     COLUMN_U,
     COLUMN_V,
 )
-from octex.jit import inlined
 
 #: A triangle has three vertices, each of the up to six planes that bound a cell adds one; with room to spare.
 MAX_VERTICES = 12
@@ -85,20 +85,20 @@ def area_and_center(polygons: Float64s, row: int, count: int) -> tuple[float, fl
 
 
 @inlined
-def _store_piece(
+def _store_fragment(
     b: float,
     c: float,
     area: float,
     barycentric: Float64s,
     areas: Float64s,
-    piece: int,
+    fragment: int,
 ) -> None:
     b = min(max(b, 0.0), 1.0)
     c = min(max(c, 0.0), 1.0 - b)
-    barycentric[piece, 0] = 1.0 - b - c
-    barycentric[piece, 1] = b
-    barycentric[piece, 2] = c
-    areas[piece] = max(area, CONTACT)
+    barycentric[fragment, 0] = 1.0 - b - c
+    barycentric[fragment, 1] = b
+    barycentric[fragment, 2] = c
+    areas[fragment] = max(area, CONTACT)
 
 
 @inlined
@@ -114,12 +114,12 @@ def clip_to_columns(
     polygons: Float64s,
     barycentric: Float64s,
     areas: Float64s,
-    piece: int,
+    fragment: int,
 ) -> None:
     """Clip a triangle to the cells that `columns_met` listed, in their order.
 
-    From row ``piece`` on, ``barycentric`` (…, 3) and ``areas``, in cell faces, receive the centroid and the
-    area of the piece in each cell. ``polygons`` is scratch.
+    From row ``fragment`` on, ``barycentric`` (…, 3) and ``areas``, in cell faces, receive the centroid and
+    the area of the fragment in each cell. ``polygons`` is scratch.
     """
     scale = 1.0 / (1 << shift)
     u0 = np.float64(corners[0, 0] - (block_u << shift)) * scale
@@ -167,15 +167,15 @@ def clip_to_columns(
             strip_is_cut = False
             if first == last and block_w < first < block_w + BLOCK_EDGE - 1:
                 du, dv = at_u + 0.5 - u0, at_v + 0.5 - v0
-                _store_piece(
+                _store_fragment(
                     (du * c_v - dv * c_u) * inverse,
                     (b_u * dv - b_v * du) * inverse,
                     stretch,
                     barycentric,
                     areas,
-                    piece,
+                    fragment,
                 )
-                piece += 1
+                fragment += 1
                 continue
             n_column = 4
             polygons[column, 0, 0], polygons[column, 1, 0] = at_u, at_v
@@ -218,12 +218,12 @@ def clip_to_columns(
             else:
                 area, center_u, center_v = 0.0, at_u + 0.5, at_v + 0.5
             du, dv = center_u - u0, center_v - v0
-            _store_piece(
+            _store_fragment(
                 (du * c_v - dv * c_u) * inverse,
                 (b_u * dv - b_v * du) * inverse,
                 area * stretch,
                 barycentric,
                 areas,
-                piece,
+                fragment,
             )
-            piece += 1
+            fragment += 1

@@ -84,6 +84,15 @@ def is_refined(walk: Walk, level: int) -> bool:
 
 
 @inlined
+def kind_of(flags: np.uint8) -> np.uint64:
+    """Return the kind of a cell as a bit: its facings, or that it is split."""
+    if flags & np.uint8(SPLIT) != 0:
+        return SPLIT_KIND
+    facings = flags & np.uint8(FACING_FLAGS)
+    return np.uint64(1) << np.uint64(facings) if facings != 0 else np.uint64(0)
+
+
+@inlined
 def find_coefficients(
     field: Coefficients, walk: Walk, windows: Windows, which: int, level: int, is_facing: bool, view: View
 ) -> None:
@@ -161,10 +170,7 @@ def _gather(
                     found = _added(found, part, _covered(field, cell, vectors, vector))
                 _write(windows.rows, at + vector * stride, found)
             continue
-        if flags & np.uint8(SPLIT) != 0:
-            kinds |= SPLIT_KIND
-        elif flags & np.uint8(FACING_FLAGS) != 0:
-            kinds |= np.uint64(1) << np.uint64(flags & np.uint8(FACING_FLAGS))
+        kinds |= kind_of(flags)
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
             _widen(windows.ranges, range_row + vector, _read(field.rows, cell * vectors + vector))

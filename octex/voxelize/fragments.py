@@ -1,4 +1,4 @@
-"""A surface cut into pieces, one for each (triangle, cell) that meet, block of cells by block of cells.
+"""A surface cut into fragments, one for each (triangle, cell) that meet, block of cells by block of cells.
 
 A block's cells are marked in a mask of one byte a cell whose bits are the facings seen in it: the byte is the
 cell's normal flags, and a bit's rank among all set bits numbers the *entry* (cell, facing) in Morton order.
@@ -10,8 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s, Uint8s
-from octex.conversion.cells import (
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.jit import inlined, kernel, popcount, trailing_zeros
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode
+from octex.voxelize.clip import MAX_VERTICES, POLYGONS, clip_to_columns
+from octex.voxelize.grid import (
     BLOCK_BITS,
     BLOCK_CELLS,
     BLOCK_EDGE,
@@ -24,10 +28,11 @@ from octex.conversion.cells import (
     columns_met,
     load_triangle,
 )
-from octex.conversion.clip import MAX_VERTICES, POLYGONS, clip_to_columns
-from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.layout import GRID_BITS
-from octex.tree.morton import decode
+
+#: Bound of the fragments in one task: enough to hide what a task costs, few enough to stay in the cache.
+TASK_FRAGMENTS = 400_000
+#: Little work is cut into so many tasks, of no fewer fragments than this.
+_TASKS, _LEAST_FRAGMENTS = 8, 250_000
 
 
 class Blocks(NamedTuple):
@@ -38,15 +43,23 @@ class Blocks(NamedTuple):
     members: Int32s  # (pairs,)   triangles, ascending within a block
 
 
-class Pieces(NamedTuple):
-    """The pieces of a run of blocks, and the cells that they lie in."""
+class Fragments(NamedTuple):
+    """The fragments of a run of blocks, and the cells that they lie in."""
 
     codes: Int64s  # (cells,)   Morton codes, ascending
     flags: Uint8s  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
-    entries: Int32s  # (pieces,)   the entry of each piece
-    triangles: Int32s  # (pieces,)
-    barycentric: Float64s  # (pieces, 3)   of the piece's centroid
-    areas: Float64s  # (pieces,)   in cell faces
+    entries: Int32s  # (fragments,)   the entry of each fragment
+    triangles: Int32s  # (fragments,)
+    barycentric: Float64s  # (fragments, 3)   of the fragment's centroid
+    areas: Float64s  # (fragments,)   in cell faces
+
+
+class Run(NamedTuple):
+    """The work of one task: a run of blocks, with a bound of their fragments."""
+
+    first_block: int
+    last_block: int  # exclusive
+    most: int
 
 
 @inlined
@@ -70,10 +83,10 @@ def _block_columns(
 
 
 @kernel
-def most_pieces(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> Int64s:
+def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> Int64s:
     """Bound from above how many cells of ``depth`` the triangles of each block can meet, by their boxes.
 
-    It sizes the arrays of `cut` and cuts the work into parts.
+    It sizes the arrays of `cut`, and divides the work.
     """
     shift = GRID_BITS - depth
     bounds = np.empty(blocks.codes.size, np.int64)
@@ -105,11 +118,10 @@ def _bin(
     depth: int,
     most: int,
     most_in_block: int,
-    spread: Int64s,
 ) -> Blocks:
     """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones.
 
-    ``most`` is the sum, ``most_in_block`` the largest of what `most_pieces` tells.
+    ``most`` is the sum, ``most_in_block`` the largest of what `most_fragments` tells.
     """
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
@@ -138,11 +150,11 @@ def _bin(
             n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             for i in range(n_columns):
-                in_plane = (spread[columns[i, COLUMN_U] - origin[u]] << u) | (
-                    spread[columns[i, COLUMN_V] - origin[v]] << v
+                in_plane = (SPREAD[columns[i, COLUMN_U] - origin[u]] << u) | (
+                    SPREAD[columns[i, COLUMN_V] - origin[v]] << v
                 )
                 for w in range(columns[i, COLUMN_FIRST], columns[i, COLUMN_LAST] + 1):
-                    cell = in_plane | (spread[w - origin[axis]] << axis)
+                    cell = in_plane | (SPREAD[w - origin[axis]] << axis)
                     pair_cells[n_pairs] = cell
                     pair_triangles[n_pairs] = triangle
                     n_pairs += 1
@@ -175,8 +187,8 @@ def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
     members = np.arange(len(triangles), dtype=np.int32)
     blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
     for level in block_levels(depth)[1:]:
-        bounds = most_pieces(grid, triangles, blocks, level)
-        blocks = _bin(grid, triangles, blocks, level, int(bounds.sum()), int(bounds.max(initial=0)), SPREAD)
+        bounds = most_fragments(grid, triangles, blocks, level)
+        blocks = _bin(grid, triangles, blocks, level, int(bounds.sum()), int(bounds.max(initial=0)))
     return blocks
 
 
@@ -190,22 +202,8 @@ def block_levels(depth: int) -> list[int]:
 
 
 @kernel
-def cut(
-    grid: Int32s,
-    triangles: Int32s,
-    blocks: Blocks,
-    first_block: int,
-    last_block: int,
-    depth: int,
-    most: int,
-    keys_only: int,
-    spread: Int64s,
-) -> Pieces:
-    """Cut the triangles of blocks ``first_block`` … ``last_block`` − 1 along the cells of ``depth``.
-
-    ``most`` is the sum of `most_pieces` over these blocks. With ``keys_only`` the cells are found
-    without clipping: codes and flags alone.
-    """
+def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: Run, depth: int) -> Fragments:
+    """Cut the triangles of a run of blocks along the cells of ``depth``."""
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
@@ -218,19 +216,18 @@ def cut(
         mask[word] = np.uint64(0)
     ranks = np.empty(BLOCK_CELLS // 8, np.int32)
     used = np.empty(BLOCK_CELLS // 8, np.int32)
-    codes = np.empty(min(most, (last_block - first_block) * BLOCK_CELLS), np.int64)
+    codes = np.empty(min(run.most, (run.last_block - run.first_block) * BLOCK_CELLS), np.int64)
     flags = np.empty(codes.size, np.uint8)
     n_cells = 0
     n_entries = 0
-    room = 0 if keys_only else most
-    entries = np.empty(room, np.int32)
-    members = np.empty(room, np.int32)
-    barycentric = np.empty((room, 3), np.float64)
-    areas = np.empty(room, np.float64)
-    n_pieces = 0
-    for block in range(first_block, last_block):
+    entries = np.empty(run.most, np.int32)
+    members = np.empty(run.most, np.int32)
+    barycentric = np.empty((run.most, 3), np.float64)
+    areas = np.empty(run.most, np.float64)
+    n_fragments = 0
+    for block in range(run.first_block, run.last_block):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
-        first_piece = n_pieces
+        first_fragment = n_fragments
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             triangle = blocks.members[row]
             axis = load_triangle(grid, triangles, triangle, corners, normal)
@@ -239,7 +236,7 @@ def cut(
             n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             facing = 2 * axis + (1 if normal[2] < 0 else 0)
-            if not keys_only and n_columns > 0:
+            if n_columns > 0:
                 clip_to_columns(
                     corners,
                     normal,
@@ -252,22 +249,21 @@ def cut(
                     polygons,
                     barycentric,
                     areas,
-                    n_pieces,
+                    n_fragments,
                 )
             origin_u, origin_v, origin_w = origin[u], origin[v], origin[axis]
             for i in range(n_columns):
                 in_plane = (
-                    (spread[columns[i, COLUMN_U] - origin_u] << (u + 3))
-                    | (spread[columns[i, COLUMN_V] - origin_v] << (v + 3))
+                    (SPREAD[columns[i, COLUMN_U] - origin_u] << (u + 3))
+                    | (SPREAD[columns[i, COLUMN_V] - origin_v] << (v + 3))
                     | facing
                 )
                 for w in range(columns[i, COLUMN_FIRST] - origin_w, columns[i, COLUMN_LAST] - origin_w + 1):
-                    key = in_plane | (spread[w] << (axis + 3))
+                    key = in_plane | (SPREAD[w] << (axis + 3))
                     mask[key >> 6] |= np.uint64(1) << np.uint64(key & 63)
-                    if not keys_only:
-                        entries[n_pieces] = key
-                        members[n_pieces] = triangle
-                        n_pieces += 1
+                    entries[n_fragments] = key
+                    members[n_fragments] = triangle
+                    n_fragments += 1
         n_used = 0
         for word in range(mask.size):
             if mask[word] == np.uint64(0):
@@ -284,17 +280,36 @@ def cut(
                 codes[n_cells] = (blocks.codes[block] << (3 * BLOCK_BITS)) | (word << 3) | octant
                 flags[n_cells] = byte
                 n_cells += 1
-        for piece in range(first_piece, n_pieces):
-            key = np.int64(entries[piece])
+        for fragment in range(first_fragment, n_fragments):
+            key = np.int64(entries[fragment])
             below = (np.uint64(1) << np.uint64(key & 63)) - np.uint64(1)
-            entries[piece] = ranks[key >> 6] + popcount(mask[key >> 6] & below)
+            entries[fragment] = ranks[key >> 6] + popcount(mask[key >> 6] & below)
         for i in range(n_used):
             mask[used[i]] = np.uint64(0)
-    return Pieces(
+    return Fragments(
         codes[:n_cells].copy(),
         flags[:n_cells].copy(),
-        entries[:n_pieces],
-        members[:n_pieces],
-        barycentric[:n_pieces],
-        areas[:n_pieces],
+        entries[:n_fragments],
+        members[:n_fragments],
+        barycentric[:n_fragments],
+        areas[:n_fragments],
     )
+
+
+def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
+    """Return some of blocks, the first one if none is chosen."""
+    chosen[0] |= not chosen.any()
+    counts = np.diff(blocks.starts)
+    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
+    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
+
+
+def even_runs(bounds: Int64s) -> list[Run]:
+    """Cut blocks into runs of about TASK_FRAGMENTS or less, by the bounds of their fragments."""
+    totals = np.cumsum(bounds)
+    size = min(max(int(totals[-1]) // _TASKS, _LEAST_FRAGMENTS), TASK_FRAGMENTS)
+    ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
+    ends = np.unique(np.append(ends, len(totals)))
+    starts = np.append(0, ends[:-1])
+    most = np.add.reduceat(bounds, starts)
+    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,7 @@ from hypothesis import strategies as st
 
 from octex.arrays import bit_counts
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
-from octex.conversion.distances import Looked
-from octex.conversion.nearness import Decoded, far_cells
-from octex.conversion.patches import BARE, NEAR, near_cells
+from octex.conversion.differences import Decoded, far_cells
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_box
@@ -98,6 +97,11 @@ def scene(seed: int, smooth: float) -> Scene:
 def codes(texture: OctreeTexture, points: Floats, normals: Floats | None) -> tuple[Floats, Floats]:
     """All components in codes (n, components), directions once more as unit vectors, and the alpha (n, 1)."""
     values = texture.sample(points, list(texture.channels), "quadratic", normals=normals, normalize=False)
+    return codes_of(values), values.get("alpha", np.ones((len(points), 1), np.float32)).astype(np.float64)
+
+
+def codes_of(values: Mapping[str, Array]) -> Floats:
+    """Values in codes (n, components), directions once more as unit vectors."""
     columns = []
     for name, found in values.items():
         found = found.astype(np.float64)
@@ -105,7 +109,7 @@ def codes(texture: OctreeTexture, points: Floats, normals: Floats | None) -> tup
             columns += [127.5 * found, 127.5 * found / np.linalg.norm(found, axis=1, keepdims=True)]
         else:
             columns.append(255 * (linear_to_srgb(found) if name == "base_color" else found))
-    return np.hstack(columns), values.get("alpha", np.ones((len(points), 1), np.float32)).astype(np.float64)
+    return np.hstack(columns)
 
 
 def apart(scene: Scene, points: Floats, normals: Floats | None) -> Floats:
@@ -184,35 +188,39 @@ def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(expected, part))
         clear = np.abs(expected[chosen] - most) > 0.02
-        far = far_cells(*fields, made.samples, most, np.zeros(expected.size, np.bool_), chosen)
+        far = far_cells(*fields, made.samples, most, chosen, is_all_over=True)
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
 @few
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 0.9]))
-def test_cells_that_are_surely_near_are_near_all_over_their_patches(seed: int, smooth: float):
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
+def test_cells_are_far_where_samples_say_so(seed: int, smooth: float):
     made = scene(seed, smooth)
-    samples, cells = made.samples, np.arange(made.samples.codes.size)
-    found, full = (Looked.of(each.tree, each.channels, samples.channels) for each in (made.found, made.full))
-    random = np.random.default_rng(seed)
-    inside = []
-    for patch in patches(samples):
-        corners = patch[1 : 1 + len(patch) // 3]
-        parts = random.dirichlet(np.full(len(corners), 0.5), 8)
-        inside.append(np.concatenate([patch[:1], parts @ corners]))
-    differences = [np.abs(each) for each in apart_on(made, inside)]
-    for sure in (BARE, NEAR):
-        values = [each if sure == NEAR else each[:, : each.shape[1] // 2] for each in differences]
-        at, around = np.zeros((2, cells.size))
-        np.maximum.at(at, owners(samples), [each[0].max() for each in values])
-        np.maximum.at(around, owners(samples), [each.max() for each in values])
-        for most in (0.5, 2.0, 20.0):
-            near = near_cells(found, full, samples, most, cells) >= sure
-            assert (at[near] <= most + 0.02).all()
-            assert (around[near] <= most + BETWEEN + 0.02).all()
-    assert (near_cells(full, full, samples, 0.0, cells) == NEAR).all()
-    is_plain = list(made.full.channels) == ["base_color"] and seed % 4 == 3  # all face one way
-    assert near.any() or not is_plain or smooth > 0.01
+    samples = made.samples
+    full = made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH)))
+    places = [(each + 0.5)[None] / PLACE_STEPS for each in samples.places]
+    cells, owned = np.arange(samples.codes.size), owners(samples)
+    points = (decode_cells(samples.codes)[owned] + np.concatenate(places)) / (1 << DEPTH)
+    # The node above each finest cell, as one colour everywhere.
+    above = np.repeat(
+        np.arange(made.finest.firsts[2].size), np.diff(made.finest.firsts[2], append=cells.size)
+    )
+    node = above + made.finest.tree.arrays.level_cells[2]
+    own = codes_of({name: each.values[node[owned]] for name, each in made.full.channels.items()})
+    wanted, coverage = codes(made.full, points, None)
+    coverage = np.repeat(coverage, wanted.shape[1], axis=1)
+    if "alpha" in made.full.channels:
+        coverage[:, -1] = 1.0
+    at_samples = np.abs(apart(made, points, None)), np.abs(coverage * (own - wanted))
+    fields = made.decoded.pruned(made.pruned), made.decoded.truncated(made.finest.tree, 2)
+    for field, each, of in zip(fields, at_samples, (None, node), strict=True):
+        expected = np.zeros(cells.size)
+        np.maximum.at(expected, owned, each.max(axis=1))
+        for part in (0.2, 0.6, 0.95):
+            most = float(np.quantile(expected, part))
+            clear = np.abs(expected - most) > 0.02
+            far = far_cells(field, full, samples, most, cells, owners=of)
+            np.testing.assert_array_equal(far[clear], expected[clear] > most)
 
 
 @kernel
