@@ -13,10 +13,10 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, decode
 from octex.errors import ArgumentError
-from octex.painting import agreement
-from octex.painting.balance import evened
-from octex.painting.consensus import agreed_step, medians, robust_weights
-from octex.painting.pictures import levels_of, masked
+from octex.painting.picture import levels_of, masked
+from octex.photos import agreement
+from octex.photos.balance import evened
+from octex.photos.consensus import agreed_step, medians, robust_weights
 from tests import naive_agreement
 from tests.conftest import needs_jit
 from tests.edit_claims import LARGEST_GAIN, digest

@@ -1036,9 +1036,10 @@ def test_the_help_lists_every_option_and_exit_code(capsys: pytest.CaptureFixture
 
 
 def test_the_help_names_the_librarys_defaults() -> None:
-    from octex.painting import balance, holes, paint, pictures
+    from octex.painting import holes, paint, picture
+    from octex.photos import balance
 
-    assert pictures.BLENDS == BLENDS
+    assert picture.BLENDS == BLENDS
     assert paint.PICTURES == PICTURES
     assert balance.BALANCES == BALANCES
     assert holes.HOLES == HOLES

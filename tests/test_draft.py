@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 import octex
 import octex.painting.merge
 from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
-from octex.painting import tilewise
+from octex.painting import tiles as tilewise
 from octex.painting.holes import with_coverage
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.picture import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
 from tests import random_edits

@@ -46,7 +46,7 @@ ROWS = [
     {"source"},
     {"conversion"},
     {"view"},
-    {"painting"},
+    {"painting", "photos"},
     {"processing"},
     {"baking"},
     {"formats"},
@@ -58,7 +58,7 @@ ROWS = [
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "conversion", "view", "painting"}
+MADE = {"source", "conversion", "view", "painting", "photos"}
 FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
 #: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
 NEW_IN_NUMPY_2 = {

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.painting import labels as labelling
-from octex.painting.best import Patches
 from octex.painting.multigrid import graph_of
+from octex.photos import labels as labelling
+from octex.photos.best import Patches
 from tests import naive_labels
 from tests.conftest import needs_jit
 from tests.painted import ball, codes, picture_of

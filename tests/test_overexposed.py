@@ -9,10 +9,11 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.painting import overexposed, paint
-from octex.painting.balance import balanced
-from octex.painting.overexposed import without_overexposed
+from octex.painting import paint
 from octex.parallel import pool_of
+from octex.photos import overexposed
+from octex.photos.balance import balanced
+from octex.photos.overexposed import without_overexposed
 from tests.conftest import needs_jit
 from tests.painted import codes
 from tests.test_agreement import projections, ring

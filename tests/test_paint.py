@@ -13,12 +13,12 @@ import pytest
 import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
-from octex.painting.balance import exposures
-from octex.painting.blending import blended
+from octex.painting.blend import blended
 from octex.painting.cells import paint_of
 from octex.painting.layer import wanted_levels
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.picture import BLENDS, Blend
 from octex.parallel import pool_of
+from octex.photos.balance import exposures
 from octex.texture import OctreeTexture
 from octex.tree.beside import boundary
 from octex.tree.layout import KEPT, SPLIT
@@ -474,8 +474,8 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
-    from octex.painting.projected import Projected, stretches_of, terms_of
-    from octex.painting.shots import sight_of, take_shots
+    from octex.painting.project import Projected, stretches_of, terms_of
+    from octex.painting.sight import sight_of, take_shots
 
     form = octex.convert(surface, 2).channels["base_color"].format
     shots = []

@@ -14,7 +14,7 @@ from octex.channels import decode
 from octex.cli.common import run
 from octex.errors import DefectError, ExitCode
 from octex.painting import raising
-from octex.painting.pictures import Blend
+from octex.painting.picture import Blend
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.octree import Octree

@@ -13,8 +13,8 @@ import pytest
 import octex
 from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError
-from octex.painting.pictures import BLENDS, Blend
-from octex.painting.shots import sight_of
+from octex.painting.picture import BLENDS, Blend
+from octex.painting.sight import sight_of
 from tests import random_edits
 from tests.painted import ball
 from tests.test_draft import assert_same, case
@@ -97,7 +97,7 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
 def test_a_camera_that_stays_looks_once() -> None:
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     painter = octex.Painter(octex.convert(surface, 6), surface)
-    with mock.patch("octex.painting.ground.sight_of", wraps=sight_of) as look:
+    with mock.patch("octex.painting.surface.sight_of", wraps=sight_of) as look:
         for color in (10, 20, 30):
             painter.paint(brush(surface, color, 30))
         assert look.call_count == 1

@@ -13,7 +13,7 @@ import pytest
 from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.cli.paint import main
 from octex.errors import ArgumentError
-from octex.painting.pictures import Projection, levels_of
+from octex.painting.picture import Projection, levels_of
 from octex.painting.sharpened import sharpened
 from octex.source.images.decode import orientation_of, turned
 from octex.source.images.png import SIGNATURE

@@ -12,7 +12,7 @@ import pytest
 from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
-from octex.painting.pictures import Levels, Projection, check_projections, levels_of, read_paint
+from octex.painting.picture import Levels, Projection, check_projections, levels_of, read_paint
 from octex.painting.sharpened import sharpened
 from tests.painted import above
 

@@ -14,12 +14,12 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, encode
 from octex.cli.paint import main
-from octex.painting import refine
-from octex.painting.ground import Ground
-from octex.painting.moved import _read, moved, pixel_at
-from octex.painting.pictures import levels_of
-from octex.painting.refine import _better
+from octex.painting.picture import levels_of
+from octex.painting.surface import Ground
 from octex.parallel import workers
+from octex.photos import refine
+from octex.photos.poses import _read, moved, pixel_at
+from octex.photos.refine import _better
 from tests.conftest import needs_jit
 from tests.painted import above, ball, picture_of
 from tests.test_agreement import ring

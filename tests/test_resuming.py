@@ -17,15 +17,16 @@ import pytest
 
 import octex
 from octex.errors import OutputError
-from octex.painting import agreement, paint, pictures, refine, shots
-from octex.painting.resuming import digest_of
+from octex.painting import paint, picture, sight
+from octex.painting.resume import digest_of
+from octex.photos import agreement, refine
 from tests.conftest import needs_jit
 from tests.edit_claims import digest
 from tests.test_agreement import projections, ring
 
 WORK = {
-    "decoded": (pictures, "_window_of"),
-    "seen": (shots, "visibility_of"),
+    "decoded": (picture, "_window_of"),
+    "seen": (sight, "visibility_of"),
     "compared": (agreement, "_differences"),
     "projected": (paint, "rasterize_paint"),
     "refined": (refine, "_refined"),

@@ -10,12 +10,13 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.painting import paint, sharpness
+from octex.painting import paint
 from octex.painting.paint import Pictures
-from octex.painting.projected import Projected, stretches_of, terms_of
-from octex.painting.sharpness import Details, details_of, shown_of, weighed_by_sharpness
-from octex.painting.shots import sight_of, take_shots
+from octex.painting.project import Projected, stretches_of, terms_of
+from octex.painting.sight import sight_of, take_shots
 from octex.parallel import pool_of
+from octex.photos import sharpness
+from octex.photos.sharpness import Details, details_of, shown_of, weighed_by_sharpness
 from tests.conftest import needs_jit
 from tests.edit_claims import digest
 from tests.painted import ball, picture_of

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from octex.channels import BASE_COLOR
-from octex.painting.pictures import Projection
-from octex.painting.projected import Projected, shading_of, stretches_of, terms_of
-from octex.painting.shots import _spread, sight_of, take_shots
+from octex.painting.picture import Projection
+from octex.painting.project import Projected, shading_of, stretches_of, terms_of
+from octex.painting.sight import _spread, sight_of, take_shots
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface

@@ -30,8 +30,8 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.painting.balance import BALANCES
 from octex.painting.paint import PICTURES
+from octex.photos.balance import BALANCES
 from octex.preview import render, texture_shader
 from octex.preview.hits import rest_normals, visible_hits
 

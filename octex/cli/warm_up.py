@@ -184,9 +184,9 @@ def _separate(surface: octex.Surface) -> None:
 
 def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
-    from octex.painting.agreement import find_modes, off_modes
-    from octex.painting.balance import evened
-    from octex.painting.pictures import levels_of, masked
+    from octex.painting.picture import levels_of, masked
+    from octex.photos.agreement import find_modes, off_modes
+    from octex.photos.balance import evened
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     camera.differentials(surface.vertices, surface.vertices)

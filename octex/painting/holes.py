@@ -22,7 +22,7 @@ from octex.painting.layer import empty_texture
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.painting.source import COVERAGE
-from octex.painting.tilewise import paint_by_tiles
+from octex.painting.tiles import paint_by_tiles
 from octex.parallel import Progress
 from octex.source.base import Source
 from octex.source.surface import Surface

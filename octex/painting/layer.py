@@ -19,8 +19,8 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.pieces import Blocks
 from octex.conversion.sides import fitters
 from octex.editing.split import refaced
-from octex.painting.ground import Ground
 from octex.painting.source import PaintSource
+from octex.painting.surface import Ground
 from octex.parallel import Progress
 from octex.source.separation import SEPARATION
 from octex.source.surface import Surface

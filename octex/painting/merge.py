@@ -10,12 +10,12 @@ from octex.channels import ALPHA
 from octex.checks import as_choice, as_number
 from octex.editing.draft import Change, Tiles, change_in, cut_out, tiles_around, with_alpha, with_channels_of
 from octex.errors import ArgumentError, own_making
-from octex.painting.blending import blend_paint
+from octex.painting.blend import blend_paint
 from octex.painting.cells import channel_of, paint_of
-from octex.painting.ground import Ground
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.picture import BLENDS, Blend
 from octex.painting.raising import raise_texture
-from octex.painting.tilewise import merge_by_tiles, pieces_of
+from octex.painting.surface import Ground
+from octex.painting.tiles import merge_by_tiles, pieces_of
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture

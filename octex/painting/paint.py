@@ -15,21 +15,21 @@ from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.agreement import agreeing
-from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.best import best
-from octex.painting.ground import Ground, key_of, laid_flat
 from octex.painting.holes import HOLES, Holes, begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
 from octex.painting.merge import merged
-from octex.painting.overexposed import without_overexposed
-from octex.painting.pictures import Projection, check_projections, content_of, room_for
-from octex.painting.projected import Projected, terms_of
-from octex.painting.resuming import Kept, kept_in
-from octex.painting.sharpness import weighed_by_sharpness
-from octex.painting.shots import AROUND, Shot, in_fixed_order, take_shots
+from octex.painting.picture import Projection, check_projections, content_of, room_for
+from octex.painting.project import Projected, terms_of
+from octex.painting.resume import Kept, kept_in
+from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.source import PaintSource
+from octex.painting.surface import Ground, key_of, laid_flat
 from octex.parallel import Progress, as_progress, workers
+from octex.photos.agreement import agreeing
+from octex.photos.balance import BALANCES, Balance, balanced
+from octex.photos.best import best
+from octex.photos.overexposed import without_overexposed
+from octex.photos.sharpness import weighed_by_sharpness
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.painting.ground import Ground
 from octex.painting.merge import merged
 from octex.painting.paint import Options, painted
-from octex.painting.pictures import Blend, Projection
+from octex.painting.picture import Blend, Projection
 from octex.painting.region import Region, region_layer
+from octex.painting.surface import Ground
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture

@@ -34,9 +34,9 @@ from octex.painting.cells import (
     some,
 )
 from octex.painting.flat import Flat
-from octex.painting.ground import Ground
 from octex.painting.kept import bare_leaves
-from octex.painting.pictures import Blend
+from octex.painting.picture import Blend
+from octex.painting.surface import Ground
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT

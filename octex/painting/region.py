@@ -14,12 +14,12 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.errors import ArgumentError
 from octex.functions import answer
-from octex.painting.ground import Ground
 from octex.painting.layer import Levels, empty_texture, rasterize_paint
 from octex.painting.merge import merged
 from octex.painting.paint import check_inside, format_of
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.picture import BLENDS, Blend
 from octex.painting.source import PaintSource
+from octex.painting.surface import Ground
 from octex.parallel import Progress, as_progress, workers
 from octex.source.corners import at_corners
 from octex.source.surface import Surface, as_surface

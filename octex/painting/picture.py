@@ -24,7 +24,7 @@ from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
 from octex.jit import inlined, kernel
-from octex.painting.resuming import Kept, digest_of, fits
+from octex.painting.resume import Kept, digest_of, fits
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
 from octex.source.images.cubic import catmull_rom

@@ -22,16 +22,16 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.conversion import large
 from octex.errors import ArgumentError
-from octex.painting.agreement import agreeing
-from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.consensus import agreed_step, consensus, robust_weights
-from octex.painting.ground import Ground, key_of
-from octex.painting.moved import NUMBERS, Views, moved, pixel_at
-from octex.painting.pictures import Levels, Projection, check_projections, content_of, levels_of, room_for
-from octex.painting.projected import Projected, terms_of
-from octex.painting.resuming import Kept, fits, kept_in
-from octex.painting.shots import Shot, in_fixed_order, most_ahead, shot_of
+from octex.painting.picture import Levels, Projection, check_projections, content_of, levels_of, room_for
+from octex.painting.project import Projected, terms_of
+from octex.painting.resume import Kept, fits, kept_in
+from octex.painting.sight import Shot, in_fixed_order, most_ahead, shot_of
+from octex.painting.surface import Ground, key_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
+from octex.photos.agreement import agreeing
+from octex.photos.balance import BALANCES, Balance, balanced
+from octex.photos.consensus import agreed_step, consensus, robust_weights
+from octex.photos.poses import NUMBERS, Views, moved, pixel_at
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 

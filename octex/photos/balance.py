@@ -9,11 +9,11 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import kernel
-from octex.painting.consensus import agreed_step, robust_weights
-from octex.painting.pictures import Levels
-from octex.painting.projected import Projected
-from octex.painting.shots import most_ahead, pixels_of_points
+from octex.painting.picture import Levels
+from octex.painting.project import Projected
+from octex.painting.sight import most_ahead, pixels_of_points
 from octex.parallel import ordered_map, sharing
+from octex.photos.consensus import agreed_step, robust_weights
 from octex.source.surface import Surface
 
 #: What is evened out: one gain for each picture; or gains of each component, and what is lost in the corners.

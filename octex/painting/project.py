@@ -13,8 +13,8 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.pieces import Blocks
 from octex.jit import inlined, kernel
-from octex.painting.pictures import Levels, clipped, read_paint
-from octex.painting.shots import TRUSTED, Shot, near_paint, renamed
+from octex.painting.picture import Levels, clipped, read_paint
+from octex.painting.sight import TRUSTED, Shot, near_paint, renamed
 from octex.painting.source import PaintSource
 from octex.parallel import built_once
 from octex.source.corners import at_corners

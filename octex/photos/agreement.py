@@ -17,12 +17,12 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s
 from octex.jit import inlined, kernel
-from octex.painting.patches import beside, patches_of, seen_at, sums_around, widths_of
-from octex.painting.pictures import Levels, masked
-from octex.painting.projected import Projected
-from octex.painting.resuming import Kept, fits
-from octex.painting.shots import most_ahead
+from octex.painting.picture import Levels, masked
+from octex.painting.project import Projected
+from octex.painting.resume import Kept, fits
+from octex.painting.sight import most_ahead
 from octex.parallel import ordered_map, sharing
+from octex.photos.patches import beside, patches_of, seen_at, sums_around, widths_of
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3

@@ -12,13 +12,13 @@ from functools import partial
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.painting.agreement import as_codes
-from octex.painting.consensus import medians
-from octex.painting.patches import PATCH, beside, patches_of, seen_at, widths_of
-from octex.painting.pictures import Levels, masked
-from octex.painting.projected import Projected
-from octex.painting.shots import Shot, most_ahead
+from octex.painting.picture import Levels, masked
+from octex.painting.project import Projected
+from octex.painting.sight import Shot, most_ahead
 from octex.parallel import ordered_map, sharing
+from octex.photos.agreement import as_codes
+from octex.photos.consensus import medians
+from octex.photos.patches import PATCH, beside, patches_of, seen_at, widths_of
 
 #: From this light on a picture may be cut off: 250 of 255 codes.
 _CUT = 0.955

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.painting.projected import Projected
+from octex.painting.project import Projected
 from octex.source.surface import Surface
 
 #: Points of the surface that are looked at, and how many points of pictures at once.

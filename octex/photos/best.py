@@ -10,11 +10,11 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.conversion.levels import on_grid
 from octex.conversion.pieces import Blocks
 from octex.painting.holes import level_within
-from octex.painting.labels import exposed, feathered, labelled, levelling, views_of
 from octex.painting.multigrid import graph_of
-from octex.painting.projected import Projected
+from octex.painting.project import Projected
 from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.source import PaintSource
+from octex.photos.labels import exposed, feathered, labelled, levelling, views_of
 from octex.source.surface import Surface
 from octex.tree.placement import Placement
 

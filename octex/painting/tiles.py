@@ -28,11 +28,11 @@ from octex.editing.draft import (
 )
 from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
-from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
+from octex.painting.blend import Merged, average_tiles, blend_paint, no_parts
 from octex.painting.cells import Paint, paint_of, refine_paint, some
-from octex.painting.ground import Ground
-from octex.painting.pictures import Blend
+from octex.painting.picture import Blend
 from octex.painting.raising import raise_texture
+from octex.painting.surface import Ground
 from octex.parallel import Progress, ordered_map, sharing, silent, workers
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import SKIRT

@@ -10,7 +10,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import kernel
-from octex.painting.pictures import Levels
+from octex.painting.picture import Levels
 from octex.view.camera import Camera
 
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.

@@ -7,8 +7,8 @@ from functools import reduce
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.painting.projected import Projected
-from octex.painting.shots import Shot
+from octex.painting.project import Projected
+from octex.painting.sight import Shot
 from octex.view.lens import is_bent, undistort
 
 #: Pixels of a patch, each way.

@@ -22,7 +22,7 @@ from octex.painting.averages import (
 )
 from octex.painting.cells import Paint, leave_bare, painted_channel, refine_paint, some
 from octex.painting.kept import bare_leaves, on_kept, with_old_skirts
-from octex.painting.pictures import Blend
+from octex.painting.picture import Blend
 from octex.painting.raising import Raised
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel

@@ -11,11 +11,11 @@ import numpy as np
 
 from octex.arrays import Float32s
 from octex.errors import ArgumentError
-from octex.painting.near import Near
-from octex.painting.pictures import Projection
-from octex.painting.projected import Shading, shading_of, stretches_of
-from octex.painting.resuming import Kept, digest_of
-from octex.painting.shots import Sight, sight_of
+from octex.painting.picture import Projection
+from octex.painting.project import Shading, shading_of, stretches_of
+from octex.painting.resume import Kept, digest_of
+from octex.painting.sight import Sight, sight_of
+from octex.painting.triangle_grid import Near
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture

@@ -16,8 +16,8 @@ from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.jit import kernel
-from octex.painting.pictures import Levels, Projection, Window, window_of
-from octex.painting.resuming import Kept, fits
+from octex.painting.picture import Levels, Projection, Window, window_of
+from octex.painting.resume import Kept, fits
 from octex.parallel import start
 from octex.view.camera import Camera
 from octex.view.lens import distort, is_bent
