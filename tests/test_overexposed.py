@@ -98,4 +98,4 @@ def test_pictures_that_are_not_cut_off_stay_as_they_are() -> None:
             evened = balanced(source, surface, "gain", 0, pool)
             found = without_overexposed(source, evened, pool)
         for one, other in zip(found.shots, evened.shots, strict=True):
-            assert one.levels is other.levels
+            assert one.mips is other.mips

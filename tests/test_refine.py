@@ -14,7 +14,7 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, encode
 from octex.cli.paint import main
-from octex.painting.picture import levels_of
+from octex.painting.picture import mips_of
 from octex.painting.surface import Ground
 from octex.parallel import workers
 from octex.photos import refine
@@ -49,10 +49,10 @@ def test_points_are_compared_at_the_coarsest_level_too() -> None:
     surface, cameras, images = textured(5, 96)
     samples = surface.scatter(500)
     with workers(1) as executor:
-        levels = [
-            levels_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)
+        mips = [
+            mips_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)
         ]
-        source = refine._source(Ground(surface), cameras, levels, executor)
+        source = refine._source(Ground(surface), cameras, mips, executor)
     counts = []
     for level in (0, max(refine._LEVELS)):
         rim = refine._RIM * 2**level

@@ -1,4 +1,8 @@
-"""Each cell of paint blended once, averages and facings with it (paper 4.1, step 5)."""
+"""Paint blended with what is there, and averages made anew above it.
+
+Of a node's residual the part that is not painted stays, and paint brings its own for the part that is: so
+averages stay those of the source where nothing changed, and become those of the paint where all did.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +13,90 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat, decode, encode
-from octex.editing.averages import Residuals, average_rows
+from octex.channels import ALPHA, ChannelFormat
+from octex.editing.averages import Residuals, average, average_rows, residuals_at
+from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
-from octex.errors import DefectError
-from octex.painting.averages import (
-    Above,
-    average_above,
-    nodes_above,
-    residuals_before,
-    residuals_of_paint,
-)
-from octex.painting.cells import Paint, leave_bare, painted_channel, refine_paint, some
-from octex.painting.kept import bare_leaves, on_kept, with_old_skirts
+from octex.painting.cells import Paint, leave_bare, painted_channel
 from octex.painting.picture import Blend
-from octex.painting.raising import Raised
+from octex.painting.surface import PaintedSurface
+from octex.parallel import Progress
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.tree.edit import among, locate
+from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
-from octex.tree.octree import Octree
-from octex.tree.split import rows_of
+from octex.tree.octree import Octree, distinct
+from octex.tree.split import Rows, rows_of
 
-#: Cells that are blended at once.
-_BLOCK = 1 << 16
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
+
+
+class Merge(NamedTuple):
+    """A layer to be merged into a texture."""
+
+    texture: OctreeTexture
+    layer: OctreeTexture  # of a draft: the part of it that is there
+    surface: PaintedSurface
+    target: str  # the channel that is painted
+    blend: Blend
+    opacity: float
+    executor: Executor
+    progress: Progress
+    coarsest: int | None = None  # the level of the largest leaf or kept node near paint, if that is known
+
+    @property
+    def is_all_painted(self) -> bool:
+        """Whether the texture has no other channels than those that are painted."""
+        painted = {self.target, ALPHA.name} if self.blend == "over" else {self.target}
+        return painted >= self.texture.channels.keys()
+
+    @property
+    def hiding(self) -> float:
+        """The coverage from which on paint hides what was there."""
+        least = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}
+        return least.get(self.blend, np.inf) if self.is_all_painted else np.inf
+
+
+class Raised(NamedTuple):
+    """A texture raised to paint."""
+
+    texture: OctreeTexture
+    old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
+    is_fresh: Bools  # (cells,)   where the texture had nothing
+    is_skirt: Bools  # (cells,)   leaves that no surface is in
+    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+
+
+class Merged(NamedTuple):
+    """A texture with paint merged into it."""
+
+    texture: OctreeTexture
+    parts: OctreeTexture  # the same cells; how much of the channels that are painted is paint, 0 … 1
+    is_fresh: Bools  # (cells,)   where the texture had nothing
+    is_new: Bools  # (cells,)   where it had no cell
+    painted: list[Int64s]  # the leaves that paint is on, by level
+    averages_rows: bool  # of all channels, for cells that are split or faced otherwise
+    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+
+
+class Above(NamedTuple):
+    """The nodes above paint, and where they are in other trees; see `nodes_at`."""
+
+    nodes: Nodes
+    before: Nodes  # of the texture before it was raised
+    layer: Nodes  # of the paint octree
+
+
+class Blended(NamedTuple):
+    """A texture's channels with paint in its leaves, and how much of each cell is paint; to be averaged."""
+
+    base: OctreeTexture  # without the paint; cells whose facings may come to differ are split
+    channels: dict[str, Channel]
+    parts: dict[str, Channel]
+    above: Above
+    may_split: Int64s  # these cells
+    averages_rows: bool = False
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:
@@ -83,173 +147,9 @@ def mixed(
     return found
 
 
-class Merged(NamedTuple):
-    """A texture with paint merged into it."""
-
-    texture: OctreeTexture
-    parts: OctreeTexture  # the same cells; how much of the channels that are painted is paint, 0 … 1
-    is_fresh: Bools  # (cells,)   where the texture had nothing
-    is_new: Bools  # (cells,)   where it had no cell
-    painted: list[Int64s]  # the leaves that paint is on, by level
-    is_told: bool  # whether rows of all channels are averaged, for cells that are split or faced otherwise
-
-
-def blend_paint(
-    texture: OctreeTexture,
-    raised: Raised,
-    layer: OctreeTexture,
-    target: str,
-    blend: Blend,
-    opacity: float,
-    executor: Executor,
-) -> Merged:
-    """Blend paint into the cells that it is on, once each, and average anew.
-
-    ``texture`` is what was raised to ``raised``.
-    """
-    tree, is_skirt, is_fresh = raised.texture.tree, raised.is_skirt, raised.is_fresh
-    paint = refine_paint(raised.paint, layer, tree, opacity)
-    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
-    paint = with_old_skirts(tree, paint, bare, is_skirt, executor)
-    cells, on_leaves = _on_leaves(tree, paint)
-    above = nodes_above(tree, [each.codes for each in paint], raised.old < 0, texture.tree, layer.tree)
-    may_split = _may_split(tree, cells, on_leaves.flags, above)
-    base = _split(raised.texture, may_split)
-    met = {name: own for name, own in raised.texture.channels.items() if name in (target, ALPHA.name)}
-    fresh = is_fresh[cells]
-    names = [name for name in met if name == target or blend == "over" or fresh.any()]
-    parts = no_parts(base.tree, names)
-    is_averaged = ALPHA.name in names or bool((raised.old < 0).any())
-    channels = _writable(base, base.channels if is_averaged else names)
-    for begin in range(0, cells.size, _BLOCK):
-        here = slice(begin, begin + _BLOCK)
-        old = {name: decode(own.values[cells[here]], own.format.space) for name, own in met.items()}
-        of_paint = on_leaves.values[here], on_leaves.coverage[here]
-        made = mixed(blend, target, old, *of_paint, fresh[here])
-        for name, (new, part) in made.items():
-            form = channels[name].format
-            channels[name].values[cells[here]] = encode(new, form.dtype, form.space)
-            parts[name].values[cells[here], 0] = part
-    kept = on_kept(tree, paint, bare, is_skirt, executor)
-    if kept.rows.size:
-        old = {
-            name: decode(own.kept_values[kept.rows], own.format.space)
-            for name, own in raised.texture.channels.items()
-            if name in parts
-        }
-        no_fresh = np.zeros(kept.rows.size, np.bool_)
-        for name, (new, _) in mixed(blend, target, old, kept.values, kept.coverage, no_fresh).items():
-            form, stored = channels[name].format, channels[name].kept_values.copy()
-            stored[kept.rows] = encode(new, form.dtype, form.space)
-            channels[name] = channels[name]._replace(kept_values=stored)
-
-    rows = rows_of(base.tree.split, cells)
-    owners = np.searchsorted(cells, rows.cells)
-    values, coverage = _shown(layer, some(on_leaves, owners), rows.bits, opacity)
-    old = {name: decode(base.channels[name].split_values[rows.rows], met[name].format.space) for name in met}
-    fresh = is_fresh[rows.cells]
-    bare_rows = fresh & (coverage == 0)
-    for name, (new, part) in mixed(blend, target, old, values, coverage, fresh).items():
-        form = channels[name].format
-        if name != ALPHA.name:
-            new[bare_rows] = decode(channels[name].values[rows.cells[bare_rows]], form.space)
-        channels[name].split_values[rows.rows] = encode(new, form.dtype, form.space)
-        parts[name].split_values[rows.rows, 0] = part
-    painted = [each.codes for each in paint]
-    return _averaged(
-        base, channels, parts, texture, raised, layer, above, may_split, painted, target, blend, False
-    )
-
-
-def average_tiles(
-    made: Merged, texture: OctreeTexture, layer: OctreeTexture, target: str, blend: Blend
-) -> OctreeTexture:
-    """Average anew above cells that are ``painted``, into which paint has been merged already.
-
-    They have no children, in ``texture`` as it was and ``layer`` neither.
-    """
-    old, no_skirt = np.where(made.is_new, -1, 0), np.zeros(made.is_new.size, np.bool_)
-    raised = Raised(made.texture, old, made.is_fresh, [], no_skirt, [])
-    above = nodes_above(made.texture.tree, made.painted, made.is_new, texture.tree, layer.tree)
-    may_split = _may_split(made.texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
-    base, parts = (_split(each, may_split) for each in (made.texture, made.parts))
-    channels, own = _writable(base, base.channels), _writable(parts, parts.channels)
-    return _averaged(
-        base,
-        channels,
-        own,
-        texture,
-        raised,
-        layer,
-        above,
-        may_split,
-        made.painted,
-        target,
-        blend,
-        made.is_told,
-    ).texture
-
-
-def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
-    """Return how much of the cells of channels is paint: nothing."""
-    counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    forms = [ChannelFormat(name, 1, "data", "float32") for name in names]
-    return {form.name: Channel(form, *(np.zeros((n, 1), np.float32) for n in counts)) for form in forms}
-
-
-def _split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
-    """Return a texture some of whose cells, ascending, are split."""
-    if not cells.size:
-        return texture
-    return with_split(texture, cells, texture.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS), {})
-
-
-def _writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channel]:
-    """Return a texture's channels; to the values of some of them, but for kept ones, can be written."""
-    return {
-        name: Channel(own.format, own.values.copy(), own.split_values.copy(), own.kept_values)
-        if name in names
-        else own
-        for name, own in texture.channels.items()
-    }
-
-
-def _averaged(
-    base: OctreeTexture,
-    channels: Mapping[str, Channel],
-    parts: Mapping[str, Channel],
-    texture: OctreeTexture,
-    raised: Raised,
-    layer: OctreeTexture,
-    above: Above,
-    may_split: Int64s,
-    painted: list[Int64s],
-    target: str,
-    blend: Blend,
-    was_told: bool,
-) -> Merged:
-    """Average anew, in place, what is above paint that has been blended; keep cells split that need it.
-
-    ``was_told`` says that rows of all channels have been averaged below; see Merged.
-    """
-    after, is_fresh = base.with_cells(base.tree, channels), raised.is_fresh
-    names = channels if ALPHA.name in parts or (raised.old < 0).any() else parts
-    rows = rows_of(base.tree.split, above.nodes.cells)
-    left = {}
-    for name in sorted(names, key=lambda name: name != ALPHA.name):
-        had = residuals_before(texture, raised.texture, name, above, is_fresh, rows)
-        takes_on = name == target and blend in ("over", "replace")
-        of_paint = residuals_of_paint(layer, painted_channel(layer), above, rows) if takes_on else None
-        left[name] = average_above(after, channels[name], parts.get(name), above, rows, had, of_paint)
-    new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
-    excess = split_in_vain(after, new_split)
-    is_told = was_told or excess.size < new_split.size
-    made, is_told = _settled(after, excess, texture, raised, above, left, is_told=is_told)
-    own = without_split(base.with_cells(base.tree, parts), excess)
-    return Merged(made, own, is_fresh, raised.old < 0, painted, is_told)
-
-
-def _shown(layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float) -> tuple[Float32s, Float32s]:
+def facings_of_paint(
+    layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float
+) -> tuple[Float32s, Float32s]:
     """Return the paint on facings (n,) of cells (n,), and its coverage.
 
     A facing that the paint octree's cell lacks, as those of skirts may be, has the paint of the cell as a
@@ -264,57 +164,29 @@ def _shown(layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float) -> 
     return values, coverage
 
 
-def _settled(
-    after: OctreeTexture,
-    excess: Int64s,
-    texture: OctreeTexture,
-    raised: Raised,
-    above: Above,
-    left: Mapping[str, Residuals],
-    *,
-    is_told: bool,
-) -> tuple[OctreeTexture, bool]:
-    """Return a texture without ``excess`` of newly split cells; average rows for those that are then split.
+def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
+    """Return how much of the cells of channels is paint: nothing."""
+    counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
+    forms = [ChannelFormat(name, 1, "data", "float32") for name in names]
+    return {form.name: Channel(form, *(np.zeros((n, 1), np.float32) for n in counts)) for form in forms}
 
-    ``is_told`` says that there are newly split cells in which facings are told apart. Returns also whether
-    rows of all channels have been averaged.
-    """
-    found = without_split(after, excess)
-    channels = {
-        name: own._replace(split_values=own.split_values.copy()) for name, own in found.channels.items()
+
+def with_split_cells(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
+    """Return a texture some of whose cells, ascending, are split."""
+    if not cells.size:
+        return texture
+    return with_split(texture, cells, texture.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS), {})
+
+
+def writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channel]:
+    """Return a texture's channels, of which some can be written to."""
+    return {
+        name: Channel(own.format, *(each.copy() for each in own[1:])) if name in names else own
+        for name, own in texture.channels.items()
     }
-    found = found.with_cells(found.tree, channels)
-    rows = rows_of(found.tree.split, above.nodes.cells)
-    stays = ~among(rows_of(after.tree.split, above.nodes.cells).cells, excess)
-    rows_left = {name: own.rows[stays] for name, own in left.items()}
-    if is_told:
-        for name in found.channels.keys() - left.keys():
-            own = residuals_before(texture, raised.texture, name, above, raised.is_fresh, rows)
-            rows_left[name] = own.rows
-    elif not excess.size:
-        return found, False
-    for name in sorted(rows_left, key=lambda name: name != ALPHA.name):  # the others weigh by alpha's rows
-        average_rows(found, channels[name], rows_left[name], above.nodes)
-    return found, is_told
 
 
-def _on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
-    """Return the leaves that are painted, ascending, and the paint on them."""
-    found = []
-    for level, each in enumerate(paint):
-        if each.codes.size:
-            where = locate(tree, each.codes, level)
-            if not (where.is_leaf & (where.levels == level)).all():
-                raise DefectError(f"paint of level {level} does not lie on leaves")
-            found.append((where.cells, *each))
-    columns = zip(*found, strict=True)
-    cells, *paint_on = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
-    if (np.diff(cells) <= 0).any():
-        raise DefectError("paint lies twice on a cell, or out of order")
-    return cells, Paint(*paint_on)
-
-
-def _may_split(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
+def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
     """Return cells, ascending, in which paint may make a difference between facings.
 
     These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
@@ -327,3 +199,132 @@ def _may_split(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> In
     both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
     chosen = (both != 0) | (flags[nodes] & SPLIT != 0)
     return np.sort(np.concatenate([leaves, nodes[chosen]]))
+
+
+def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
+    """Find the nodes above leaves, given by their Morton codes level by level.
+
+    So are split nodes, old ones, above new cells (cells,): these may face other ways than what they divide.
+    """
+    above = [distinct(own >> 3) for own in with_all_above(codes)[1:]]
+    for level, turned in enumerate(_split_above(tree, is_new, before)[: len(above)]):
+        above[level] = distinct(np.concatenate([above[level], turned]))
+    return Above(*(nodes_at(each, above) for each in (tree, before, layer)))
+
+
+def _split_above(tree: Octree, is_new: Bools, before: Octree) -> list[Int64s]:
+    """Return the codes of split nodes above new cells that were nodes before, by level."""
+    if not (is_new.any() and before.split.cells.size):
+        return []
+    found: list[Int64s] = []
+    above = np.empty(0, np.int64)
+    for level, (codes, is_node) in reversed(list(enumerate(tree.walk()))):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        own = codes[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
+        own = own[among(own, above)]
+        where = locate(before, own, level)
+        found.insert(0, own[(where.levels == level) & ~where.is_leaf])
+        above = distinct(np.concatenate([above, codes[is_new[here]]]) >> 3)
+    return found
+
+
+def averaged(
+    task: Merge, draft: OctreeTexture, raised: Raised, made: Blended, painted: list[Int64s]
+) -> Merged:
+    """Average anew, in place, above paint that has been blended; keep cells split that need it.
+
+    ``draft`` is the texture before it was raised.
+    """
+    base, channels, parts, above, may_split, averages_rows = made
+    is_new, is_fresh = raised.old < 0, raised.is_fresh
+    after = base.with_cells(base.tree, channels)
+    names = channels if ALPHA.name in parts or is_new.any() else parts
+    rows = rows_of(base.tree.split, above.nodes.cells)
+    left = {}
+    for name in _alpha_first(names):
+        left[name] = _residuals_before(draft, raised, name, above, rows)
+        if name in parts:
+            takes_on = name == task.target and task.blend in ("over", "replace")
+            layer = task.layer if takes_on else None
+            left[name] = _with_paint(
+                after, channels[name].format, parts[name], above, rows, left[name], layer
+            )
+        average(after, channels[name], left[name], above.nodes)
+    new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
+    excess = split_in_vain(after, new_split)
+    is_told = averages_rows or excess.size < new_split.size
+    stays = ~among(rows.cells, excess)
+    texture = without_split(after, excess)
+    if is_told or excess.size:
+        own = {
+            name: each._replace(split_values=each.split_values.copy())
+            for name, each in texture.channels.items()
+        }
+        texture = texture.with_cells(texture.tree, own)
+        rows = rows_of(texture.tree.split, above.nodes.cells)
+        rows_left = {name: own.rows[stays] for name, own in left.items()}
+        if is_told:
+            for name in own.keys() - left.keys():
+                rows_left[name] = _residuals_before(draft, raised, name, above, rows).rows
+        for name in _alpha_first(rows_left):
+            average_rows(texture, own[name], rows_left[name], above.nodes)
+    parts_left = without_split(base.with_cells(base.tree, parts), excess)
+    return Merged(texture, parts_left, is_fresh, is_new, painted, is_told, raised.added)
+
+
+def _alpha_first(names: Iterable[str]) -> list[str]:
+    """Sort channels: the others weigh by alpha's averages."""
+    return sorted(names, key=lambda name: name != ALPHA.name)
+
+
+def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:
+    """Return the residuals that nodes, and ``rows`` of them, had; none where the texture had nothing.
+
+    Those that were no nodes have the residuals of leaves that were raised.
+    """
+    nodes, was = above.nodes, above.before.numbers >= 0
+    owners = np.searchsorted(nodes.cells, rows.cells)
+    numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
+    kinds = (draft, above.before), (raised.texture, nodes._replace(numbers=numbers))
+    one, other = (residuals_at(texture, name, places, owners, rows.bits) for texture, places in kinds)
+    return Residuals(one.nodes + other.nodes, one.rows + other.rows)
+
+
+def _with_paint(
+    texture: OctreeTexture,
+    form: ChannelFormat,
+    part: Channel,
+    above: Above,
+    rows: Rows,
+    before: Residuals,
+    layer: OctreeTexture | None,
+) -> Residuals:
+    """Return the residuals of nodes of which ``part`` is paint, and those of the layer's paint, if given.
+
+    ``part`` is that of leaves, and of their rows, 0 … 1; that of nodes is filled in.
+    """
+    own = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
+    average(texture, own, nodes=above.nodes)
+    covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
+    left = Residuals(before.nodes * (1 - covered), before.rows * (1 - row_covered))
+    if layer is None:
+        return left
+    owners = np.searchsorted(above.nodes.cells, rows.cells)
+    paint = residuals_at(layer, painted_channel(layer), above.layer, owners, rows.bits)
+    return Residuals(left.nodes + paint.nodes * covered, left.rows + paint.rows * row_covered)
+
+
+def averaged_above(task: Merge, draft: OctreeTexture, made: Merged) -> Merged:
+    """Average anew above painted cells without children, into which paint has been merged already.
+
+    Neither ``draft``, the texture as it was, nor the layer have children there.
+    """
+    texture = made.texture
+    old = np.where(made.is_new, -1, 0)
+    raised = Raised(texture, old, made.is_fresh, np.zeros(old.size, np.bool_), [])
+    above = nodes_above(texture.tree, made.painted, made.is_new, draft.tree, task.layer.tree)
+    may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
+    base, parts = (with_split_cells(each, may_split) for each in (texture, made.parts))
+    channels, own = writable(base, base.channels), writable(parts, parts.channels)
+    blended = Blended(base, channels, own, above, may_split, made.averages_rows)
+    return averaged(task, draft, raised, blended, made.painted)

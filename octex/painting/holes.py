@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -18,10 +17,10 @@ from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
-from octex.painting.layer import empty_texture
+from octex.painting.layer import COVERAGE, empty_texture
 from octex.painting.multigrid import added, graph_of, solve
+from octex.painting.options import Holes
 from octex.painting.sheets import Region, Sheets, sheets_of
-from octex.painting.source import COVERAGE
 from octex.painting.tiles import paint_by_tiles
 from octex.parallel import Progress
 from octex.source.base import Source
@@ -34,10 +33,6 @@ from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 from octex.view.shading import face_normals
-
-#: What becomes of a new texture where no picture saw the surface.
-Holes = Literal["leave", "smooth"]
-HOLES: tuple[Holes, ...] = get_args(Holes)
 
 #: The channel that says where pictures have covered the surface.
 COVERED = "coverage"

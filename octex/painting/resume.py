@@ -1,14 +1,14 @@
-"""A folder of what painting has done so far, from which a later call goes on.
+"""A folder of finished stages, from which a later call goes on.
 
-Each thing lies in a file that is named by what it was made from: the same is found again, and a picture that
-has changed, another camera or another surface is not. A file that is damaged is made anew.
+A stage lies in a file that is named by a digest of all that it was made from: what has changed has another
+file. A damaged file, or one of another stage, is made anew.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -18,67 +18,82 @@ import octex
 from octex import container
 from octex.arrays import Array
 from octex.checks import as_path
+from octex.conversion import large
 from octex.errors import OutputError, TextureFileError
 from octex.texture import OctreeTexture, open_texture
 
-Found = TypeVar("Found")
+Rows = TypeVar("Rows")
 
-#: Changes with what is kept, beside the version of octex.
-_VERSION = 2
+#: Changes with what stages store, beside the version of octex.
+_VERSION = 3
 
 
-class Kept(NamedTuple):
-    """What is kept in a folder; ``made_from`` is what all of it was made from, as a digest."""
+class Stages(NamedTuple):
+    """The stages in a folder that were made from what ``key`` is a digest of; None: nothing is stored."""
 
-    folder: Path
-    made_from: bytes = b""
+    folder: Path | None = None
+    key: bytes = b""
 
-    def of(self, *parts: Any) -> Kept:
-        """Return what is kept of what was also made from ``parts``; see `digest_of`."""
-        return Kept(self.folder, digest_of(self.made_from, *parts))
+    def of(self, parts: Callable[[], Sequence[Any]]) -> Stages:
+        """Return the stages that were also made from some parts; see `digest_of`."""
+        return self if self.folder is None else Stages(self.folder, digest_of(self.key, *parts()))
 
     def arrays(
         self,
-        kind: str,
+        stage: str,
         make: Callable[[], Mapping[str, Array]],
-        as_found: Callable[[Mapping[str, Array]], Found | None],
-    ) -> Found:
-        """Return arrays, mapped, as what ``as_found`` makes of them; ``make`` is asked where there are none.
+        is_sound: Callable[[Mapping[str, Array]], bool] = lambda _: True,
+    ) -> Mapping[str, Array]:
+        """Return the arrays of a stage, mapped; make them if they are not there, or not sound.
 
-        ``as_found`` returns None for arrays that cannot be those. Raises OutputError where there is no place.
+        Raises OutputError for a folder that does not store what is written there.
         """
-        path = self._path(kind, "safetensors")
-        found = _read(path, as_found)
-        if found is None:
-            container.write(path, make(), {})
-            found = _read(path, as_found)
-        if found is None:
-            raise OutputError(f"{path}: does not keep what is written there; choose another folder")
-        return found
+        if self.folder is None:
+            return make()
+        name = f"{stage}-{self.key.hex()}"
+        path = self.folder / f"{name[: len(stage) + 33]}.safetensors"
+        for is_written in (False, True):
+            if is_written:
+                container.write(path, make(), {"stage": name})
+            try:
+                contents = container.read(path)
+            except TextureFileError:
+                continue
+            if contents.metadata.get("stage") == name and is_sound(contents.tensors):
+                container.read_ahead(contents.mapping)
+                return contents.tensors
+        raise OutputError(f"{path}: does not keep what is written there; choose another folder")
 
-    def texture(self, kind: str, make: Callable[[], OctreeTexture]) -> OctreeTexture:
-        """Return a texture, mapped; ``make`` is asked where there is none."""
-        path = self._path(kind, "octex")
+    def placed(self, arrays: Rows) -> Rows:
+        """Return arrays of a stage where they stay: in its file, or as `large.moved` puts them."""
+        return arrays if self.folder is not None else large.moved(arrays)
+
+    def texture(self, stage: str, make: Callable[[], OctreeTexture]) -> OctreeTexture:
+        """Return the texture of a stage, mapped; make it if it is not there."""
+        if self.folder is None:
+            return make()
+        path = self.folder / f"{stage}-{self.key.hex()[:32]}.octex"
         try:
             return open_texture(path)
         except TextureFileError:
             make().save(path)
         return open_texture(path)
 
-    def _path(self, kind: str, ending: str) -> Path:
-        return self.folder / f"{kind}-{self.made_from.hex()[:32]}.{ending}"
+
+#: Has no folder.
+NOT_STORED = Stages()
 
 
-def kept_in(folder: str | os.PathLike[str] | None) -> Kept | None:
-    """Return what is kept in a folder, which is made; None for no folder. Raises OutputError if it cannot."""
+def stages_in(folder: str | os.PathLike[str] | None) -> Stages:
+    """Return the stages in a folder, which is made; raise OutputError if it cannot be."""
     if folder is None:
-        return None
+        return NOT_STORED
     path = as_path(folder, "resume")
     try:
         path.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{path}: cannot keep what was done: {error.strerror}; choose a folder") from error
-    return Kept(path, digest_of(octex.__version__, _VERSION))
+    return Stages(path, digest_of(octex.__version__, _VERSION))
 
 
 def digest_of(*parts: Any) -> bytes:
@@ -93,20 +108,3 @@ def digest_of(*parts: Any) -> bytes:
         else:
             made.update(f"{part!r};".encode())
     return made.digest()
-
-
-def fits(arrays: Mapping[str, Array], expected: Mapping[str, tuple[str, tuple[int, ...]]]) -> bool:
-    """Say whether arrays are those expected, by name, type and shape."""
-    return arrays.keys() == expected.keys() and all(
-        (arrays[name].dtype, arrays[name].shape) == (np.dtype(dtype), shape)
-        for name, (dtype, shape) in expected.items()
-    )
-
-
-def _read(path: Path, as_found: Callable[[Mapping[str, Array]], Found | None]) -> Found | None:
-    try:
-        contents = container.read(path)
-    except TextureFileError:
-        return None
-    container.read_ahead(contents.mapping)
-    return as_found(contents.tensors)

@@ -1,4 +1,4 @@
-"""Shots: pictures, decoded, before what their cameras see of a surface."""
+"""What cameras see of a surface, and the pictures that they took of it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import hashlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -16,11 +15,11 @@ from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.jit import kernel
-from octex.painting.picture import Levels, Projection, Window, window_of
-from octex.painting.resume import Kept, fits
+from octex.painting.picture import Mips, Projection, Window, window_of
+from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import start
 from octex.view.camera import Camera
-from octex.view.lens import distort, is_bent
+from octex.view.lens import is_bent
 from octex.view.visibility import (
     View,
     Visibility,
@@ -32,7 +31,7 @@ from octex.view.visibility import (
 
 #: Beside an edge pictures are blurred with what is behind it: within so many pixels others count for more.
 TRUSTED = 4.0
-#: Of a picture alone what is within so many pixels of its paint is looked at, a power of two.
+#: Of a single picture the part within so many pixels of its paint is decoded, a power of two.
 AROUND = 64
 
 
@@ -42,9 +41,11 @@ class Shot(NamedTuple):
     camera: View  # without distortion
     K: Float64s  # (3, 3)   of the picture
     lens: Float64s  # (14,)   see octex.view.lens.lens_numbers
-    levels: Levels
+    mips: Mips
     seen: Visibility
-    margins: Float32s  # (height, width)   to where the surface ends, in pixels; at most so far
+    margins: Float32s  # (height, width)   pixels to where the surface ends; at most so far
+    gains: Float32s  # (3,)   factors of its components
+    weight: float  # how much it counts beside others
 
 
 class Sight(NamedTuple):
@@ -61,11 +62,44 @@ class Sight(NamedTuple):
         if (window.bottom - window.top, window.right - window.left) == self.margins.shape:
             return self
         shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
-        own = shift @ self.camera.K
-        camera = self.camera._replace(K=own, inverse_k=np.linalg.inv(own).astype(np.float64))
+        K = shift @ self.camera.K
+        camera = self.camera._replace(K=K, inverse_k=np.linalg.inv(K).astype(np.float64))
         seen = Visibility(*(np.ascontiguousarray(window.of(each)) for each in self.seen))
         margins = np.ascontiguousarray(window.of(self.margins))
         return Sight(camera, shift @ self.K, self.lens, seen, margins)
+
+    def shot(self, mips: Mips) -> Shot:
+        """Put a picture before what its camera sees."""
+        return Shot(
+            self.camera, self.K, self.lens, mips, self.seen, self.margins, np.ones(3, np.float32), 1.0
+        )
+
+
+def sight_of(
+    vertices: Float64s,
+    triangles: Int32s,
+    camera: Camera,
+    feather: float,
+    executor: Executor,
+    stages: Stages = NOT_STORED,
+) -> Sight:
+    """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
+    pinhole = straight(camera)
+    view = view_of(pinhole)
+
+    def seen() -> dict[str, Array]:
+        found = visibility_of(vertices, triangles, pinhole, executor)
+        return {**found._asdict(), "margins": distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)}
+
+    def is_sound(arrays: Mapping[str, Array]) -> bool:
+        triangle = arrays["triangle"]
+        return bool(triangle.min() >= -1 and triangle.max() < len(triangles))
+
+    own = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather])
+    found = own.arrays("sight", seen, is_sound)
+    visibility = Visibility(found["triangle"], found["planes"])
+    sight = Sight(view, camera.K, camera.lens, visibility, found["margins"])
+    return stages.placed(sight)
 
 
 def most_ahead() -> int:
@@ -81,73 +115,29 @@ def take_shots(
     executor: Executor,
     *,
     around: int | None = None,
-    kept: Kept | None = None,
+    stages: Stages = NOT_STORED,
 ) -> Iterator[Shot]:
     """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
 
     What is not within ``around`` pixels of their paint is left out, but for pictures through lenses. Raises
-    as `levels_of` does.
+    as `mips_of` does.
     """
-    given = [(each, form, scale, around, kept) for each, scale in zip(projections, scales, strict=True)]
-    decoded = (start(executor, _decoded, *each) for each in given)
+    decoded = (
+        start(executor, _decoded, each, form, scale, around, stages)
+        for each, scale in zip(projections, scales, strict=True)
+    )
     queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
-        levels, window = queue.popleft().result()
-        yield shot_of(sight.within(window), levels if kept else large.moved(levels))
+        mips, window = queue.popleft().result()
+        yield sight.within(window).shot(stages.placed(mips))
         queue.extend(islice(decoded, 1))
 
 
 def _decoded(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None, kept: Kept | None
-) -> tuple[Levels, Window]:
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages
+) -> tuple[Mips, Window]:
     is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
-    return window_of(projection, form, scale, around if is_straight else None, kept)
-
-
-def sight_of(
-    vertices: Float64s,
-    triangles: Int32s,
-    camera: Camera,
-    feather: float,
-    executor: Executor,
-    kept: Kept | None = None,
-) -> Sight:
-    """Find what a camera sees of triangles (m, 3) of vertices (n, 3), or in what is ``kept`` of these."""
-    pinhole = straight(camera)
-    view = view_of(pinhole)
-
-    def seen() -> tuple[Visibility, Float32s]:
-        found = visibility_of(vertices, triangles, pinhole, executor)
-        return found, distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)
-
-    def made() -> dict[str, Array]:
-        found, margins = seen()
-        return {**found._asdict(), "margins": margins}
-
-    if kept is None:
-        found: Sight = large.moved(Sight(view, camera.K, camera.lens, *seen()))
-        return found
-    where = kept.of((pinhole.height, pinhole.width), *view, feather)
-    as_found = partial(_as_kept, (pinhole.height, pinhole.width), len(triangles))
-    return Sight(view, camera.K, camera.lens, *where.arrays("sight", made, as_found))
-
-
-def _as_kept(
-    size: tuple[int, int], triangles: int, arrays: Mapping[str, Array]
-) -> tuple[Visibility, Float32s] | None:
-    """Return what is kept of what pixels (height, width) see; None for what cannot be that."""
-    expected = {"triangle": ("i4", size), "planes": ("f4", (*size, 3)), "margins": ("f4", size)}
-    if not fits(arrays, expected):
-        return None
-    triangle = arrays["triangle"]
-    if not -1 <= triangle.min() <= triangle.max() < triangles:
-        return None
-    return Visibility(triangle, arrays["planes"]), arrays["margins"]
-
-
-def shot_of(sight: Sight, levels: Levels) -> Shot:
-    """Put a picture before what its camera sees."""
-    return Shot(sight.camera, sight.K, sight.lens, levels, sight.seen, sight.margins)
+    return window_of(projection, form, scale, around if is_straight else None, stages)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
@@ -158,7 +148,7 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
 
     def digest(shot: Shot) -> bytes:
         made = hashlib.sha256(bytes([shot.camera.is_pinhole]))
-        for array in (shot.camera.world_to_camera, shot.camera.K, shot.K, shot.lens, shot.levels.pixels):
+        for array in (shot.camera.world_to_camera, shot.camera.K, shot.K, shot.lens, shot.mips.pixels):
             made.update(np.ascontiguousarray(array).data)
         return made.digest()
 
@@ -167,11 +157,16 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
 
 def near_paint(shot: Shot, reach: int) -> Shot:
     """Return a shot that sees nothing where its picture is transparent; as it is if a lens bends that."""
-    width, height = shot.levels.sizes[0, 1:]
-    has_paint = shot.levels.pixels[: width * height, 3].reshape(height, width) > 0
+    width, height = shot.mips.sizes[0, 1:]
+    has_paint = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
     if is_bent(shot.lens) or has_paint.all():
         return shot
     return renamed(shot, np.where(_spread(has_paint, reach), shot.seen.triangle, np.int32(-1)))
+
+
+def renamed(shot: Shot, triangle: Int32s) -> Shot:
+    """Return a shot whose pixels see other triangles (height, width); −1 for none."""
+    return shot._replace(seen=shot.seen._replace(triangle=large.moved(triangle)))
 
 
 @kernel
@@ -197,21 +192,3 @@ def _spread(some: Bools, reach: int) -> Bools:
                     lasts[column] = step
                 found[row, column] |= step - lasts[column] <= reach
     return found
-
-
-def renamed(shot: Shot, triangle: Int32s) -> Shot:
-    """Return a shot whose pixels see other triangles (height, width); −1 for none."""
-    return shot._replace(seen=shot.seen._replace(triangle=large.moved(triangle)))
-
-
-def pixels_of_points(shot: Shot, points: Float64s) -> Float64s:
-    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
-    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
-    if shot.camera.is_pinhole:
-        with np.errstate(all="ignore"):
-            slopes = np.column_stack([x, y]) / np.where(z > 0.0, z, np.nan)[:, None]
-        places = np.empty_like(slopes)
-        distort(shot.lens, np.ascontiguousarray(slopes), places)
-    else:
-        places = np.column_stack([x, y])
-    return places @ shot.K[:2, :2].T + shot.K[:2, 2]

@@ -1,60 +1,65 @@
-"""A surface that is painted, with what of it stays the same from stroke to stroke."""
+"""The surface that is painted, and which of its triangles lie near paint."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from octex.arrays import Float32s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.conversion.levels import on_grid
 from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
 from octex.painting.picture import Projection
-from octex.painting.project import Shading, shading_of, stretches_of
-from octex.painting.resume import Kept, digest_of
+from octex.painting.project import Shading
+from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sight import Sight, sight_of
-from octex.painting.triangle_grid import Near
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.camera import Camera
-from octex.view.shading import corner_normals
+from octex.view.shading import corner_normals, corner_normals_of, face_normals
+
+#: The level of the coarse cells: 128³, whose coordinates fit a byte.
+_COARSE = 7
 
 
-class Ground:
-    """A surface, and what strokes read of it: where its triangles lie, how it shades, what cameras see.
+class PaintedSurface:
+    """A surface, and what painting reads of it: where its triangles lie, how it shades, what cameras see.
 
-    With ``keeps`` that is kept for the next stroke: the normals of all triangles, and what the cameras of the
+    In a session that is kept for the next stroke: the normals of all triangles, and what the cameras of the
     last call see.
     """
 
-    def __init__(self, surface: Surface, *, keeps: bool = False) -> None:
+    def __init__(self, surface: Surface, *, in_session: bool = False) -> None:
         self.surface = surface
-        self._keeps = keeps
-        self._near: tuple[Placement, Near] | None = None
+        self._in_session = in_session
+        self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
 
-    def near(self, placement: Placement) -> Near:
+    def grid(self, placement: Placement) -> TriangleGrid:
         """Return where the triangles lie in a root cell."""
-        if self._near is None or self._near[0] != placement:
-            self._near = placement, Near(self.surface, placement)
-        return self._near[1]
+        if self._grid is None or self._grid[0] != placement:
+            self._grid = placement, TriangleGrid(self.surface, placement)
+        return self._grid[1]
 
     @cached_property
     def stretches(self) -> Float32s:
-        """How long on each triangle (m,) at rest is what is 1 long on the posed one."""
+        """See `stretches_of`."""
         return stretches_of(self.surface.vertices, self.surface.rest, self.surface.triangles)
 
     @cached_property
     def shading(self) -> Shading:
-        """The normals that angles to cameras are measured to."""
-        if not self._keeps or self.surface.frames is not None:
-            return shading_of(self.surface)
-        normals = corner_normals(self.surface.vertices, self.surface.triangles)
-        return normals.__getitem__
+        """The normals that angles to cameras are measured to; see `shading_of`."""
+        if self._in_session and self.surface.frames is None:
+            return corner_normals(self.surface.vertices, self.surface.triangles).__getitem__
+        return shading_of(self.surface)
 
     @cached_property
     def content(self) -> bytes:
@@ -64,38 +69,38 @@ class Ground:
         return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
 
     def sights(
-        self, cameras: Sequence[Camera], feather: float, executor: Executor, kept: Kept | None = None
+        self, cameras: Sequence[Camera], feather: float, executor: Executor, stages: Stages = NOT_STORED
     ) -> Iterator[Sight]:
         """Yield what cameras see of it."""
         mesh = self.surface.vertices, self.surface.triangles
-        own = kept and kept.of(self.content)
-        known, self._sights = self._sights, {}
+        own = stages.of(lambda: [self.content])
+        before, self._sights = self._sights, {}
         for camera in cameras:
             key = key_of(camera) + np.float64(feather).tobytes()
-            sight = known.get(key) or self._sights.get(key)
+            sight = before.get(key) or self._sights.get(key)
             if sight is None:
                 sight = sight_of(*mesh, camera, feather, executor, own)
-            if self._keeps:
+            if self._in_session:
                 self._sights[key] = sight
             yield sight
 
 
 def laid_flat(
-    ground: Ground, given: list[Projection], texture: OctreeTexture | None
-) -> tuple[Ground, list[Projection]]:
-    """Return the ground, and pictures with cameras, for pictures through a patch: the surface lies flat.
+    surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
+) -> tuple[PaintedSurface, list[Projection]]:
+    """Return the surface, and pictures with cameras; of pictures through a patch the surface lies flat.
 
     Raises ArgumentError for a patch beside another one or a camera, and for one of another surface.
     """
-    patch = next((each.camera for each in given if isinstance(each.camera, Patch)), None)
+    patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
-        return ground, given
-    if any(each.camera is not patch for each in given):
+        return surface, projections
+    if any(each.camera is not patch for each in projections):
         raise ArgumentError("pictures through a patch are painted by themselves, those of each in a call")
-    if len(patch.surface.triangles) != len(ground.surface.triangles):
-        raise ArgumentError(f"the patch is not of {ground.surface.name}; unwrap that")
-    surface = patch.surface if texture is None else patch.surface.placed_in(texture)
-    return Ground(surface), [replace(each, camera=patch.camera) for each in given]
+    if len(patch.surface.triangles) != len(surface.surface.triangles):
+        raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
+    flat = patch.surface if texture is None else patch.surface.placed_in(texture)
+    return PaintedSurface(flat), [replace(each, camera=patch.camera) for each in projections]
 
 
 def key_of(camera: Camera) -> bytes:
@@ -103,3 +108,144 @@ def key_of(camera: Camera) -> bytes:
     numbers = camera.width, camera.height, camera.projection == "pinhole"
     parts = camera.world_to_camera, camera.K, camera.lens, numbers
     return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)
+
+
+def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
+    """Return how long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
+    if rest is vertices:
+        return np.ones(len(triangles), np.float32)
+    (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stretches = np.sqrt(resting / posed)
+    return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
+
+
+def shading_of(surface: Surface) -> Shading:
+    """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
+    if surface.frames is None:
+        return partial(corner_normals_of, positions=surface.vertices, triangles=surface.triangles)
+    return partial(_normals_of_frames, surface)
+
+
+def _normals_of_frames(surface: Surface, chosen: Int32s) -> Float32s:
+    frames = surface.posed_frames(chosen)
+    assert frames is not None
+    return frames.normals.values[frames.normals.rows]
+
+
+class TriangleGrid:
+    """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
+
+    def __init__(self, surface: Surface, placement: Placement) -> None:
+        self._boxes = _boxes(on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE)
+
+    def around(self, chosen: Int32s, reach: int) -> Int32s:
+        """Return the triangles that share coarse cells, or cells beside them, with ``chosen`` ones.
+
+        ``reach`` is the level of the coarsest cells that must be found beside them.
+        """
+        shift = max(_COARSE - reach, 0)
+        boxes = self._boxes[chosen] >> np.uint8(shift)
+        first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
+        first, last = np.maximum(first - 1, 0), np.minimum(last + 1, (1 << (_COARSE - shift)) - 1)
+        marked = np.zeros(last - first + 1, np.bool_)
+        _mark(boxes, first, marked)
+        for axis in range(3):
+            wide = marked.copy()
+            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
+            wide[after] |= marked[before]
+            wide[before] |= marked[after]
+            marked = wide
+        return _reaching(self._boxes, shift, first, _counts(marked))
+
+    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
+        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        ends = [(_coarse(codes, level, 0), _coarse(codes, level, 1)) for level, codes in cells if codes.size]
+        if not ends:
+            return np.empty(0, np.int32)
+        first = np.min([low.min(axis=0) for low, _ in ends], axis=0)
+        marked = np.zeros(np.max([high.max(axis=0) for _, high in ends], axis=0) - first, np.bool_)
+        for low, high in ends:
+            if ((high - low) == 1).all():
+                marked[tuple((low - first).T)] = True
+                continue
+            for (x, y, z), (u, v, w) in zip((low - first).tolist(), (high - first).tolist(), strict=True):
+                marked[x:u, y:v, z:w] = True
+        return _reaching(self._boxes, 0, first, _counts(marked))
+
+
+def _coarse(codes: Int64s, level: int, end: int) -> Int64s:
+    """Return the first coarse cell (n, 3) that cells of a level reach; with ``end`` 1 that after the last."""
+    cells = decode_cells(codes)
+    if level >= _COARSE:
+        return (cells >> (level - _COARSE)) + end
+    return (cells + end) << (_COARSE - level)
+
+
+def _counts(marked: Bools) -> Int32s:
+    """Count the marked cells before each along all axes: a box then has a sum of eight of them."""
+    counts = np.zeros(tuple(n + 1 for n in marked.shape), np.int32)
+    inner = marked.cumsum(0, np.int32)
+    np.cumsum(inner, 1, out=inner)
+    np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
+    return counts
+
+
+@kernel
+def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
+    """Return the first and the last coarse cell that triangles reach along each axis (m, 6)."""
+    boxes = np.empty((triangles.shape[0], 6), np.uint8)
+    for triangle in range(triangles.shape[0]):
+        for axis in range(3):
+            a = grid[triangles[triangle, 0], axis]
+            b = grid[triangles[triangle, 1], axis]
+            c = grid[triangles[triangle, 2], axis]
+            boxes[triangle, axis] = min(a, min(b, c)) >> shift
+            boxes[triangle, 3 + axis] = max(a, max(b, c)) >> shift
+    return boxes
+
+
+@kernel
+def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
+    """Mark the coarse cells, from ``first`` on, that boxes reach."""
+    for n in range(boxes.shape[0]):
+        for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):
+            for y in range(np.int64(boxes[n, 1]) - first[1], np.int64(boxes[n, 4]) - first[1] + 1):
+                for z in range(np.int64(boxes[n, 2]) - first[2], np.int64(boxes[n, 5]) - first[2] + 1):
+                    marked[x, y, z] = True
+
+
+@kernel
+def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
+    """Return the triangles whose boxes reach a coarse cell that is marked, of those from ``first`` on."""
+    found = np.empty(boxes.shape[0], np.int32)
+    count = 0
+    for triangle in range(boxes.shape[0]):
+        x0, x1 = _within(boxes, triangle, 0, shift, first, counts.shape)
+        if x0 == x1:
+            continue
+        y0, y1 = _within(boxes, triangle, 1, shift, first, counts.shape)
+        z0, z1 = _within(boxes, triangle, 2, shift, first, counts.shape)
+        inside = (
+            counts[x1, y1, z1]
+            - counts[x0, y1, z1]
+            - counts[x1, y0, z1]
+            - counts[x1, y1, z0]
+            + counts[x0, y0, z1]
+            + counts[x0, y1, z0]
+            + counts[x1, y0, z0]
+            - counts[x0, y0, z0]
+        )
+        found[count] = triangle
+        count += inside > 0
+    return found[:count].copy()
+
+
+@inlined
+def _within(
+    boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
+) -> tuple[int, int]:
+    """Return the rows of counts between which a triangle lies; the same one twice outside."""
+    low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
+    end = shape[axis] - 1
+    return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)

@@ -17,12 +17,12 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s
 from octex.jit import inlined, kernel
-from octex.painting.picture import Levels, masked
+from octex.painting.picture import Mips
 from octex.painting.project import Projected
-from octex.painting.resume import Kept, fits
+from octex.painting.resume import NOT_STORED, Stages
 from octex.painting.sight import most_ahead
 from octex.parallel import ordered_map, sharing
-from octex.photos.patches import beside, patches_of, seen_at, sums_around, widths_of
+from octex.photos.patches import beside, masked, patches_of, seen_at, sums_around, widths_of
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
@@ -44,37 +44,30 @@ _CERTAIN = 8
 _POINTS = 1 << 20
 
 
-def agreeing(source: Projected, executor: Executor, kept: Kept | None = None) -> Projected:
+def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED) -> Projected:
     """Return the same paint, its pictures masked where they do not agree with the others.
 
-    ``kept`` is what is kept of all that the source is made from.
+    ``stages`` are those of what was made from all that the source is.
     """
     numbers = range(len(source.shots))
     with sharing(executor) as pool:
-        found = list(ordered_map(pool, partial(_kept_differences, source, kept), numbers))
+        found = list(ordered_map(pool, partial(_stored_differences, source, stages), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
 
-    def agreed(number: int) -> Levels:
-        levels, mask = source.shots[number].levels, _mask(found[number], far)
-        return levels if mask.all() else masked(levels, mask)
+    def agreed(number: int) -> Mips:
+        mips, mask = source.shots[number].mips, _mask(found[number], far)
+        return mips if mask.all() else masked(mips, mask)
 
     with sharing(executor) as pool:
-        return source.with_levels(ordered_map(pool, agreed, numbers, window=most_ahead()))
+        return source.with_mips(ordered_map(pool, agreed, numbers, window=most_ahead()))
 
 
-def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Float32s:
-    """Return `_differences`, or what is ``kept`` of them."""
-    if kept is None:
-        return _differences(source, number)
-    expected = {"codes": ("f4", patches_of(source.shots[number]))}
-    return kept.of(number).arrays(
-        "differences",
-        lambda: {"codes": _differences(source, number)},
-        lambda arrays: arrays["codes"] if fits(arrays, expected) else None,
-    )
+def _stored_differences(source: Projected, stages: Stages, number: int) -> Float32s:
+    own = stages.of(lambda: [number])
+    return own.arrays("differences", lambda: {"codes": _differences(source, number)})["codes"]
 
 
 def _differences(source: Projected, number: int) -> Float32s:
@@ -83,7 +76,7 @@ def _differences(source: Projected, number: int) -> Float32s:
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
-    own = source.with_shots([shot], [number])
+    own = source.with_shots([shot])
     step = max(_POINTS // len(source.shots), 1)
     for first in range(0, len(patches), step):
         some = slice(first, first + step)

@@ -10,10 +10,10 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.conversion.levels import on_grid
 from octex.conversion.pieces import Blocks
 from octex.painting.holes import level_within
+from octex.painting.layer import PaintSource
 from octex.painting.multigrid import graph_of
 from octex.painting.project import Projected
 from octex.painting.sheets import Sheets, sheets_of
-from octex.painting.source import PaintSource
 from octex.photos.labels import exposed, feathered, labelled, levelling, views_of
 from octex.source.surface import Surface
 from octex.tree.placement import Placement
@@ -22,7 +22,7 @@ from octex.tree.placement import Placement
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
 
 
-class Patches(PaintSource):
+class BestPaint(PaintSource):
     """Paint from the pictures that sheets have shares of, levelled; from all where these see nothing.
 
     shares     (sheets, shots), of 1; exposures (sheets, shots, 3), see `exposed`
@@ -51,10 +51,10 @@ class Patches(PaintSource):
         """Return the triangles that own a pixel of a shot."""
         return self._source.touched()
 
-    def on(self, chosen: Int32s) -> Patches:
+    def on(self, chosen: Int32s) -> BestPaint:
         """Return the same paint for some of the triangles, among them all that own a pixel."""
         source = self._source.on(chosen)
-        return Patches(source, self._sheets, self._shares, self._exposures, self._mesh, self._own[chosen])
+        return BestPaint(source, self._sheets, self._shares, self._exposures, self._mesh, self._own[chosen])
 
     def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
         """Say of which blocks a shot may see something."""
@@ -76,7 +76,7 @@ class Patches(PaintSource):
             own = np.flatnonzero(shares[:, number] > 0)
             if not own.size:
                 continue
-            alone = self._source.with_shots([shot], [number])
+            alone = self._source.with_shots([shot])
             paint, weights = alone.each(triangles[own], barycentric[own], widths[own])
             share = np.where(weights[0] > 0, shares[own, number], np.float32(0))
             light = exposed(paint[0], self._exposures[sheets[own], number])
@@ -89,7 +89,7 @@ class Patches(PaintSource):
 
 def best(
     source: Projected, surface: Surface, placement: Placement, depth: int, executor: Executor
-) -> Patches:
+) -> BestPaint:
     """Return the same paint, from one picture for each patch of the surface."""
     most = _MOST_VIEWS // len(source.shots)
     level = min(max(depth - _ABOVE, 0), level_within(surface, placement, most))
@@ -103,4 +103,4 @@ def best(
     shares, feathers = feathered(graph, labels, exposures, weights)
     mesh = on_grid(surface.rest, placement), surface.triangles
     own = np.arange(len(surface.triangles), dtype=np.int32)
-    return Patches(source, sheets, shares, feathers, mesh, own)
+    return BestPaint(source, sheets, shares, feathers, mesh, own)

@@ -12,13 +12,13 @@ from functools import partial
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.painting.picture import Levels, masked
+from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.sight import Shot, most_ahead
 from octex.parallel import ordered_map, sharing
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import medians
-from octex.photos.patches import PATCH, beside, patches_of, seen_at, widths_of
+from octex.photos.patches import PATCH, beside, masked, patches_of, seen_at, widths_of
 
 #: From this light on a picture may be cut off: 250 of 255 codes.
 _CUT = 0.955
@@ -37,19 +37,19 @@ def without_overexposed(given: Projected, evened: Projected, executor: Executor)
     """
     numbers = range(len(given.shots))
     with sharing(executor) as pool:
-        return evened.with_levels(
+        return evened.with_mips(
             ordered_map(pool, partial(_masked, given, evened), numbers, window=most_ahead())
         )
 
 
-def _masked(given: Projected, evened: Projected, number: int) -> Levels:
+def _masked(given: Projected, evened: Projected, number: int) -> Mips:
     """Return a picture that is evened out, masked where it is cut off and next to that, if others see it."""
-    shot, levels = given.shots[number], evened.shots[number].levels
-    if not _is_limited(shot.levels):
-        return levels
+    shot, mips = given.shots[number], evened.shots[number].mips
+    if not _is_limited(shot.mips):
+        return mips
     rows, columns = patches_of(shot)
     patches, triangles, barycentric = seen_at(given, shot, beside(_cut_off(shot)))
-    widths = widths_of(given.with_shots([shot], [number]), triangles, barycentric)
+    widths = widths_of(given.with_shots([shot]), triangles, barycentric)
     is_wrong = np.zeros(rows * columns, np.bool_)
     others_see = np.ones(rows * columns, np.bool_)  # where no middle sees the surface, too
     step = max(_POINTS // len(given.shots), 1)
@@ -58,13 +58,13 @@ def _masked(given: Projected, evened: Projected, number: int) -> Levels:
         where = triangles[some], barycentric[some], widths[some]
         is_wrong[patches[some]], others_see[patches[some]] = _compared(given, evened, number, *where)
     mask = ~beside(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
-    return levels if mask.all() else masked(levels, mask.astype(np.float32))
+    return mips if mask.all() else masked(mips, mask.astype(np.float32))
 
 
 def _cut_off(shot: Shot) -> Bools:
     """Say which patches (rows, columns) of a picture are cut off, as a level of it shows them."""
-    first, width, height = shot.levels.sizes[min(_LEVEL, len(shot.levels.sizes) - 1)].tolist()
-    pixels = shot.levels.pixels[first : first + width * height].reshape(height, width, 4)
+    first, width, height = shot.mips.sizes[min(_LEVEL, len(shot.mips.sizes) - 1)].tolist()
+    pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
     light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
     rows, columns = patches_of(shot)
     found: Bools = np.pad(light, ((0, max(rows - height, 0)), (0, max(columns - width, 0))), mode="edge")
@@ -82,7 +82,7 @@ def _compared(
     """Say at which points (n,) a picture is cut off and others are lighter; and at which others are not."""
     where = triangles, barycentric, widths
     before, (after, weights) = given.each(*where)[0], evened.each(*where)
-    limited = np.array([_is_limited(shot.levels) for shot in given.shots])
+    limited = np.array([_is_limited(shot.mips) for shot in given.shots])
     is_cut = limited[:, None, None] & (before > _CUT)
     tells = (weights > 0)[..., None] & ~is_cut
     tells[number] = False
@@ -95,6 +95,6 @@ def _compared(
     return wrong, np.all(tell, axis=1)
 
 
-def _is_limited(levels: Levels) -> bool:
+def _is_limited(mips: Mips) -> bool:
     """Say whether a picture may be cut off: one that holds light beyond 1 is not."""
-    return bool((levels.range[1] <= 1.0).all() and (levels.range[1] > _CUT).any())
+    return bool((mips.range[1] <= 1.0).all() and (mips.range[1] > _CUT).any())

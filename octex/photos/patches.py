@@ -7,6 +7,8 @@ from functools import reduce
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.jit import kernel
+from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.sight import Shot
 from octex.view.lens import is_bent, undistort
@@ -17,7 +19,7 @@ PATCH = 4
 
 def patches_of(shot: Shot) -> tuple[int, int]:
     """Return how many rows and columns of patches a picture has."""
-    width, height = shot.levels.sizes[0, 1:].tolist()
+    width, height = shot.mips.sizes[0, 1:].tolist()
     return -(-height // PATCH), -(-width // PATCH)
 
 
@@ -32,7 +34,7 @@ def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s
     chosen = np.flatnonzero(among)
     y, x = np.divmod(chosen, among.shape[1])
     places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
-    places = np.minimum(places, shot.levels.sizes[0, 1:] - 0.5)
+    places = np.minimum(places, shot.mips.sizes[0, 1:] - 0.5)
     if is_bent(shot.lens):
         bent = np.linalg.solve(shot.K, np.column_stack([places, np.ones(len(places))]).T)[:2].T
         slopes = np.empty_like(bent)
@@ -46,7 +48,23 @@ def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s
     found = found[np.argsort(triangles[found], kind="stable")]
     seen = triangles[found]
     middles = np.column_stack([i[found], j[found]]) + 0.5
-    return chosen[found], seen, source.barycentric_at(shot, seen, middles)
+    return chosen[found], seen, _barycentric_at(source, shot, seen, middles)
+
+
+def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
+    """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
+    view = shot.camera
+    corners = source.vertices[source.triangles[triangles]] @ view.world_to_camera[:3, :3].T
+    corners += view.world_to_camera[:3, 3]
+    if not view.is_pinhole:
+        corners[..., 2] = 1.0
+    rays = np.column_stack([pixels, np.ones(len(pixels))]) @ view.inverse_k.T
+    sides = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
+    parts = np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None]
+    parts = np.maximum(parts, 0.0)
+    totals = parts.sum(axis=1, keepdims=True)
+    found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
+    return found
 
 
 def beside(some: Bools) -> Bools:
@@ -62,3 +80,40 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
     sums = reduce(np.add, [wide[i : i + rows] for i in steps])
     found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
     return found
+
+
+def masked(mips: Mips, mask: Float32s) -> Mips:
+    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, between whose pixels it fades.
+
+    A mask's pixels cover the picture, the last ones perhaps more than that.
+    """
+    pixels = np.empty_like(mips.pixels)
+    _mask_mips(mips.pixels, mips.sizes, mask, pixels)
+    return mips._replace(pixels=pixels)
+
+
+@kernel
+def _mask_mips(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) -> None:
+    rows, columns = mask.shape
+    width, height = sizes[0, 1], sizes[0, 2]
+    step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
+    lefts, parts = np.empty(width, np.int64), np.empty(width, np.float32)
+    for level in range(len(sizes)):
+        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+        for j in range(across):
+            x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
+            lefts[j] = int(x)
+            parts[j] = x - lefts[j]
+        for i in range(down):
+            y = min(max((i + 0.5) * height / (down * step) - 0.5, 0.0), rows - 1.0)
+            above = int(y)
+            below, low = min(above + 1, rows - 1), np.float32(y - above)
+            for j in range(across):
+                left, part = lefts[j], parts[j]
+                right = min(left + 1, columns - 1)
+                upper = mask[above, left] + (mask[above, right] - mask[above, left]) * part
+                lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
+                factor = upper + (lower - upper) * low
+                at = first + i * across + j
+                for component in range(4):
+                    found[at, component] = given[at, component] * factor

@@ -10,7 +10,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import kernel
-from octex.painting.picture import Levels
+from octex.painting.picture import Mips
 from octex.view.camera import Camera
 
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
@@ -25,7 +25,7 @@ class Views(NamedTuple):
     cameras: Sequence[Camera]  # as given
     scales: Sequence[float]  # see `pixel_at`
     points: Float64s  # (n, 3)
-    pictures: Sequence[Levels]
+    pictures: Sequence[Mips]
     level: int  # that is read
     gains: Float32s  # (pictures, 3)
     says: Float64s  # (pictures, n)   how much a picture says of a point
@@ -50,7 +50,7 @@ class Views(NamedTuple):
 
 
 def _seen(
-    picture: Levels,
+    picture: Mips,
     level: int,
     camera: Camera,
     points: Float64s,

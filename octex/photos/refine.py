@@ -10,7 +10,7 @@ make it worse). A camera of which pictures tell too little stays as it was given
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -20,16 +20,17 @@ import numpy as np
 from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
-from octex.conversion import large
 from octex.errors import ArgumentError
-from octex.painting.picture import Levels, Projection, check_projections, content_of, levels_of, room_for
-from octex.painting.project import Projected, terms_of
-from octex.painting.resume import Kept, fits, kept_in
-from octex.painting.sight import Shot, in_fixed_order, most_ahead, shot_of
-from octex.painting.surface import Ground, key_of
+from octex.painting.options import BALANCES, Balance
+from octex.painting.picture import Mips, Projection, check_projections, content_of, mips_of, room_for
+from octex.painting.project import Projected
+from octex.painting.reading import terms_of
+from octex.painting.resume import Stages, stages_in
+from octex.painting.sight import Shot, in_fixed_order, most_ahead
+from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.photos.agreement import agreeing
-from octex.photos.balance import BALANCES, Balance, balanced
+from octex.photos.balance import balanced
 from octex.photos.consensus import agreed_step, consensus, robust_weights
 from octex.photos.poses import NUMBERS, Views, moved, pixel_at
 from octex.source.surface import Surface, as_surface
@@ -40,7 +41,7 @@ from octex.view.camera import Camera
 _POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
 #: Of more pictures than so many there are fewer points: of twice as many half, and no less than this part.
 _FEW, _LEAST = 12, 0.25
-#: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
+#: Mips of pictures, each twice as coarse, that are read one after the other, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
 _STILL = 0.005
@@ -95,72 +96,59 @@ def refine_cameras(
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
         raise ArgumentError("patches are where they were laid; only cameras are refined")
-    ground, report = Ground(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras
-    kept = kept_in(resume)
+    painted, report, stages = PaintedSurface(as_surface(surface)), as_progress(progress), stages_in(resume)
+    own = stages.of(
+        lambda: [painted.content, [*map(content_of, shown), *map(key_of, cameras)], balance, reference]
+    )
     with workers(threads, executor) as pool, room_for(shown, memory, folder):
-        task = ground, shown, cameras, balance, reference, pool, report, kept
-        if kept is None:
-            return _refined(*task)
-        made_from = [*map(content_of, shown), *map(key_of, cameras)]
-        own = kept.of(ground.content, made_from, balance, reference)
-        return own.arrays("cameras", lambda: _as_arrays(_refined(*task)), partial(_as_kept, cameras))
 
+        def refined() -> dict[str, Array]:
+            found = _refined(painted, shown, cameras, balance, reference, pool, report, stages)
+            return {
+                "world_to_camera": np.stack([each.world_to_camera for each in found]),
+                "K": np.stack([each.K for each in found]),
+            }
 
-def _as_arrays(cameras: Sequence[Camera]) -> dict[str, Array]:
-    return {
-        "world_to_camera": np.stack([each.world_to_camera for each in cameras]),
-        "K": np.stack([each.K for each in cameras]),
-    }
-
-
-def _as_kept(given: Sequence[Camera], arrays: Mapping[str, Array]) -> list[Camera] | None:
-    """Return cameras as they were kept; None for what cannot be those."""
-    count = len(given)
-    if not fits(arrays, {"world_to_camera": ("f8", (count, 4, 4)), "K": ("f8", (count, 3, 3))}):
-        return None
-    try:
+        found = own.arrays("cameras", refined)
         return [
             replace(camera, world_to_camera=matrix, K=K)
-            for camera, matrix, K in zip(given, arrays["world_to_camera"], arrays["K"], strict=True)
+            for camera, matrix, K in zip(cameras, found["world_to_camera"], found["K"], strict=True)
         ]
-    except ArgumentError:
-        return None
 
 
 def _refined(
-    ground: Ground,
+    painted: PaintedSurface,
     shown: Sequence[Projection],
     cameras: list[Camera],
     balance: Balance | None,
     reference: int | None,
     pool: Executor,
     report: Progress,
-    kept: Kept | None,
+    stages: Stages,
 ) -> list[Camera]:
     """Refine cameras, checked, as `refine_cameras` does."""
-    surface = ground.surface
-    decode = partial(levels_of, form=BASE_COLOR, kept=kept)
-    levels = [
-        each if kept else large.moved(each) for each in ordered_map(pool, decode, shown, window=most_ahead())
-    ]
-    order, fixed = _ordered(ground, cameras, levels, reference, pool)
-    began, levels = [cameras[n] for n in order], [levels[n] for n in order]
+    surface = painted.surface
+    decode = partial(mips_of, form=BASE_COLOR, stages=stages)
+    mips = [stages.placed(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
+    order, fixed = _ordered(painted, cameras, mips, reference, pool)
+    began, mips = [cameras[n] for n in order], [mips[n] for n in order]
     samples = surface.scatter(int(_share(len(order)) * _POINTS))
     scales = [pixel_at(camera, samples.points) for camera in began]
     cameras, numbers = list(began), np.zeros((len(order), NUMBERS))
     stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
     def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
-        source = _source(ground, cameras, levels, pool)
+        source = _source(painted, cameras, mips, pool)
         return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
     def views(cameras: list[Camera], level: int, balance: Balance | None) -> Views:
         source = lit(cameras, balance)
         says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
-        pictures = [shot.levels for shot in source.shots]
-        return Views(began, scales, samples.points, pictures, level, source.gains, says)
+        pictures = [shot.mips for shot in source.shots]
+        gains = np.stack([shot.gains for shot in source.shots])
+        return Views(began, scales, samples.points, pictures, level, gains, says)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
@@ -173,7 +161,7 @@ def _refined(
         numbers = _agreeing(given.at(some), numbers, stays, far)
         cameras = [moved(*each) for each in zip(began, scales, numbers, strict=True)]
         if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
-            levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
+            mips = [shot.mips for shot in agreeing(lit(cameras, balance), pool).shots]
     light: Balance | None = balance and "full"
     before, after = views(began, 0, light), views(cameras, 0, light)
     some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
@@ -185,28 +173,27 @@ def _refined(
 
 
 def _ordered(
-    ground: Ground,
+    painted: PaintedSurface,
     cameras: list[Camera],
-    levels: list[Levels],
+    mips: list[Mips],
     reference: int | None,
     executor: Executor,
 ) -> tuple[list[int], int | None]:
     """Return the pictures' numbers in an order by what they hold, and which of these is the reference."""
-    shots = _source(ground, cameras, levels, executor).shots
+    shots = _source(painted, cameras, mips, executor).shots
     order = [next(n for n, shot in enumerate(shots) if shot is each) for each in in_fixed_order(shots)]
     return order, None if reference is None else order.index(reference)
 
 
 def _source(
-    ground: Ground, cameras: Sequence[Camera], levels: Sequence[Levels], executor: Executor
+    painted: PaintedSurface, cameras: Sequence[Camera], mips: Sequence[Mips], executor: Executor
 ) -> Projected:
-    sights = ground.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
-    shots = [shot_of(sight, own) for sight, own in zip(sights, levels, strict=True)]
-    surface = ground.surface
-    return Projected(
-        shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False), surface.vertices, surface.triangles,
-        ground.stretches, shading=ground.shading,
-    )  # fmt: skip
+    sights = painted.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
+    shots = [sight.shot(own) for sight, own in zip(sights, mips, strict=True)]
+    surface = painted.surface
+    terms = terms_of(_MAX_ANGLE, 0.0, False)
+    mesh = surface.vertices, surface.triangles, painted.stretches, painted.shading
+    return Projected(shots, BASE_COLOR, terms, *mesh)
 
 
 def _share(pictures: int) -> float:

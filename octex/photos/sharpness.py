@@ -55,7 +55,10 @@ def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
         return source
     shown = shown_of(details_of(source, surface), len(source.shots))
     blurs = -_FALL * np.log(np.clip(shown / _SHARP, 1e-3, 1.0))  # variances
-    return source.with_says(np.asarray((1.0 + 12.0 * blurs) ** -4.0))
+    weights = ((1.0 + 12.0 * blurs) ** -4.0).tolist()
+    return source.with_shots(
+        [shot._replace(weight=weight) for shot, weight in zip(source.shots, weights, strict=True)]
+    )
 
 
 def shown_of(details: Details, count: int) -> Float64s:
@@ -126,7 +129,7 @@ def _details_at(source: Projected, triangles: Int32s, barycentric: Float64s) -> 
     counts &= counts.sum(axis=0) > _OTHERS
     coarsest = np.zeros(len(triangles), np.float32)
     for number, shot in enumerate(source.shots):
-        widths = source.with_shots([shot], [number]).widths(*where)
+        widths = source.with_shots([shot]).widths(*where)
         coarsest = np.where(counts[number], np.maximum(coarsest, widths), coarsest)
     fine, coarse = (
         np.sqrt(np.maximum(source.each(*where, np.float32(width) * coarsest)[0][counts], np.float32(0)))
