@@ -13,8 +13,8 @@ from octex.cli.functions import FunctionName, function_name
 #: What octex stores (octex.channels.ONE), how it reads images (octex.source.images.filters.FILTERS), lays
 #: them on surfaces (octex.source.mapped.KINDS) and along what (octex.source.mapped.FRAMES), how paint meets
 #: what is there (octex.painting.picture.BLENDS), and what steers the depth but channels
-#: (octex.conversion.detail.STRETCH); what becomes of several pictures (octex.painting.paint.PICTURES) and
-#: how they are made to agree (octex.photos.balance.BALANCES).
+#: (octex.conversion.detail.STRETCH); what becomes of several pictures (octex.painting.options.PICTURES) and
+#: how they are made to agree (octex.painting.options.BALANCES).
 DTYPES = ("uint8", "uint16", "float16", "float32")
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
 PROJECTIONS = ("planar", "box", "cylindrical", "spherical")

@@ -108,7 +108,8 @@ def wanted_depths(
     """Return how deep paint goes whose details are ``widths`` (n,) wide on so much of the surface (n,).
 
     ``size`` is the root cell's edge; most of the surface has ``cells`` in the width of details, or more; if
-    the paint ``is_single``, of one picture, all but the finest hundredth has. None goes deeper than ``depth``.
+    the paint ``is_single``, of one picture, all but the finest hundredth has. None goes deeper than
+    ``depth``.
     """
     own = np.isfinite(widths) & (widths > 0.0) & (areas > 0.0)
     if not own.all():

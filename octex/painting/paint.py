@@ -20,7 +20,6 @@ from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
 from octex.painting.picture import Projection, check_projections, content_of, room_for
-from octex.painting.project import Projected
 from octex.painting.reading import terms_of
 from octex.painting.resume import Stages, stages_in
 from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
@@ -217,8 +216,7 @@ def _layer_of(
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
     terms = terms_of(cast(float, options.max_angle), options.edge_feather, options.back_faces)
-    mesh = surface.vertices, surface.triangles, painted.stretches, painted.shading
-    source = Projected(shots, form, terms, *mesh)
+    source = painted.projected(shots, form, terms)
     near = source.near_paint(_REACH)
     size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
     cells, most = CELLS, _DEEPEST

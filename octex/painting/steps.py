@@ -249,10 +249,11 @@ def form_boundary(
 ) -> Boundary:
     """3. Form the boundary around paint: cells beside it on the surface, and skirts off the surface.
 
-    Paint below what was a leaf gets a skirt, which would else be refined from the coefficients kept, and show
-    through. Leaves that have nothing but paint around them, all of which hides what was there, keep none:
-    they need no skirt. A skirt where nothing was counts for more than what the field refines to there, in every
-    channel. So there is none in textures of channels that are not painted: their field would move.
+    Paint below what was a leaf gets a skirt, which would else be refined from the coefficients kept, and
+    show through. Leaves that have nothing but paint around them, all of which hides what was there, keep
+    none: they need no skirt. A skirt where nothing was counts for more than what the field refines to there,
+    in every channel. So there is none in textures with channels that are not painted: their field would
+    move.
     """
     depth = _deepest(paint)
     leaves = [
@@ -458,7 +459,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         fresh: Bools,
         bare: Int64s | None = None,
     ) -> None:
-        """Blend rows of the channels' ``kind``; fresh ones without paint have the values of cells ``bare``."""
+        """Blend rows of a kind; fresh ones without paint have the values of cells ``bare``."""
         old = {name: decode(getattr(own, kind)[rows], own.format.space) for name, own in met.items()}
         for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
             form = channels[name].format

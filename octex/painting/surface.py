@@ -10,13 +10,15 @@ from functools import cached_property, partial
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.channels import ChannelFormat
 from octex.conversion.levels import on_grid
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.picture import Projection
-from octex.painting.project import Shading
+from octex.painting.project import Projected, Shading
+from octex.painting.reading import Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
-from octex.painting.sight import Sight, sight_of
+from octex.painting.sight import Shot, Sight, sight_of
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -67,6 +69,11 @@ class PaintedSurface:
         surface = self.surface
         frames = () if surface.frames is None else (*surface.frames.normals, *surface.frames.tangents)
         return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
+
+    def projected(self, shots: Sequence[Shot], form: ChannelFormat, terms: Terms) -> Projected:
+        """Return the paint of shots of it."""
+        mesh = self.surface.vertices, self.surface.triangles
+        return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading)
 
     def sights(
         self, cameras: Sequence[Camera], feather: float, executor: Executor, stages: Stages = NOT_STORED

@@ -49,10 +49,9 @@ def balanced(
 
     with sharing(executor) as pool:
         every = ordered_map(pool, lit, range(len(numbers)), window=most_ahead())
-        evened = source.with_mips(every)
-        return evened.with_shots(
-            [shot._replace(gains=own) for shot, own in zip(evened.shots, gains, strict=True)]
-        )
+        shots = source.with_mips(every).shots
+    pairs = zip(shots, gains, strict=True)
+    return source.with_shots([shot._replace(gains=own) for shot, own in pairs])
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:

@@ -190,10 +190,7 @@ def _source(
 ) -> Projected:
     sights = painted.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
     shots = [sight.shot(own) for sight, own in zip(sights, mips, strict=True)]
-    surface = painted.surface
-    terms = terms_of(_MAX_ANGLE, 0.0, False)
-    mesh = surface.vertices, surface.triangles, painted.stretches, painted.shading
-    return Projected(shots, BASE_COLOR, terms, *mesh)
+    return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
 def _share(pictures: int) -> float:
