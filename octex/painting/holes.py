@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,14 +47,18 @@ _BLOCK = 3
 _HOLD = 1e-9
 
 
-class Sheeted(Source):
+@dataclass(eq=False)
+class SheetValues(Source):
     """One value for each sheet of a surface, and one, the last, for all else."""
 
-    def __init__(self, form: ChannelFormat, sheets: Sheets, grid: Int32s, faces: Int32s, values: Float64s):
-        self._channels = (form,)
-        self._mesh = grid, faces
-        self._sheets = sheets
-        self._values = values.astype(np.float32)
+    form: ChannelFormat
+    sheets: Sheets
+    values: Float32s  # (sheets + 1, components)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channel of the values."""
+        return (self.form,)
 
     def evaluate(
         self,
@@ -62,7 +67,7 @@ class Sheeted(Source):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the values of the sheets that points are on."""
-        found: Float32s = self._values[self._sheets.at(*self._mesh, triangles, barycentric)]
+        found: Float32s = self.values[self.sheets.at(triangles, barycentric)]
         return found
 
 
@@ -88,8 +93,7 @@ def begun(
     values, coverage = _paint_on(layer, name, sheets)
     mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
-    grid = on_grid(surface.rest, layer.placement)
-    source = Sheeted(form, sheets, grid, surface.triangles, values)
+    source = SheetValues(form, sheets, values.astype(np.float32))
     part = surface.part(np.arange(len(surface.triangles)), source)
     made = cell_levels(part, (form,), layer.placement, level, executor, progress, has_samples=False)
     tree, channels = assemble((form,), made)

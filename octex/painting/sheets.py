@@ -76,14 +76,13 @@ class Sheets(NamedTuple):
     table: Table
     pairs: Int64s  # (k, 2)   neighbours, the smaller number first, ascending
     ties: Float64s  # (k,)   one over how far apart they are, in cells
+    grid: Int32s  # (v, 3)   the surface's vertices in steps of 2⁻³⁰ of the root's edge
+    faces: Int32s  # (m, 3)   its triangles
 
-    def at(self, grid: Int32s, faces: Int32s, triangles: Int32s, barycentric: Float64s) -> Int64s:
-        """Return the sheets that points (n,) are on: of their triangle in their cell or beside it; else −1.
-
-        ``grid`` are the surface's vertices in steps of 2⁻³⁰ of the root's edge.
-        """
+    def at(self, triangles: Int32s, barycentric: Float64s) -> Int64s:
+        """Return the sheets that points (n,) are on: of their triangle, in their cell or beside; else −1."""
         found = np.empty(len(triangles), np.int64)
-        _find(self.table, self.level, grid, faces, triangles, barycentric, found)
+        _find(self.table, self.level, self.grid, self.faces, triangles, barycentric, found)
         return found
 
 
@@ -128,6 +127,8 @@ def sheets_of(
         table,
         pairs,
         1.0 / np.maximum(apart, _NEAR),
+        grid,
+        faces,
     )
 
 

@@ -152,12 +152,21 @@ class TriangleGrid:
         ``reach`` is the level of the coarsest cells that must be found beside them.
         """
         shift = max(_COARSE - reach, 0)
-        boxes = self._boxes[chosen] >> np.uint8(shift)
+        return self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+
+    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
+        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        boxes = [_coarse_boxes(codes, level) for level, codes in cells if codes.size]
+        return self._sharing(np.concatenate(boxes), 0, 0) if boxes else np.empty(0, np.int32)
+
+    def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
+        """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""
         first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
-        first, last = np.maximum(first - 1, 0), np.minimum(last + 1, (1 << (_COARSE - shift)) - 1)
+        first = np.maximum(first - beside, 0)
+        last = np.minimum(last + beside, (1 << (_COARSE - shift)) - 1)
         marked = np.zeros(last - first + 1, np.bool_)
         _mark(boxes, first, marked)
-        for axis in range(3):
+        for axis in range(3 * beside):
             wide = marked.copy()
             before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
             wide[after] |= marked[before]
@@ -165,28 +174,15 @@ class TriangleGrid:
             marked = wide
         return _reaching(self._boxes, shift, first, _counts(marked))
 
-    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
-        """Return the triangles that may meet cells, given as levels and Morton codes."""
-        ends = [(_coarse(codes, level, 0), _coarse(codes, level, 1)) for level, codes in cells if codes.size]
-        if not ends:
-            return np.empty(0, np.int32)
-        first = np.min([low.min(axis=0) for low, _ in ends], axis=0)
-        marked = np.zeros(np.max([high.max(axis=0) for _, high in ends], axis=0) - first, np.bool_)
-        for low, high in ends:
-            if ((high - low) == 1).all():
-                marked[tuple((low - first).T)] = True
-                continue
-            for (x, y, z), (u, v, w) in zip((low - first).tolist(), (high - first).tolist(), strict=True):
-                marked[x:u, y:v, z:w] = True
-        return _reaching(self._boxes, 0, first, _counts(marked))
 
-
-def _coarse(codes: Int64s, level: int, end: int) -> Int64s:
-    """Return the first coarse cell (n, 3) that cells of a level reach; with ``end`` 1 that after the last."""
+def _coarse_boxes(codes: Int64s, level: int) -> Uint8s:
+    """Return the first and the last coarse cell that cells of a level reach along each axis (n, 6)."""
     cells = decode_cells(codes)
     if level >= _COARSE:
-        return (cells >> (level - _COARSE)) + end
-    return (cells + end) << (_COARSE - level)
+        first = last = cells >> (level - _COARSE)
+    else:
+        first, last = cells << (_COARSE - level), ((cells + 1) << (_COARSE - level)) - 1
+    return np.concatenate([first, last], axis=1).astype(np.uint8)
 
 
 def _counts(marked: Bools) -> Int32s:

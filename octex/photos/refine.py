@@ -32,7 +32,7 @@ from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced
 from octex.photos.consensus import agreed_step, consensus, robust_weights
-from octex.photos.poses import NUMBERS, Views, moved, pixel_at
+from octex.photos.poses import NUMBERS, Observations, adjusted, pixel_at
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
 
@@ -143,27 +143,27 @@ def _refined(
         source = _source(painted, cameras, mips, pool)
         return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
-    def views(cameras: list[Camera], level: int, balance: Balance | None) -> Views:
+    def observed(cameras: list[Camera], level: int, balance: Balance | None) -> Observations:
         source = lit(cameras, balance)
-        says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
+        weights = _weights_at(source, samples.triangles, samples.barycentric, _RIM * 2**level)
         pictures = [shot.mips for shot in source.shots]
         gains = np.stack([shot.gains for shot in source.shots])
-        return Views(began, scales, samples.points, pictures, level, gains, says)
+        return Observations(began, scales, samples.points, pictures, level, gains, weights)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
-        given = views(cameras, level, balance)
+        given = observed(cameras, level, balance)
         if not stays.any():
-            stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
+            stays[np.argmax((given.weights * (given.weights > 0).sum(axis=0)).sum(axis=1))] = True
         far = _FAR * (level + 1)
         every = np.arange(0, len(samples.points), len(samples.points) // _COARSE)
         some = _telling(given, numbers, far) if done else every
         numbers = _agreeing(given.at(some), numbers, stays, far)
-        cameras = [moved(*each) for each in zip(began, scales, numbers, strict=True)]
+        cameras = [adjusted(*each) for each in zip(began, scales, numbers, strict=True)]
         if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
             mips = [shot.mips for shot in agreeing(lit(cameras, balance), pool).shots]
     light: Balance | None = balance and "full"
-    before, after = views(began, 0, light), views(cameras, 0, light)
+    before, after = observed(began, 0, light), observed(cameras, 0, light)
     some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
     is_better = _better(before.at(some), after.at(some), numbers) & ~stays
     cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
@@ -198,15 +198,15 @@ def _share(pictures: int) -> float:
     return max(min(_FEW / pictures, 1.0), _LEAST)
 
 
-def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
+def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
     """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
-    values, steep = np.full((2, *views.says.shape, 3), np.nan)
-    for n, say in enumerate(views.says > 0):
-        values[n, say], slopes = views.seen_by(n, numbers[n])
-        steep[n, say] = (slopes**2).sum(axis=2)
-    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
-    weights = _weights(np.nan_to_num(values).reshape(says.shape), says, far)
-    tells = (weights.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
+    values, steep = np.full((2, *observed.weights.shape, 3), np.nan)
+    for n, sees in enumerate(observed.weights > 0):
+        values[n, sees], slopes = observed.seen_by(n, numbers[n])
+        steep[n, sees] = (slopes**2).sum(axis=2)
+    weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
+    robust = _robust(np.nan_to_num(values).reshape(weights.shape), weights, far)
+    tells = (robust.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
     each = max(int(_share(len(tells)) * min(_TELLING, _MOST / len(tells))), 1)
     order = np.argsort(-tells, axis=1, kind="stable")[:, :each]
     found = np.zeros(tells.shape, np.bool_)
@@ -214,24 +214,25 @@ def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
     return np.flatnonzero(found.any(axis=0))
 
 
-def _agreeing(views: Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
+def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: float) -> Float64s:
     """Return numbers of cameras by which what pictures hold agrees best (Levenberg-Marquardt)."""
-    values, slopes = views.seen(numbers)
-    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values)
-    _, far = robust_weights(np.nan_to_num(values), says, far)
+    values, slopes = observed.seen(numbers)
+    weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values)
+    _, far = robust_weights(np.nan_to_num(values), weights, far)
     held = np.full(numbers.shape, (_NOISE / _OFF) ** 2 / _OWN)
 
     def cost(values: Float64s, numbers: Float64s) -> float:
-        return far**2 * float((says * _apart(values, says, far)).sum()) + float((held * numbers**2).sum())
+        off = float((weights * _apart(values, weights, far)).sum())
+        return far**2 * off + float((held * numbers**2).sum())
 
     least, damping = cost(values, numbers), _DAMPING
     for _ in range(_TRIES):
         known = np.nan_to_num(values)
-        weights = _weights(known, says * np.isfinite(values), far)
-        ridge = held + damping * np.einsum("in,inp->ip", weights, slopes**2).max(axis=1, keepdims=True)
+        robust = _robust(known, weights * np.isfinite(values), far)
+        ridge = held + damping * np.einsum("in,inp->ip", robust, slopes**2).max(axis=1, keepdims=True)
         ridge[stays] = np.inf
-        step = agreed_step(slopes, known, weights, ridge, held * numbers)
-        tried = views.seen(numbers + step)
+        step = agreed_step(slopes, known, robust, ridge, held * numbers)
+        tried = observed.seen(numbers + step)
         now = cost(tried[0], numbers + step)
         if now < least:
             least, numbers, (values, slopes), damping = now, numbers + step, tried, damping * _RIGHT
@@ -242,26 +243,26 @@ def _agreeing(views: Views, numbers: Float64s, stays: Bools, far: float) -> Floa
     return numbers
 
 
-def _weights(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _robust(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return how much pictures count: the less the farther they are from what most say (Geman & McClure)."""
-    return says / (1.0 + ((values - _middle(values, says, far)) / far) ** 2) ** 2
+    return weights / (1.0 + ((values - _middle(values, weights, far)) / far) ** 2) ** 2
 
 
-def _middle(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _middle(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return what most pictures say of points (n,)."""
-    weights, _ = robust_weights(values, says, far)
-    return consensus(values, weights)
+    robust, _ = robust_weights(values, weights, far)
+    return consensus(values, robust)
 
 
-def _apart(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return how far pictures are from what most say, 0 to 1 (pictures, n); 1 where they show no more."""
     known = np.isfinite(values)
     values = np.where(known, values, 0.0)
-    apart = ((values - _middle(values, says * known, far)) / far) ** 2
+    apart = ((values - _middle(values, weights * known, far)) / far) ** 2
     return np.where(known, apart / (1.0 + apart), 1.0)
 
 
-def _better(before: Views, after: Views, numbers: Float64s) -> Bools:
+def _better(before: Observations, after: Observations, numbers: Float64s) -> Bools:
     """Say which pictures agree clearly better with the others where their cameras have numbers than without.
 
     A point counts as much as it tells of where the camera is: by how its colour changes with the numbers.
@@ -270,40 +271,40 @@ def _better(before: Views, after: Views, numbers: Float64s) -> Bools:
     these.
     """
     (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
-    says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
-    says *= (says > 0).sum(axis=0) > 1
-    tells = says * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
+    weights = np.repeat(np.minimum(before.weights, after.weights), 3, axis=1) * np.isfinite(old)
+    weights *= (weights > 0).sum(axis=0) > 1
+    tells = weights * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
 
     def apart(values: Float64s, number: int) -> float:
-        return float((tells[number] * _apart(values, says, _FAR)[number]).sum())
+        return float((tells[number] * _apart(values, weights, _FAR)[number]).sum())
 
     found = np.zeros(len(numbers), np.bool_)
     others = np.ones_like(found)  # whose cameras have their numbers
     while True:
         better = found.copy()
         for n in np.flatnonzero(~found).tolist():
-            alone = np.where((others | found)[:, None], new, old)
-            moved = alone.copy()
-            alone[n], moved[n] = old[n], new[n]
-            least = apart(alone, n) if found.any() else min(apart(alone, n), apart(old, n))
-            better[n] = apart(moved, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
+            given = np.where((others | found)[:, None], new, old)
+            refined = given.copy()
+            given[n], refined[n] = old[n], new[n]
+            least = apart(given, n) if found.any() else min(apart(given, n), apart(old, n))
+            better[n] = apart(refined, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
         if (better == found).all():
             return found
         found, others = better, np.zeros_like(found)
 
 
-def _says(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
+def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
     """Return how much pictures say of points (pictures, n): the better they see them, to 1; at least two.
 
     Nothing within ``rim`` pixels of where the surface ends.
     """
-    _, weights = source.each(triangles, barycentric, source.widths(triangles, barycentric))
+    _, seen = source.each(triangles, barycentric, source.widths(triangles, barycentric))
     points = source.positions(triangles, barycentric)
-    for shot, own in zip(source.shots, weights, strict=True):
-        own *= _margins(shot, points) >= rim
-    share = weights / np.maximum(weights.max(axis=0), 1e-30)
-    says: Float64s = np.where((weights > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
-    return says
+    for shot, weights in zip(source.shots, seen, strict=True):
+        weights *= _margins(shot, points) >= rim
+    share = seen / np.maximum(seen.max(axis=0), 1e-30)
+    found: Float64s = np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
+    return found
 
 
 def _margins(shot: Shot, points: Float64s) -> Float64s:

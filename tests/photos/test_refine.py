@@ -18,7 +18,7 @@ from octex.painting.picture import mips_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import workers
 from octex.photos import refine
-from octex.photos.poses import _read, moved, pixel_at
+from octex.photos.poses import _read, adjusted, pixel_at
 from octex.photos.refine import _better
 from tests.conftest import needs_jit
 from tests.make.painted import above, ball, picture_of
@@ -29,7 +29,7 @@ pytestmark = needs_jit
 
 
 def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
-    return moved(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
+    return adjusted(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
 def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
@@ -54,7 +54,7 @@ def test_points_are_compared_at_the_coarsest_level_too() -> None:
     counts = []
     for level in (0, max(refine._LEVELS)):
         rim = refine._RIM * 2**level
-        says = refine._says(source, samples.triangles, samples.barycentric, rim)
+        says = refine._weights_at(source, samples.triangles, samples.barycentric, rim)
         counts.append(np.count_nonzero(says))
         for shot, own in zip(source.shots, says > 0, strict=True):
             assert (refine._margins(shot, samples.points[own]) >= rim).all()
@@ -176,10 +176,10 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
         camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
     for number in range(7):
-        there = moved(camera, pixel_at(camera, points), np.eye(7)[number])
+        there = adjusted(camera, pixel_at(camera, points), np.eye(7)[number])
         if number not in (2, 5):  # about the axis of the view and along it, where less changes
             assert 0.2 < shift(there, camera, points) < 3
-    assert np.array_equal(moved(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
+    assert np.array_equal(adjusted(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
 
 
 def test_pictures_are_read_with_their_slopes() -> None:
