@@ -1,14 +1,16 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
-paint       all of it; painter: a session of strokes; region: spheres, boxes and functions filled
-picture     images with cameras, checked and decoded; sharpened: as values at points
-surface     what is painted, with what stays the same between strokes; triangle_grid: its triangles near paint
+paint       pictures to a texture; options: what people may ask; painter: a session of strokes
+region      spheres, boxes, functions and triangles filled with one value
+steps       the seven steps of the paper: a layer rasterized, and merged into a texture
+picture     images with cameras, decoded to mips; sharpened: as values at points
+surface     what is painted, and which of its triangles are near paint
 unwrap      a disc of the surface laid flat, for a camera; conformal: so that angles change least
-sight       what cameras see of the surface; project: what pictures paint at its points
+sight       what cameras see of the surface
+project     pictures as a source of paint; reading: what one of them paints at points; layer: any such source
+boundary    cells around paint, on the surface and off it; cells: paint as it lies on them
+blend       each cell blended once, and averages above
+merge       a layer merged into a texture; tiles: in drafts, one or several
 holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells
-layer       these rasterized into a paint octree
-merge       a layer blended into a texture, once for each cell; tiles: a large layer part by part
-raising     the texture brought to where paint is finer; cells, kept: paint beside coarser cells and on nodes
-blend       each cell blended once; averages: nodes above what was painted
 resume      finished stages, stored in a folder for the next call
 """

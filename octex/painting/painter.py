@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.painting.merge import merged
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, painted
 from octex.painting.picture import Blend, Projection, check_projections
-from octex.painting.region import Region, region_layer
+from octex.painting.region import Fill, Region, filled
 from octex.painting.resume import NOT_STORED
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, as_progress, workers
@@ -100,12 +99,9 @@ class Painter:
         progress: Progress | None = None,
     ) -> Stroke:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
-        report = as_progress(progress)
+        wanted, report = Fill(region, color, channel, opacity, blend, max_depth), as_progress(progress)
         with workers(threads, executor) as pool:
-            _, layer = region_layer(
-                self._texture, self._painted, self._surface, region, color, channel, max_depth, pool, report
-            )
-            change = merged(self._texture, layer, self._painted, opacity, blend, pool, report)
+            _, change = filled(self._texture, self._painted, self._surface, wanted, pool, report)
         return self._did(self._texture if change is None else change.put_into(self._texture), [change])
 
     def undo(self) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,8 @@ from octex.conversion.pieces import Blocks
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips
 from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow
-from octex.painting.sight import Shot, near_paint, renamed
-from octex.parallel import built_once
+from octex.painting.sight import Shot, most_ahead, near_paint, renamed
+from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
 from octex.view.shading import face_normals
 
@@ -53,12 +54,16 @@ class Projected(PaintSource):
         """Return paint from other shots."""
         return replace(self, shots=list(shots))
 
-    def with_mips(self, every: Iterable[Mips]) -> Projected:
-        """Return paint from other pictures of the same shots."""
-        pairs = zip(self.shots, every, strict=True)
-        return self.with_shots(
-            [shot if mips is shot.mips else shot._replace(mips=large.moved(mips)) for shot, mips in pairs]
-        )
+    def with_mips(self, make: Callable[[int], Mips], executor: Executor) -> Projected:
+        """Return paint from other pictures, made from the numbers of the shots."""
+        with sharing(executor) as pool:
+            every = ordered_map(pool, make, range(len(self.shots)), window=most_ahead())
+            return self.with_shots(
+                [
+                    shot if mips is shot.mips else shot._replace(mips=large.moved(mips))
+                    for shot, mips in zip(self.shots, every, strict=True)
+                ]
+            )
 
     def near_paint(self, reach: int) -> Projected:
         """Return the same paint; pixels without any as far around as ``reach`` see nothing."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
+from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.functions import answer
 from octex.painting.layer import Depths, PaintSource, empty_texture
@@ -131,42 +132,51 @@ def fill(
     as_surface(surface)
     report = as_progress(progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    opacity = as_number(opacity, "opacity", 0.0, 1.0)
-    as_choice(blend, BLENDS, "blend")
+    wanted = Fill(region, color, channel, opacity, blend, max_depth)
     with workers(threads, executor) as pool:
-        base, layer = region_layer(texture, painted, surface, region, color, channel, max_depth, pool, report)
-        change = merged(base, layer, painted, opacity, blend, pool, report)
+        base, change = filled(texture, painted, surface, wanted, pool, report)
     return base if change is None else change.put_into(base)
 
 
-def region_layer(
+class Fill(NamedTuple):
+    """What is filled; see `fill`."""
+
+    region: Region
+    color: npt.ArrayLike
+    channel: str
+    opacity: float
+    blend: Blend
+    max_depth: int | None
+
+
+def filled(
     texture: OctreeTexture | None,
     painted: PaintedSurface,
     surface: Surface,
-    region: Region,
-    color: npt.ArrayLike,
-    channel: str,
-    max_depth: int | None,
+    wanted: Fill,
     executor: Executor,
     progress: Progress,
-) -> tuple[OctreeTexture, OctreeTexture]:
-    """Return the texture to fill, a new one for None, and the layer that fills the region; see `fill`.
+) -> tuple[OctreeTexture, Change | None]:
+    """Return the texture to fill, a new one for None, and the change that filling makes; see `fill`.
 
     ``surface`` is the one whose rest positions the region is of, ``painted`` where the texture has it.
     """
-    form = format_of(texture, channel)
-    value = _value(form, color)
-    if max_depth is not None:
-        depth = as_depth(max_depth, "max_depth")
+    opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
+    as_choice(wanted.blend, BLENDS, "blend")
+    form = format_of(texture, wanted.channel)
+    value = _value(form, wanted.color)
+    if wanted.max_depth is not None:
+        depth = as_depth(wanted.max_depth, "max_depth")
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
     check_inside(painted.surface, placement)
     layer = rasterize_surface(
         painted, source, placement, Depths(depth, depth), fit=False, executor=executor, progress=progress
     )
-    return texture or empty_texture([form], placement, painted.surface.bounds, painted.surface), layer
+    base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
+    return base, merged(base, layer, painted, opacity, wanted.blend, executor, progress)
 
 
 @dataclass(eq=False)

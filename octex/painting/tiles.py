@@ -30,6 +30,7 @@ from octex.editing.draft import (
 )
 from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
+from octex.errors import own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts
 from octex.painting.cells import Paint, paint_of, some
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
@@ -74,7 +75,8 @@ def merge_layer(task: Merge) -> Change | None:
     """Merge a layer into a texture, piece by piece; return the change, or None if there is no paint."""
     texture, pieces = task.texture, pieces_of(task.texture, task.layer)
     if pieces is not None:
-        found = _merge_pieces(task, pieces)
+        with own_making():
+            found = _merge_pieces(task, pieces)
         tiles = Tiles(pieces.level, np.concatenate(pieces.tiles))
         return None if found is None else change_in(tiles, texture, found)
     paint = paint_of(task.layer, task.opacity)
@@ -118,12 +120,12 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> OctreeTexture | None:
         near = with_boundary(tiles, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         layer = cut_out(task.layer, Tiles(level, near))
-        with workers(1) as alone:
-            own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=alone, progress=silent)
+        with workers(1) as one_worker:
+            own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
             made = merge_draft(
                 own, cut_out(texture, opened), _inside(paint_of(layer, task.opacity), near, level)
             )
-        return None if made is None else _kept(made, Tiles(level, tiles))
+        return None if made is None else _piece_of(made, Tiles(level, tiles))
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with sharing(task.executor) as pool:
@@ -161,8 +163,8 @@ def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
     ]
 
 
-def _kept(made: Merged, tiles: Tiles) -> _Piece:
-    """Return what is kept of a piece: its tiles."""
+def _piece_of(made: Merged, tiles: Tiles) -> _Piece:
+    """Return what a piece has in its tiles."""
     tree = made.texture.tree
     parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
     top = made.texture.with_cells(tree, {**made.texture.channels, **parts})

@@ -20,7 +20,6 @@ from octex.jit import inlined, kernel
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.resume import NOT_STORED, Stages
-from octex.painting.sight import most_ahead
 from octex.parallel import ordered_map, sharing
 from octex.photos.patches import beside, masked, patches_of, seen_at, sums_around, widths_of
 
@@ -61,8 +60,7 @@ def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED)
         mips, mask = source.shots[number].mips, _mask(found[number], far)
         return mips if mask.all() else masked(mips, mask)
 
-    with sharing(executor) as pool:
-        return source.with_mips(ordered_map(pool, agreed, numbers, window=most_ahead()))
+    return source.with_mips(agreed, executor)
 
 
 def _stored_differences(source: Projected, stages: Stages, number: int) -> Float32s:

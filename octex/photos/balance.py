@@ -11,8 +11,7 @@ from octex.jit import kernel
 from octex.painting.options import Balance
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
-from octex.painting.sight import Shot, most_ahead
-from octex.parallel import ordered_map, sharing
+from octex.painting.sight import Shot
 from octex.photos.consensus import agreed_step, robust_weights
 from octex.source.surface import Surface
 from octex.view.lens import distort
@@ -47,10 +46,7 @@ def balanced(
         mips, vignetting = source.shots[number].mips, numbers[number, 3:]
         return evened(mips, vignetting) if vignetting.any() else mips
 
-    with sharing(executor) as pool:
-        every = ordered_map(pool, lit, range(len(numbers)), window=most_ahead())
-        shots = source.with_mips(every).shots
-    pairs = zip(shots, gains, strict=True)
+    pairs = zip(source.with_mips(lit, executor).shots, gains, strict=True)
     return source.with_shots([shot._replace(gains=own) for shot, own in pairs])
 
 

@@ -64,8 +64,8 @@ class BestPaint(PaintSource):
             own = np.flatnonzero(shares[:, number] > 0)
             if not own.size:
                 continue
-            alone = self.source.with_shots([shot])
-            paint, weights = alone.each(triangles[own], barycentric[own], widths[own])
+            where = triangles[own], barycentric[own], widths[own]
+            paint, weights = self.source.with_shots([shot]).each(*where)
             share = np.where(weights[0] > 0, shares[own, number], np.float32(0))
             light = exposed(paint[0], self.exposures[sheets[own], number])
             sums[own] += share[:, None] * light[:, :components]
@@ -87,6 +87,6 @@ def best(
     paint, weights = source.each(*where, widths)
     graph = graph_of(sheets.pairs, sheets.ties, sheets.codes.size)
     labels = labelled(graph, sheets.codes, sheets.areas, costs_of(paint, weights, sheets.areas))
-    exposures = levelling(sheets.pairs, sheets.ties, sheets.codes, level, labels, paint, weights)
+    exposures = levelling(sheets, labels, paint, weights)
     shares, feathers = feathered(graph, labels, exposures, weights)
     return BestPaint(source, sheets, shares, feathers, np.arange(len(surface.triangles), dtype=np.int32))

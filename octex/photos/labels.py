@@ -14,6 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.jit import inlined, kernel
 from octex.painting.multigrid import Graph, added, coarser, graph_of, solve
+from octex.painting.sheets import Sheets
 
 #: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
 _QUALITY, _UNSEEN = 3.0, 1.0
@@ -247,22 +248,14 @@ def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
     return changed
 
 
-def levelling(
-    pairs: Int64s,
-    ties: Float64s,
-    codes: Int64s,
-    level: int,
-    labels: Int32s,
-    paint: Float32s,
-    weights: Float32s,
-) -> Float64s:
+def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s) -> Float64s:
     """Return the exposures (n, 3) of sheets, for `exposed`, by which pictures meet at their borders.
 
     Their steps across borders undo what the two pictures differ by there; else they change as little as may
     be from sheet to sheet, and are little themselves (least squares). The farther pictures differ, the less
     that tells: something is out of place. Nothing is asked for where neither of two sheets is seen by both.
     """
-    one, other = pairs.T
+    pairs, (one, other), codes = sheets.pairs, sheets.pairs.T, sheets.codes
     p, q = labels[one], labels[other]
     apart, count = np.zeros((len(pairs), 3)), np.zeros(len(pairs))
     for sheet in (one, other):
@@ -274,13 +267,13 @@ def levelling(
     apart /= np.maximum(count, 1)[:, None]
     apart[p == q] = 0.0
     tied = (p >= 0) & (q >= 0) & ((p == q) | (count > 0))
-    ties = ties / (1.0 + (np.abs(apart).max(axis=1) / _FAR) ** 2) ** 2
+    ties = sheets.ties / (1.0 + (np.abs(apart).max(axis=1) / _FAR) ** 2) ** 2
     right = np.zeros((codes.size, 3))
     for component in range(3):
         step = ties * tied * apart[:, component]
         right[:, component] = np.bincount(one, step, codes.size) - np.bincount(other, step, codes.size)
     graph = graph_of(pairs[tied], ties[tied], codes.size)
-    return solve(graph, codes, level, np.full(codes.size, _HOLD), right)
+    return solve(graph, codes, sheets.level, np.full(codes.size, _HOLD), right)
 
 
 def feathered(

@@ -14,8 +14,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
-from octex.painting.sight import Shot, most_ahead
-from octex.parallel import ordered_map, sharing
+from octex.painting.sight import Shot
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import medians
 from octex.photos.patches import PATCH, beside, masked, patches_of, seen_at, widths_of
@@ -35,11 +34,7 @@ def without_overexposed(given: Projected, evened: Projected, executor: Executor)
 
     ``given`` is the same as it was before.
     """
-    numbers = range(len(given.shots))
-    with sharing(executor) as pool:
-        return evened.with_mips(
-            ordered_map(pool, partial(_masked, given, evened), numbers, window=most_ahead())
-        )
+    return evened.with_mips(partial(_masked, given, evened), executor)
 
 
 def _masked(given: Projected, evened: Projected, number: int) -> Mips:

@@ -694,11 +694,11 @@ def test_one_level_serves_where_pixels_vary_little() -> None:
     found = wanted_depths(widths, areas, 1.0, 1.0)
     assert found == (7, 9, False)
     some = np.array([1 / 100, 1 / 180, 1 / 40, 1 / 400, 1 / 12, np.inf])
-    assert np.ceil(found.wanted(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
+    assert np.ceil(found.levels(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
     assert wanted_depths(widths[:-3], areas[:-3], 1.0, 1.0) == (7, 7, True)
     alone = wanted_depths(widths, areas, 1.0, 1.0, is_single=True)
     assert alone == (9, 9, False)
-    assert np.ceil(alone.wanted(some, 1.0, 1.0)).tolist() == [7, 9, 6, 9, 4, 0]
+    assert np.ceil(alone.levels(some, 1.0, 1.0)).tolist() == [7, 9, 6, 9, 4, 0]
     assert wanted_depths(widths, areas, 1.0, 1.0, 6) == (6, 6, True)
     assert wanted_depths(widths[:0], areas[:0], 1.0, 1.0) == (0, 0, True)
     surface, camera = ball(), above(4.0, 100)

@@ -78,7 +78,7 @@ def test_what_levels_borders_is_that_of_least_squares() -> None:
     labels = random.integers(-1, 3, count).astype(np.int32)
     paint = random.random((3, count, 3)).astype(np.float32)
     weights = (random.random((3, count)) < 0.7).astype(np.float32)
-    found = labelling.levelling(sheets.pairs, sheets.ties, sheets.codes, sheets.level, labels, paint, weights)
+    found = labelling.levelling(sheets, labels, paint, weights)
     expected = naive_labels.levelling(sheets.pairs, sheets.ties, labels, paint, weights, 1e-3)
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
@@ -111,7 +111,7 @@ def test_borders_of_other_exposures_are_levelled() -> None:
     paint = (gains * light).astype(np.float32)
     weights = np.ones((8, len(points)), np.float32)
     pairs = sheets.pairs
-    found = labelling.levelling(pairs, sheets.ties, sheets.codes, 5, labels, paint, weights)
+    found = labelling.levelling(sheets, labels, paint, weights)
     one, other = pairs[labels[pairs[:, 0]] != labels[pairs[:, 1]]].T
     own = np.take_along_axis(paint, labels[None, :, None], axis=0)[0]
     made = labelling.exposed(own, found) / light

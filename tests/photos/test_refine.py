@@ -54,9 +54,9 @@ def test_points_are_compared_at_the_coarsest_level_too() -> None:
     counts = []
     for level in (0, max(refine._LEVELS)):
         rim = refine._RIM * 2**level
-        says = refine._weights_at(source, samples.triangles, samples.barycentric, rim)
-        counts.append(np.count_nonzero(says))
-        for shot, own in zip(source.shots, says > 0, strict=True):
+        weights = refine._weights_at(source, samples.triangles, samples.barycentric, rim)
+        counts.append(np.count_nonzero(weights))
+        for shot, own in zip(source.shots, weights > 0, strict=True):
             assert (refine._margins(shot, samples.points[own]) >= rim).all()
     assert 0.1 * counts[0] < counts[1] < counts[0]
 
@@ -110,7 +110,7 @@ def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(pixels: f
 class _Told:
     """What three pictures show of 1000 points, and how much that tells of where the cameras are."""
 
-    says = np.ones((3, 1000))
+    weights = np.ones((3, 1000))
 
     def __init__(self, values: Array, tells: Array) -> None:
         self._values, self._tells = values, tells

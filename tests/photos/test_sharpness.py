@@ -168,4 +168,4 @@ def test_what_cannot_be_told_changes_nothing() -> None:
         source_of(surface, projections(images, cameras)),
     ):
         weighed = weighed_by_sharpness(source, surface)
-        assert (weighed._says == 1).all()
+        assert all(shot.weight == 1.0 for shot in weighed.shots)
