@@ -252,24 +252,24 @@ def averaged(
         average(after, channels[name], left[name], above.nodes)
     new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
     excess = split_in_vain(after, new_split)
-    is_told = averages_rows or excess.size < new_split.size
+    has_rows = averages_rows or excess.size < new_split.size
     stays = ~among(rows.cells, excess)
     texture = without_split(after, excess)
-    if is_told or excess.size:
-        own = {
+    if has_rows or excess.size:
+        copies = {
             name: each._replace(split_values=each.split_values.copy())
             for name, each in texture.channels.items()
         }
-        texture = texture.with_cells(texture.tree, own)
+        texture = texture.with_cells(texture.tree, copies)
         rows = rows_of(texture.tree.split, above.nodes.cells)
-        rows_left = {name: own.rows[stays] for name, own in left.items()}
-        if is_told:
-            for name in own.keys() - left.keys():
+        rows_left = {name: each.rows[stays] for name, each in left.items()}
+        if has_rows:
+            for name in copies.keys() - left.keys():
                 rows_left[name] = _residuals_before(draft, raised, name, above, rows).rows
         for name in _alpha_first(rows_left):
-            average_rows(texture, own[name], rows_left[name], above.nodes)
+            average_rows(texture, copies[name], rows_left[name], above.nodes)
     parts_left = without_split(base.with_cells(base.tree, parts), excess)
-    return Merged(texture, parts_left, is_fresh, is_new, painted, is_told, raised.added)
+    return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
 
 
 def _alpha_first(names: Iterable[str]) -> list[str]:

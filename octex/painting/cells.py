@@ -69,17 +69,9 @@ def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
         cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
         part = decode(coverage.values[cells], "data")[:, 0] * np.float32(opacity)
         has_paint = part > 0
-        cells = cells[has_paint]
-        own = codes[~is_node][has_paint]
-        found.append(
-            Paint(
-                own,
-                decode(values.values[cells], values.format.space),
-                part[has_paint],
-                cells,
-                flags[cells],
-            )
-        )
+        codes, cells = codes[~is_node][has_paint], cells[has_paint]
+        colors = decode(values.values[cells], values.format.space)
+        found.append(Paint(codes, colors, part[has_paint], cells, flags[cells]))
     return found
 
 

@@ -115,9 +115,9 @@ def paint(
     filling: Holes = "smooth" if holes is None else as_choice(holes, HOLES, "holes")
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     given = check_projections(projections)
-    ground = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
+    model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(threads, executor) as pool, room_for(given, memory, folder):
-        job = Job(ground, options, pool, as_progress(progress), stages_in(resume))
+        job = Job(model, options, pool, as_progress(progress), stages_in(resume))
         for made, _ in painted(job, texture, given, filling, layers):
             texture = made
     assert texture is not None
@@ -184,10 +184,10 @@ def project(
         channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
     )
     given = check_projections(projections)
-    ground = PaintedSurface(surface if like is None else surface.placed_in(like))
-    ground, given = laid_flat(ground, given, like)
+    model = PaintedSurface(surface if like is None else surface.placed_in(like))
+    model, given = laid_flat(model, given, like)
     with workers(threads, executor) as pool, room_for(given, memory, folder):
-        return layer_of(Job(ground, options, pool, as_progress(progress), stages_in(resume)), given, like)
+        return layer_of(Job(model, options, pool, as_progress(progress), stages_in(resume)), given, like)
 
 
 def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:

@@ -163,14 +163,11 @@ def window_of(
 def _window_of(
     projection: Projection, form: ChannelFormat, scale: float, around: int | None
 ) -> tuple[Mips, Window]:
-    size = width, height = projection.camera.width, projection.camera.height
-    texels = _texels(projection.image, "the image", size)
-    _check_size(texels, width, height, projection.name)
-    before = None
+    size = projection.camera.width, projection.camera.height
+    texels, before = _texels(projection.image, "the image", size), None
     if projection.since is not None:
         before = _texels(projection.since, "the picture as it was", size)
-        _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
-    window = Window(0, 0, width, height)
+    window = Window(0, 0, *size)
     if around is not None:
         has_paint = texels[:, :, 3] > 0
         if before is not None and before.dtype == texels.dtype:
@@ -190,7 +187,6 @@ def _window_of(
         factor = factor * (pixels != _decoded(window.of(before), form)).any(axis=2)
     if projection.mask is not None:
         mask = _texels(projection.mask, "the mask", size)
-        _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
         shown = _as_fractions(mask[:, :, 3])
         if (shown == 1.0).all():
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
@@ -254,24 +250,23 @@ def _name_of(image: Image, otherwise: str) -> str:
 
 
 def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
-    """Return the texels of an image, of a file turned upright if it then has a size (width, height)."""
-    if not is_path(image):
+    """Return the texels of an image of a size (width, height), of a file turned upright if that has it."""
+    if is_path(image):
+        texels, data = read_image_file(as_path(image, "image"))
+        upright = turned(texels, orientation_of(data))
+        texels = upright if upright.shape[1::-1] == size else texels
+    else:
         try:
-            return as_texels(image)  # type: ignore[arg-type]
+            texels = as_texels(image)  # type: ignore[arg-type]
         except ImageError as error:
             raise ImageError(f"{otherwise}: {error}") from None
-    texels, data = read_image_file(as_path(image, "image"))
-    upright = turned(texels, orientation_of(data))
-    return upright if upright.shape[1::-1] == size else texels
-
-
-def _check_size(texels: Array, width: int, height: int, name: str) -> None:
     rows, columns = texels.shape[:2]
-    if (columns, rows) != (width, height):
+    if (columns, rows) != size:
         raise ArgumentError(
-            f"{name} has {columns}×{rows} pixels, its camera {width}×{height}; scale the picture, or give "
-            "the camera that it was taken with"
+            f"{_name_of(image, otherwise)} has {columns}×{rows} pixels, its camera {size[0]}×{size[1]}; "
+            "scale the picture, or give the camera that it was taken with"
         )
+    return texels
 
 
 def _is_key(texels: npt.NDArray[np.uint16 | np.float32], key: Sequence[int]) -> Bools:

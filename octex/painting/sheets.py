@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.conversion.cells import BLOCK_BITS, SPREAD
 from octex.conversion.levels import Run, even_runs, on_grid, some_blocks
-from octex.conversion.pieces import Blocks, Pieces, bin_triangles, cut, most_pieces
+from octex.conversion.pieces import Blocks, bin_triangles, cut, most_pieces
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
@@ -137,13 +137,8 @@ def _columns_of(
 ) -> Columns:
     """Cut what lies in some blocks, and in the region if one is given."""
     pieces = cut(grid, faces, blocks, run.first_block, run.last_block, level, run.most, 0, SPREAD)
-    return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
-
-
-def _columns(pieces: Pieces, chosen: Bools | None) -> Columns:
-    """Return the columns of the pieces in chosen cells, or in all."""
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
-    some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])
+    some = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
     bits = bits_of(pieces.flags)[pieces.entries[some]]
     columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]
     return *columns, pieces.areas[some]

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.channels import ChannelFormat
 from octex.conversion.levels import on_grid
 from octex.errors import ArgumentError
@@ -53,15 +53,24 @@ class PaintedSurface:
 
     @cached_property
     def stretches(self) -> Float32s:
-        """See `stretches_of`."""
-        return stretches_of(self.surface.vertices, self.surface.rest, self.surface.triangles)
+        """How long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
+        vertices, rest, triangles = self.surface.vertices, self.surface.rest, self.surface.triangles
+        if rest is vertices:
+            return np.ones(len(triangles), np.float32)
+        (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stretches = np.sqrt(resting / posed)
+        return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
 
     @cached_property
     def shading(self) -> Shading:
-        """The normals that angles to cameras are measured to; see `shading_of`."""
-        if self._in_session and self.surface.frames is None:
-            return corner_normals(self.surface.vertices, self.surface.triangles).__getitem__
-        return shading_of(self.surface)
+        """The normals that angles to cameras are measured to: the surface's own, or `corner_normals`."""
+        mesh = self.surface.vertices, self.surface.triangles
+        if self.surface.frames is not None:
+            return partial(_normals_of_frames, self.surface)
+        if self._in_session:
+            return corner_normals(*mesh).__getitem__
+        return partial(corner_normals_of, positions=mesh[0], triangles=mesh[1])
 
     @cached_property
     def content(self) -> bytes:
@@ -115,23 +124,6 @@ def key_of(camera: Camera) -> bytes:
     numbers = camera.width, camera.height, camera.projection == "pinhole"
     parts = camera.world_to_camera, camera.K, camera.lens, numbers
     return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)
-
-
-def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
-    """Return how long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
-    if rest is vertices:
-        return np.ones(len(triangles), np.float32)
-    (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stretches = np.sqrt(resting / posed)
-    return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
-
-
-def shading_of(surface: Surface) -> Shading:
-    """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
-    if surface.frames is None:
-        return partial(corner_normals_of, positions=surface.vertices, triangles=surface.triangles)
-    return partial(_normals_of_frames, surface)
 
 
 def _normals_of_frames(surface: Surface, chosen: Int32s) -> Float32s:

@@ -21,7 +21,7 @@ from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
-from octex.photos.patches import beside, masked, patches_of, seen_at, sums_around, widths_of
+from octex.photos.patches import batches, beside, masked, patches_of, seen_at, sums_around, widths_of
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
@@ -39,8 +39,6 @@ _SUPPORT = 0.5
 _MAJORITY, _FILLED = 0.5, 0.3
 #: They are masked if most of the 5 × 5 patches around one of them, and at least so many, are far off.
 _CERTAIN = 8
-#: So many points of all pictures are looked at together.
-_POINTS = 1 << 20
 
 
 def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED) -> Projected:
@@ -75,9 +73,7 @@ def _differences(source: Projected, number: int) -> Float32s:
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
     own = source.with_shots([shot])
-    step = max(_POINTS // len(source.shots), 1)
-    for first in range(0, len(patches), step):
-        some = slice(first, first + step)
+    for some in batches(len(patches), len(source.shots)):
         where = triangles[some], barycentric[some]
         colors, weights = source.each(*where, widths_of(own, *where))
         found = np.empty_like(colors[number])

@@ -17,7 +17,7 @@ from octex.painting.project import Projected
 from octex.painting.sight import Shot
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import medians
-from octex.photos.patches import PATCH, beside, masked, patches_of, seen_at, widths_of
+from octex.photos.patches import PATCH, batches, beside, masked, patches_of, seen_at, widths_of
 
 #: From this light on a picture may be cut off: 250 of 255 codes.
 _CUT = 0.955
@@ -25,8 +25,6 @@ _CUT = 0.955
 _LIGHTER = 2.0
 #: Patches are pixels of this level.
 _LEVEL = PATCH.bit_length() - 1
-#: So many points of all pictures are looked at together.
-_POINTS = 1 << 20
 
 
 def without_overexposed(given: Projected, evened: Projected, executor: Executor) -> Projected:
@@ -47,9 +45,7 @@ def _masked(given: Projected, evened: Projected, number: int) -> Mips:
     widths = widths_of(given.with_shots([shot]), triangles, barycentric)
     is_wrong = np.zeros(rows * columns, np.bool_)
     others_see = np.ones(rows * columns, np.bool_)  # where no middle sees the surface, too
-    step = max(_POINTS // len(given.shots), 1)
-    for first in range(0, len(patches), step):
-        some = slice(first, first + step)
+    for some in batches(len(patches), len(given.shots)):
         where = triangles[some], barycentric[some], widths[some]
         is_wrong[patches[some]], others_see[patches[some]] = _compared(given, evened, number, *where)
     mask = ~beside(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)

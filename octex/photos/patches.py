@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import reduce
 
 import numpy as np
@@ -13,6 +14,8 @@ from octex.painting.project import Projected
 from octex.painting.sight import Shot
 from octex.view.lens import is_bent, undistort
 
+#: So many points of all pictures are read together.
+_POINTS = 1 << 20
 #: Pixels of a patch, each way.
 PATCH = 4
 
@@ -65,6 +68,13 @@ def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Fl
     totals = parts.sum(axis=1, keepdims=True)
     found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
     return found
+
+
+def batches(count: int, pictures: int) -> Iterator[slice]:
+    """Yield slices of points, so many that all pictures are read there together."""
+    step = max(_POINTS // pictures, 1)
+    for first in range(0, count, step):
+        yield slice(first, first + step)
 
 
 def beside(some: Bools) -> Bools:

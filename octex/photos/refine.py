@@ -26,7 +26,7 @@ from octex.painting.picture import Mips, Projection, check_projections, content_
 from octex.painting.project import Projected
 from octex.painting.reading import terms_of
 from octex.painting.resume import Stages, stages_in
-from octex.painting.sight import Shot, in_fixed_order, most_ahead
+from octex.painting.sight import Shot, most_ahead, order_key
 from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
 from octex.photos.agreement import agreeing
@@ -35,6 +35,7 @@ from octex.photos.consensus import agreed_step, consensus, robust_weights
 from octex.photos.poses import NUMBERS, Observations, adjusted, pixel_at
 from octex.source.surface import Surface, as_surface
 from octex.view.camera import Camera
+from octex.view.visibility import straight, view_of
 
 #: Points of the surface that are looked at. At the coarsest level so many of these are compared; at finer
 #: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
@@ -132,7 +133,12 @@ def _refined(
     surface = painted.surface
     decode = partial(mips_of, form=BASE_COLOR, stages=stages)
     mips = [stages.placed(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
-    order, fixed = _ordered(painted, cameras, mips, reference, pool)
+    keys = [
+        order_key(view_of(straight(camera)), camera.K, camera.lens, own)
+        for camera, own in zip(cameras, mips, strict=True)
+    ]
+    order = sorted(range(len(shown)), key=keys.__getitem__)
+    fixed = None if reference is None else order.index(reference)
     began, mips = [cameras[n] for n in order], [mips[n] for n in order]
     samples = surface.scatter(int(_share(len(order)) * _POINTS))
     scales = [pixel_at(camera, samples.points) for camera in began]
@@ -170,19 +176,6 @@ def _refined(
     report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
     return [found[number] for number in range(len(shown))]
-
-
-def _ordered(
-    painted: PaintedSurface,
-    cameras: list[Camera],
-    mips: list[Mips],
-    reference: int | None,
-    executor: Executor,
-) -> tuple[list[int], int | None]:
-    """Return the pictures' numbers in an order by what they hold, and which of these is the reference."""
-    shots = _source(painted, cameras, mips, executor).shots
-    order = [next(n for n, shot in enumerate(shots) if shot is each) for each in in_fixed_order(shots)]
-    return order, None if reference is None else order.index(reference)
 
 
 def _source(

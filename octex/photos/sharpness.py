@@ -13,10 +13,11 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.painting.project import Projected
+from octex.photos.patches import batches
 from octex.source.surface import Surface
 
-#: Points of the surface that are looked at, and how many points of pictures at once.
-_POINTS, _AT_ONCE = 40_000, 1 << 20
+#: Points of the surface that are looked at.
+_POINTS = 40_000
 #: Detail is what lies between so many pixels and twice that, of the coarsest picture that counts.
 _WIDTH = 2.0
 #: With how many others a picture is compared at least: of two none is right.
@@ -113,12 +114,10 @@ def _beside(details: Details, is_sharp: Bools) -> Float64s:
 def details_of(source: Projected, surface: Surface) -> Details:
     """Return what pictures show at points of the surface."""
     samples = surface.scatter(_POINTS)
-    step = max(_AT_ONCE // len(source.shots), 1)
     parts = []
-    for first in range(0, _POINTS, step):
-        where = samples.triangles[first : first + step], samples.barycentric[first : first + step]
-        part = _details_at(source, *where)
-        parts.append(part._replace(points=part.points + first))
+    for some in batches(_POINTS, len(source.shots)):
+        part = _details_at(source, samples.triangles[some], samples.barycentric[some])
+        parts.append(part._replace(points=part.points + some.start))
     return Details(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
