@@ -29,11 +29,8 @@ from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate
-from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import distinct
-from octex.tree.placement import Placement
 from octex.tree.split import rows_of
-from octex.view.shading import face_normals
 
 #: The channel that says where pictures have covered the surface.
 COVERED = "coverage"
@@ -158,12 +155,6 @@ def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Fl
     found = values.copy()
     found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
     return found
-
-
-def level_within(surface: Surface, placement: Placement, most: int) -> int:
-    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
-    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
-    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
 
 
 def _paint_on(layer: OctreeTexture, name: str, sheets: Sheets) -> tuple[Float64s, Float64s]:

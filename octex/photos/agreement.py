@@ -25,14 +25,14 @@ from octex.photos.patches import batches, beside, masked, patches_of, seen_at, s
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
-#: A picture's say grows with its weight, by this power: three that see a place aslant outvote one from ahead.
-_SAY = 0.125
+#: A picture's vote grows with its weight, by this power: three that see a place aslant outvote one ahead.
+_VOTE = 0.125
 #: Pictures differ by noise, and by what is out of place: more than so many times this quantile of their
 #: differences is another thing, which lies in this range of codes.
 _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
 #: So far apart, in codes, colours support each other by a fourth.
 _APART = 10.0
-#: A mode is none unless others say so too: this much of the picture's own say.
+#: A mode is none unless others vote so too: this much of the picture's own vote.
 _SUPPORT = 0.5
 #: Patches are unlike the others where so much of what is around is far off; where that is not known,
 #: where so much of it is filled in.
@@ -135,10 +135,10 @@ def nearness_of(codes: float) -> float:
 def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
     """Write the codes (n, 3) of the mode of pictures (pictures, n) where one sees; NaN where none is known.
 
-    The mode is the picture's colour which the others support most, each by its say.
+    The mode is the picture's colour which the others support most, each by its vote.
     """
     count = len(weights)
-    codes, says, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
+    codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
         found[n] = np.nan
         if not weights[own, n] > 0.0:
@@ -152,21 +152,21 @@ def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -
         if several < _LEAST:
             continue
         for i in range(count):
-            says[i] = np.float64(weights[i, n] / largest) ** _SAY if weights[i, n] > 0.0 else 0.0
-            supports[i] = says[i]
+            votes[i] = np.float64(weights[i, n] / largest) ** _VOTE if weights[i, n] > 0.0 else 0.0
+            supports[i] = votes[i]
             for component in range(3):
                 light = max(colors[i, n, component], np.float32(0.0))
                 codes[i, component] = np.float32(255.0) * np.sqrt(light)
-            for j in range(i if says[i] > 0.0 else 0):
-                if says[j] > 0.0:
+            for j in range(i if votes[i] > 0.0 else 0):
+                if votes[j] > 0.0:
                     near = nearness_of(_apart(codes, i, j))
-                    supports[i] += says[j] * near
-                    supports[j] += says[i] * near
+                    supports[i] += votes[j] * near
+                    supports[j] += votes[i] * near
         best = 0
         for i in range(count):
             if supports[i] > supports[best]:
                 best = i
-        if supports[best] - says[best] >= _SUPPORT * says[best]:
+        if supports[best] - votes[best] >= _SUPPORT * votes[best]:
             for component in range(3):
                 found[n, component] = codes[best, component]
 

@@ -9,11 +9,10 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.conversion.pieces import Blocks
-from octex.painting.holes import level_within
 from octex.painting.layer import PaintSource
 from octex.painting.multigrid import graph_of
 from octex.painting.project import Projected
-from octex.painting.sheets import Sheets, sheets_of
+from octex.painting.sheets import Sheets, level_within, sheets_of
 from octex.photos.labels import costs_of, exposed, feathered, labelled, levelling
 from octex.source.surface import Surface
 from octex.tree.placement import Placement
