@@ -179,20 +179,20 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         if finer.is_any:
             surface_cells = cull_cells(task, finer.leaves, _deepest(paint))
             task.progress("merge", 0, 1)
-            made = form_boundary(task, tree, paint, is_skirt, finer, surface_cells)
-            paint = made.paint
-            if any(codes.size for codes in (*made.wanted, *made.added)):
+            paint, *levels = form_boundary(task, tree, paint, is_skirt, finer, surface_cells)
+            wanted, _, added, _ = levels
+            if any(codes.size for codes in (*wanted, *added)):
                 with own_making():
-                    edited = raised(tree, made.wanted, made.stored, made.added, made.freed)
+                    edited = raised(tree, *levels)
     else:
         is_skirt = np.zeros(tree.n_cells, np.bool_)
         paint = paint[: _deepest(paint) + 1]
         edited = rebuilt(tree, [each.codes for each in paint])
         edited = edited._replace(old=np.full_like(edited.old, -1))  # its root stood for nothing
     with own_making():
-        texture = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
-        paint = refine_paint(paint, task.layer, texture.texture.tree, task.opacity)
-        return merge_paint(task, draft, texture, paint)
+        made = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
+        paint = refine_paint(paint, task.layer, made.texture.tree, task.opacity)
+        return merge_paint(task, draft, made, paint)
 
 
 def _deepest(paint: Sequence[Paint]) -> int:
