@@ -97,9 +97,10 @@ def refine_cameras(
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
         raise ArgumentError("patches are where they were laid; only cameras are refined")
+    painted, report = PaintedSurface(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras
-    painted, report, stages = PaintedSurface(as_surface(surface)), as_progress(progress), stages_in(resume)
+    stages = stages_in(resume)
     own = stages.of(
         lambda: [painted.content, [*map(content_of, shown), *map(key_of, cameras)], balance, reference]
     )
