@@ -23,7 +23,7 @@ The words
     layer       a texture that holds only paint: one channel, and its coverage as alpha
     patch       a disc of a surface, laid flat to be painted on in a picture
 
-The rooms, each of which knows only those before it
+The rooms, each of which knows only those before it (painting and photos know each other)
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of triangles and of clouds, how near meshes come
     field       what lies between the cells: which of them a lookup blends, and what weighs them
@@ -37,6 +37,7 @@ The rooms, each of which knows only those before it
     cameras     cameras, their lenses and their files
     view        what a camera sees: a z-buffer and the visibility of points
     painting    pictures projected into a paint octree, regions, layers; raising and merging
+    photos      what painting asks of several photographs first: masks, gains, weights; better cameras
     processing  textures from textures
     baking      textures to images at texture coordinates
     formats     files that are not our own
@@ -78,13 +79,13 @@ if TYPE_CHECKING:
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
     from octex.painting.painter import Painter as Painter
-    from octex.painting.pictures import Projection as Projection
-    from octex.painting.refine import refine_cameras as refine_cameras
+    from octex.painting.picture import Projection as Projection
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
     from octex.painting.unwrap import Patch as Patch
     from octex.painting.unwrap import unwrap as unwrap
+    from octex.photos.refine import refine_cameras as refine_cameras
     from octex.processing.blur import blur as blur
     from octex.processing.cast import cast as cast
     from octex.processing.combine import combine as combine
@@ -132,10 +133,10 @@ _EXPORTS = {
     "painting.merge": "merge",
     "painting.paint": "paint project",
     "painting.painter": "Painter",
-    "painting.pictures": "Projection",
-    "painting.refine": "refine_cameras",
+    "painting.picture": "Projection",
     "painting.region": "Box Sphere fill",
     "painting.unwrap": "Patch unwrap",
+    "photos.refine": "refine_cameras",
     "processing.blur": "blur",
     "processing.cast": "cast",
     "processing.combine": "combine mix",

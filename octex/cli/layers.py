@@ -19,7 +19,7 @@ from octex.files import open_file
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from octex.painting.pictures import Projection
+    from octex.painting.picture import Projection
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Complex128s, Float64s, Int64s
+from octex.painting.multigrid import conjugate_gradients
 
 #: The solver ends where what is left of the gradient is so much of the first.
 _LEFT = 1e-7
@@ -60,18 +61,7 @@ def _solved(weights: Complex128s, faces: Int64s, begun: Complex128s, held: Int64
 
     diagonal = np.bincount(rows, (np.abs(weights) ** 2).ravel(), count)
     inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
-    found, left = begun.copy(), -gradient(begun)
-    eased = inverse * left
-    step, power = eased.copy(), float(np.vdot(left, eased).real)
-    least = power * _LEFT**2
-    for _ in range(_MOST_STEPS):
-        if power <= least:
-            break
-        turned = gradient(step)
-        size = power / max(float(np.vdot(step, turned).real), 1e-300)
-        found += size * step
-        left -= size * turned
-        eased = inverse * left
-        before, power = power, float(np.vdot(left, eased).real)
-        step = eased + power / before * step
+    found: Complex128s = begun + conjugate_gradients(
+        gradient, -gradient(begun), lambda left: inverse * left, _LEFT, _MOST_STEPS
+    )
     return found

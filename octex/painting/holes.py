@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Literal, get_args
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,28 +16,21 @@ from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
-from octex.painting.layer import empty_texture
+from octex.painting.layer import COVERAGE, empty_texture
 from octex.painting.multigrid import added, graph_of, solve
+from octex.painting.options import Holes
 from octex.painting.sheets import Region, Sheets, sheets_of
-from octex.painting.source import COVERAGE
-from octex.painting.tilewise import paint_by_tiles
+from octex.painting.tiles import paint_by_tiles
 from octex.parallel import Progress
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate
-from octex.tree.layout import MAX_DEPTH
 from octex.tree.octree import distinct
-from octex.tree.placement import Placement
 from octex.tree.split import rows_of
-from octex.view.shading import face_normals
 from octex.voxelize.fragments import bin_triangles
 from octex.voxelize.grid import BLOCK_BITS, on_grid
-
-#: What becomes of a new texture where no picture saw the surface.
-Holes = Literal["leave", "smooth"]
-HOLES: tuple[Holes, ...] = get_args(Holes)
 
 #: The channel that says where pictures have covered the surface.
 COVERED = "coverage"
@@ -51,14 +44,18 @@ _BLOCK = 3
 _HOLD = 1e-9
 
 
-class Sheeted(Source):
+@dataclass(eq=False)
+class SheetValues(Source):
     """One value for each sheet of a surface, and one, the last, for all else."""
 
-    def __init__(self, form: ChannelFormat, sheets: Sheets, grid: Int32s, faces: Int32s, values: Float64s):
-        self._channels = (form,)
-        self._mesh = grid, faces
-        self._sheets = sheets
-        self._values = values.astype(np.float32)
+    form: ChannelFormat
+    sheets: Sheets
+    values: Float32s  # (sheets + 1, components)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channel of the values."""
+        return (self.form,)
 
     def evaluate(
         self,
@@ -67,7 +64,7 @@ class Sheeted(Source):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the values of the sheets that points are on."""
-        found: Float32s = self._values[self._sheets.at(*self._mesh, triangles, barycentric)]
+        found: Float32s = self.values[self.sheets.at(triangles, barycentric)]
         return found
 
 
@@ -93,8 +90,7 @@ def begun(
     values, coverage = _paint_on(layer, name, sheets)
     mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
-    grid = on_grid(surface.rest, layer.placement)
-    source = Sheeted(form, sheets, grid, surface.triangles, values)
+    source = SheetValues(form, sheets, values.astype(np.float32))
     part = surface.part(np.arange(len(surface.triangles)), source)
     made = cell_levels(part, (form,), layer.placement, level, executor, progress, has_samples=False)
     tree, channels = assemble((form,), made)
@@ -159,12 +155,6 @@ def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Fl
     found = values.copy()
     found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
     return found
-
-
-def level_within(surface: Surface, placement: Placement, most: int) -> int:
-    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
-    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
-    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
 
 
 def _paint_on(layer: OctreeTexture, name: str, sheets: Sheets) -> tuple[Float64s, Float64s]:

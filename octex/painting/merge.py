@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 
-import numpy as np
-
 from octex.channels import ALPHA
 from octex.checks import as_choice, as_number
-from octex.editing.draft import Change, Tiles, change_in, cut_out, tiles_around, with_alpha, with_channels_of
-from octex.errors import ArgumentError, own_making
-from octex.painting.blending import blend_paint
-from octex.painting.cells import channel_of, paint_of
-from octex.painting.ground import Ground
-from octex.painting.pictures import BLENDS, Blend
-from octex.painting.raising import raise_texture
-from octex.painting.tilewise import merge_by_tiles, pieces_of
+from octex.editing.draft import Change, with_alpha, with_channels_of
+from octex.errors import ArgumentError
+from octex.painting.blend import Merge
+from octex.painting.cells import channel_of
+from octex.painting.picture import BLENDS, Blend
+from octex.painting.surface import PaintedSurface
+from octex.painting.tiles import merge_layer
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -57,26 +54,22 @@ def merge(
     as_surface(surface)
     as_texture(texture)
     as_texture(layer, "layer")
-    ground = Ground(surface.placed_in(texture))
+    painted = PaintedSurface(surface.placed_in(texture))
     with workers(threads, executor) as pool:
-        change = merged(
-            texture, layer, ground, opacity=opacity, blend=blend, executor=pool, progress=progress
-        )
+        change = merged(texture, layer, painted, opacity, blend, pool, as_progress(progress))
     return texture if change is None else change.put_into(texture)
 
 
 def merged(
     texture: OctreeTexture,
     layer: OctreeTexture,
-    ground: Ground,
-    *,
+    surface: PaintedSurface,
     opacity: float,
     blend: Blend,
     executor: Executor,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Change | None:
     """Return the change that merging a layer makes, or None for none; see `merge`."""
-    report = as_progress(progress)
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
     form = channel_of(layer)
@@ -98,26 +91,5 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    pieces = pieces_of(texture, layer)
-    if pieces is not None:
-        with own_making():
-            found = merge_by_tiles(
-                texture, layer, pieces, ground, target=target, blend=blend, opacity=opacity,
-                executor=executor, progress=report,
-            )  # fmt: skip
-        if found is None:
-            return None
-        return change_in(Tiles(pieces.level, np.concatenate(pieces.tiles)), given, found)
-    paint = paint_of(layer, opacity)
-    if not any(each.codes.size for each in paint):
-        return None
-    tiles = tiles_around(texture, [each.codes for each in paint])
-    part = texture if tiles is None else cut_out(texture, tiles)
-    raised = raise_texture(part, texture, layer, paint, ground, executor, report, target=target, blend=blend)
-    if not any(each.codes.size for each in raised.paint):
-        return None
-    report("merge", 0, 1)
-    with own_making():
-        made = blend_paint(part, raised, layer, target, blend, opacity, executor).texture
-    report("merge", 1, 1)
-    return Change(tiles, with_channels_of(part, given), made)
+    change = merge_layer(Merge(texture, layer, surface, target, blend, opacity, executor, progress))
+    return change and change._replace(before=with_channels_of(change.before, given))

@@ -6,13 +6,16 @@ one node of the level above (aggregation; Notay 2010), so coarse levels never jo
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from octex.arrays import Float64s, Int64s
+from octex.arrays import Complex128s, Float64s, Int64s
 from octex.jit import kernel
 from octex.source.parts import join
+
+Values = TypeVar("Values", Float64s, Complex128s)
 
 #: The error is made less by this, in the norm of the energy; and after so many steps it is taken as it is.
 _LESS, _STEPS = 1e-6, 200
@@ -86,24 +89,47 @@ def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float6
         if not own.others.size:
             break  # each node is alone, and solved by itself
         own, hold = above_graph, added(above, hold, cells.size)
-    x = np.zeros_like(right)
-    residual = right.copy()
-    z = _cycle(levels, 0, residual)
-    direction = z.copy()
-    energy = (residual * z).sum(axis=0)
-    aim = _LESS**2 * energy
-    product = np.empty_like(right)
-    for _ in range(_STEPS):
+
+    def left_sides(x: Float64s) -> Float64s:
+        found = np.empty_like(x)
+        _apply(graph, levels[0].diagonal, x, found)
+        return found
+
+    return conjugate_gradients(left_sides, right, lambda residual: _cycle(levels, 0, residual), _LESS, _STEPS)
+
+
+def conjugate_gradients(
+    apply: Callable[[Values], Values],
+    right: Values,
+    eased: Callable[[Values], Values],
+    less: float,
+    steps: int,
+) -> Values:
+    """Return x with apply(x) = right, each column by itself, ``eased`` being nearly the inverse of ``apply``.
+
+    It ends where the error is so much ``less`` in the norm of the energy, or after so many steps.
+    """
+    x, residual = np.zeros_like(right), right.copy()
+    z = eased(residual)
+    direction, energy = z.copy(), _products(residual, z)
+    aim = less**2 * energy
+    for _ in range(steps):
         if (energy <= aim).all():
             break
-        _apply(graph, levels[0].diagonal, direction, product)
-        length = energy / np.maximum((direction * product).sum(axis=0), 1e-300)
+        product = apply(direction)
+        length = energy / np.maximum(_products(direction, product), 1e-300)
         x += length * direction
         residual -= length * product
-        z = _cycle(levels, 0, residual)
-        before, energy = energy, (residual * z).sum(axis=0)
+        z = eased(residual)
+        before, energy = energy, _products(residual, z)
         direction = z + energy / np.maximum(before, 1e-300) * direction
     return x
+
+
+def _products(one: Values, other: Values) -> Float64s:
+    """Return the real parts of the inner products of columns."""
+    found: Float64s = (np.conj(one) * other).real.sum(axis=0)
+    return found
 
 
 def _cycle(levels: list[_Level], at: int, right: Float64s) -> Float64s:

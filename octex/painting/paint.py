@@ -5,46 +5,46 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from functools import partial
+from dataclasses import astuple
 from itertools import groupby
-from typing import Literal, NamedTuple, TypedDict, cast, get_args
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from octex.cameras.camera import Camera
-from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
-from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
+from octex.channels import ChannelFormat
+from octex.checks import as_choice, as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.agreement import agreeing
-from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.best import best
-from octex.painting.ground import Ground, key_of, laid_flat
-from octex.painting.holes import HOLES, Holes, begun, with_coverage
-from octex.painting.layer import CELLS, FINEST_CELLS, rasterize_paint, wanted_levels
+from octex.painting.holes import begun, with_coverage
+from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
-from octex.painting.overexposed import without_overexposed
-from octex.painting.pictures import Projection, check_projections, content_of, room_for
-from octex.painting.projected import Projected, terms_of
-from octex.painting.resuming import Kept, kept_in
-from octex.painting.sharpness import weighed_by_sharpness
-from octex.painting.shots import AROUND, Shot, in_fixed_order, take_shots
-from octex.painting.source import PaintSource
+from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
+from octex.painting.picture import Projection, check_projections, content_of, room_for
+from octex.painting.reading import terms_of
+from octex.painting.resume import Stages, stages_in
+from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
+from octex.painting.steps import rasterize_surface
+from octex.painting.surface import PaintedSurface, key_of, laid_flat
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
-#: What becomes of several pictures that see a place.
-Pictures = Literal["average", "best", "robust"]
-PICTURES: tuple[Pictures, ...] = get_args(Pictures)
-
-#: Degrees from which on there is no paint: photographs blur what is seen so flatly, drawings do not.
-TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 #: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
 _DEEPEST = 14
 #: Cells of half a pixel are painted by pixels so far from them at most.
 _REACH = 4
+
+
+class Job(NamedTuple):
+    """What painting a call's pictures needs throughout."""
+
+    surface: PaintedSurface
+    options: PaintOptions
+    executor: Executor
+    progress: Progress
+    stages: Stages
 
 
 def paint(
@@ -109,68 +109,44 @@ def paint(
     pictures. (Benson & Davis 2002, 4.1 and 4.2.)
     """
     as_surface(surface)
-    ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
-    options: Options = {
-        "channel": channel, "max_depth": max_depth, "max_angle": max_angle, "edge_feather": edge_feather,
-        "pictures": pictures, "balance": balance, "reference": reference, "back_faces": back_faces,
-        "fit": fit,
-    }  # fmt: skip
-    if holes is not None:
-        as_choice(holes, HOLES, "holes")
+    options = PaintOptions(
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
+    )
+    filling: Holes = "smooth" if holes is None else as_choice(holes, HOLES, "holes")
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     given = check_projections(projections)
+    model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(threads, executor) as pool, room_for(given, memory, folder):
-        steps = painted(
-            texture, ground, given, pool, as_progress(progress), options, holes, layers, kept_in(resume)
-        )
-        for made, _ in steps:
+        job = Job(model, options, pool, as_progress(progress), stages_in(resume))
+        for made, _ in painted(job, texture, given, filling, layers):
             texture = made
     assert texture is not None
     return with_coverage(texture, layers) if layers else texture
 
 
-class Options(TypedDict, total=False):
-    """What `paint` and `project` may be told; see there."""
-
-    channel: str
-    max_depth: int | None
-    max_angle: float | None
-    edge_feather: float
-    pictures: Pictures | None
-    balance: Balance | None
-    reference: int | None
-    back_faces: bool
-    fit: bool
-
-
 def painted(
+    job: Job,
     texture: OctreeTexture | None,
-    ground: Ground,
-    projections: Projection | Sequence[Projection],
-    executor: Executor,
-    progress: Progress,
-    options: Options,
-    holes: Holes | None = None,
+    projections: list[Projection],
+    holes: Holes = "smooth",
     layers: list[OctreeTexture] | None = None,
-    kept: Kept | None = None,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed.
 
     The layers are appended to ``layers`` if that is given.
     """
-    ground, given = laid_flat(ground, check_projections(projections), texture)
-    for blend, group in groupby(given, key=lambda projection: projection.blend):
+    surface, projections = laid_flat(job.surface, projections, texture)
+    job = job._replace(surface=surface)
+    for blend, group in groupby(projections, key=lambda projection: projection.blend):
         pictures = list(group)
-        opacity = max(picture.opacity for picture in pictures)
-        layer = projected(ground, pictures, texture, executor, progress, options, kept)
+        layer = layer_of(job, pictures, texture)
         if texture is None:
-            texture = begun(layer, ground.surface, holes or "smooth", executor, progress)
+            texture = begun(layer, surface.surface, holes, job.executor, job.progress)
             blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
         if layers is not None:
             layers.append(layer)
-        change = merged(
-            texture, layer, ground, opacity=opacity, blend=blend, executor=executor, progress=progress
-        )
+        opacity = max(picture.opacity for picture in pictures)
+        change = merged(texture, layer, surface, opacity, blend, job.executor, job.progress)
         texture = texture if change is None else change.put_into(texture)
         yield texture, change
 
@@ -204,159 +180,83 @@ def project(
     ``paint``.
     """
     as_surface(surface)
-    given = check_projections(projections)
-    options: Options = {
-        "channel": channel, "max_depth": max_depth, "max_angle": max_angle, "edge_feather": edge_feather,
-        "pictures": pictures, "balance": balance, "reference": reference, "back_faces": back_faces,
-        "fit": fit,
-    }  # fmt: skip
-    ground, given = laid_flat(Ground(surface if like is None else surface.placed_in(like)), given, like)
-    with workers(threads, executor) as pool, room_for(given, memory, folder):
-        return projected(ground, given, like, pool, as_progress(progress), options, kept_in(resume))
-
-
-def projected(
-    ground: Ground,
-    given: Sequence[Projection],
-    like: OctreeTexture | None,
-    executor: Executor,
-    report: Progress,
-    options: Options,
-    kept: Kept | None = None,
-) -> OctreeTexture:
-    """Project pictures as `project` does, onto a surface that was prepared."""
-    wanted = _checked(_Wanted(**options), given)
-    form = format_of(like, wanted.channel)
-    task = ground, given, like, form, wanted, executor, report
-    if kept is None:
-        return _projected(*task)
-    shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in given]
-    own = kept.of(ground.content, like and like.placement, form, shown, *wanted)
-    return own.texture("layer", partial(_projected, *task, kept, own))
-
-
-class _Wanted(NamedTuple):
-    """What is asked of paint, as `paint` takes it; once checked ``max_angle`` is a number."""
-
-    channel: str = BASE_COLOR.name
-    max_depth: int | None = None
-    max_angle: float | None = None
-    edge_feather: float = 0.0
-    pictures: Pictures | None = None
-    balance: Balance | None = None
-    reference: int | None = None
-    back_faces: bool = False
-    fit: bool = True
-
-
-def _checked(wanted: _Wanted, given: Sequence[Projection]) -> _Wanted:
-    """Return what is asked of paint by these pictures, in range."""
-    _, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit = wanted
-    usual = DRAWN_ANGLE if all(each.since is not None for each in given) else TAKEN_ANGLE
-    return wanted._replace(
-        max_depth=None if max_depth is None else as_depth(max_depth, "max_depth"),
-        max_angle=as_number(usual if max_angle is None else max_angle, "max_angle", 0.0, 180.0),
-        edge_feather=as_number(edge_feather, "edge_feather", 0.0, 1e6),
-        pictures=None if pictures is None else as_choice(pictures, PICTURES, "pictures"),
-        balance=None if balance is None else as_choice(balance, BALANCES, "balance"),
-        reference=None if reference is None else as_whole(reference, "reference", 0, len(given) - 1),
-        back_faces=as_flag(back_faces, "back_faces"),
-        fit=as_flag(fit, "fit"),
+    options = PaintOptions(
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
     )
+    given = check_projections(projections)
+    model = PaintedSurface(surface if like is None else surface.placed_in(like))
+    model, given = laid_flat(model, given, like)
+    with workers(threads, executor) as pool, room_for(given, memory, folder):
+        return layer_of(Job(model, options, pool, as_progress(progress), stages_in(resume)), given, like)
 
 
-def _projected(
-    ground: Ground,
-    given: Sequence[Projection],
-    like: OctreeTexture | None,
-    form: ChannelFormat,
-    wanted: _Wanted,
-    executor: Executor,
-    report: Progress,
-    kept: Kept | None = None,
-    own: Kept | None = None,
+def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:
+    """Project pictures of one layer as `project` does."""
+    options = job.options.of(pictures)
+    job = job._replace(options=options)
+    form = format_of(like, options.channel)
+
+    def parts() -> list[Any]:
+        shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in pictures]
+        return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
+
+    own = job.stages.of(parts)
+    return own.texture("layer", lambda: _layer_of(job, pictures, like, own))
+
+
+def _layer_of(
+    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, stages: Stages
 ) -> OctreeTexture:
-    """Project pictures; ``own`` is what is ``kept`` of them all."""
-    surface, pictures, balance, reference = ground.surface, wanted.pictures, wanted.balance, wanted.reference
-    deepest = _DEEPEST if wanted.max_depth is None else wanted.max_depth
-    terms = terms_of(cast(float, wanted.max_angle), wanted.edge_feather, wanted.back_faces)
-    largest = max(projection.opacity for projection in given) or 1.0
-    report("look", 0, len(given))
-    scales = [projection.opacity / largest for projection in given]
-    is_alone = len(given) == 1
-    around = AROUND if is_alone and wanted.edge_feather < AROUND else None
-    taken = partial(_taken, ground, given, form, scales, wanted.edge_feather, executor, report, kept)
-    shots = taken(around)
-    chosen = None if reference is None else shots[reference]
+    """Return the layer of pictures; ``stages`` are those of what was made from all of them."""
+    (painted, options, executor, progress, _), surface = job, job.surface.surface
+    form = format_of(like, options.channel)
+    is_single = len(pictures) == 1
+    around = AROUND if is_single and options.edge_feather < AROUND else None
+    shots = _look(job, form, pictures, around)
+    reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
-    mesh = surface.vertices, surface.triangles
-    source = Projected(shots, form, terms, *mesh, ground.stretches, shading=ground.shading)
-    extent = float(np.ptp(surface.bounds, axis=0).max())
-    size = like.placement.size if like is not None else extent
-    cells = CELLS if wanted.max_depth is None else FINEST_CELLS
+    terms = terms_of(cast(float, options.max_angle), options.edge_feather, options.back_faces)
+    source = painted.projected(shots, form, terms)
     near = source.near_paint(_REACH)
+    size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
+    cells, most = CELLS, _DEEPEST
+    if options.max_depth is not None:
+        cells, most = FINEST_CELLS, options.max_depth
     footprints = near.footprints()
-    finest = wanted_levels(*footprints, size, FINEST_CELLS, is_alone=is_alone).deepest
-    depths = wanted_levels(*footprints, size, cells, deepest, is_alone=is_alone)
+    finest = wanted_depths(*footprints, size, FINEST_CELLS, is_single=is_single).deepest
+    depths = wanted_depths(*footprints, size, cells, most, is_single=is_single)
     depth = depths.deepest
-    # Larger cells look farther around: by as many pixels as they are wide, and those of the level read.
+    # Larger cells look farther around: by as many pixels as they are wide, and those of the mip read.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(taken(None))
+        source = source.with_shots(_look(job, form, pictures, None))
     source = near if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
-    number = next((number for number, shot in enumerate(shots) if shot is chosen), None)
-    if balance is not None and len(shots) > 1:
-        evened = balanced(source, surface, balance, number, executor)
-        source = without_overexposed(source, evened, executor)
-    if pictures in ("robust", "best") or (pictures is None and len(shots) > 2):
-        source = agreeing(source, executor, own)
-        if balance is not None and len(shots) > 1:  # again, without what only one of them saw
-            source = balanced(source, surface, balance, number, executor)
-    source = weighed_by_sharpness(source, surface)
     paint: PaintSource = source
-    if pictures == "best" and len(shots) > 1:
-        paint = best(source, surface, placement, depth, executor)
-    return rasterize_paint(
-        ground, paint, placement, depths, fit=wanted.fit, cells=cells, executor=executor, progress=report
+    if not is_single:
+        from octex.photos.weigh import weighed  # a single picture has none of it
+
+        number = next((number for number, shot in enumerate(shots) if shot is reference), None)
+        paint = weighed(source, surface, options, number, placement, depth, executor, stages)
+    return rasterize_surface(
+        painted, paint, placement, depths, fit=options.fit, cells=cells, executor=executor, progress=progress
     )
 
 
-def _taken(
-    ground: Ground,
-    given: Sequence[Projection],
-    form: ChannelFormat,
-    scales: Sequence[float],
-    feather: float,
-    executor: Executor,
-    report: Progress,
-    kept: Kept | None,
-    around: int | None,
-) -> list[Shot]:
-    """Return pictures and what their cameras see, or of that what is within ``around`` pixels of paint."""
-    sights = ground.sights([cast(Camera, each.camera) for each in given], feather, executor, kept)
+def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around: int | None) -> list[Shot]:
+    """Return pictures and what their cameras see, or the part of that within ``around`` pixels of paint."""
+    cameras = [cast(Camera, each.camera) for each in pictures]
+    sights = job.surface.sights(cameras, job.options.edge_feather, job.executor, job.stages)
+    largest = max(each.opacity for each in pictures) or 1.0
+    scales = [each.opacity / largest for each in pictures]
+    job.progress("look", 0, len(pictures))
     shots = []
-    for shot in take_shots(given, form, scales, sights, executor, around=around, kept=kept):
+    for shot in take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages):
         shots.append(shot)
-        report("look", len(shots), len(given))
+        job.progress("look", len(shots), len(pictures))
     return shots
-
-
-def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
-    """Return how a channel is stored, in a texture or in a new one."""
-    if texture is not None:
-        as_texture(texture)
-        as_choice(channel, texture.channels, "channel of the texture")
-        form = texture.channels[channel].format
-    else:
-        form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
-    if channel == ALPHA.name:
-        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of pictures')
-    if form.components > 3:
-        raise ArgumentError(f"channel {channel!r} has {form.components} components; pictures have three")
-    return form
 
 
 def check_inside(surface: Surface, placement: Placement) -> None:

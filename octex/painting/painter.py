@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Unpack
 
 import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.painting.ground import Ground
-from octex.painting.merge import merged
-from octex.painting.paint import Options, painted
-from octex.painting.pictures import Blend, Projection
-from octex.painting.region import Region, region_layer
+from octex.painting.options import Balance, PaintOptions, Pictures
+from octex.painting.paint import Job, painted
+from octex.painting.picture import Blend, Projection, check_projections
+from octex.painting.region import Fill, Region, filled
+from octex.painting.resume import NOT_STORED
+from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, as_progress, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -39,7 +39,7 @@ class Painter:
         as_surface(surface)
         self._texture = as_texture(texture)
         self._surface = surface
-        self._ground = Ground(surface.placed_in(texture), keeps=True)
+        self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
         self._done: list[Stroke] = []
         self._undone: list[Stroke] = []
 
@@ -56,22 +56,31 @@ class Painter:
         self,
         projections: Projection | Sequence[Projection],
         *,
+        channel: str = BASE_COLOR.name,
+        max_depth: int | None = None,
+        max_angle: float | None = None,
+        edge_feather: float = 0.0,
+        pictures: Pictures | None = None,
+        balance: Balance | None = None,
+        reference: int | None = None,
+        back_faces: bool = False,
+        fit: bool = True,
         threads: int | None = None,
         executor: Executor | None = None,
         progress: Progress | None = None,
-        **options: Unpack[Options],
     ) -> Stroke:
         """Paint pictures as ``octex.paint`` does, with its options; return the changes.
 
         They are empty where nothing is painted. Undone strokes can then no longer be redone. Raises what
         ``octex.paint`` raises; the texture then stays as it was.
         """
-        changes = []
-        texture = self._texture
+        options = PaintOptions(
+            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
+        )
+        changes, texture = [], self._texture
         with workers(threads, executor) as pool:
-            for made, change in painted(
-                texture, self._ground, projections, pool, as_progress(progress), options
-            ):
+            job = Job(self._painted, options, pool, as_progress(progress), NOT_STORED)
+            for made, change in painted(job, texture, check_projections(projections)):
                 texture = made
                 changes.append(change)
         return self._did(texture, changes)
@@ -90,15 +99,9 @@ class Painter:
         progress: Progress | None = None,
     ) -> Stroke:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
-        report = as_progress(progress)
+        wanted, report = Fill(region, color, channel, opacity, blend, max_depth), as_progress(progress)
         with workers(threads, executor) as pool:
-            _, layer = region_layer(
-                self._texture, self._ground, self._surface, region, color, channel, max_depth, pool, report
-            )
-            change = merged(
-                self._texture, layer, self._ground, opacity=opacity, blend=blend, executor=pool,
-                progress=report,
-            )  # fmt: skip
+            _, change = filled(self._texture, self._painted, self._surface, wanted, pool, report)
         return self._did(self._texture if change is None else change.put_into(self._texture), [change])
 
     def undo(self) -> bool:

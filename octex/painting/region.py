@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,14 +13,16 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
+from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.functions import answer
-from octex.painting.ground import Ground
-from octex.painting.layer import Levels, empty_texture, rasterize_paint
+from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import merged
-from octex.painting.paint import check_inside, format_of
-from octex.painting.pictures import BLENDS, Blend
-from octex.painting.source import PaintSource
+from octex.painting.options import format_of
+from octex.painting.paint import check_inside
+from octex.painting.picture import BLENDS, Blend
+from octex.painting.steps import rasterize_surface
+from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, as_progress, workers
 from octex.source.corners import at_corners
 from octex.source.surface import Surface, as_surface
@@ -128,73 +131,76 @@ def fill(
     """
     as_surface(surface)
     report = as_progress(progress)
-    ground = Ground(surface if texture is None else surface.placed_in(as_texture(texture)))
-    opacity = as_number(opacity, "opacity", 0.0, 1.0)
-    as_choice(blend, BLENDS, "blend")
+    painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
+    wanted = Fill(region, color, channel, opacity, blend, max_depth)
     with workers(threads, executor) as pool:
-        base, layer = region_layer(texture, ground, surface, region, color, channel, max_depth, pool, report)
-        change = merged(base, layer, ground, opacity=opacity, blend=blend, executor=pool, progress=report)
+        base, change = filled(texture, painted, surface, wanted, pool, report)
     return base if change is None else change.put_into(base)
 
 
-def region_layer(
+class Fill(NamedTuple):
+    """What is filled; see `fill`."""
+
+    region: Region
+    color: npt.ArrayLike
+    channel: str
+    opacity: float
+    blend: Blend
+    max_depth: int | None
+
+
+def filled(
     texture: OctreeTexture | None,
-    ground: Ground,
+    painted: PaintedSurface,
     surface: Surface,
-    region: Region,
-    color: npt.ArrayLike,
-    channel: str,
-    max_depth: int | None,
+    wanted: Fill,
     executor: Executor,
     progress: Progress,
-) -> tuple[OctreeTexture, OctreeTexture]:
-    """Return the texture to fill, a new one for None, and the layer that fills the region; see `fill`.
+) -> tuple[OctreeTexture, Change | None]:
+    """Return the texture to fill, a new one for None, and the change that filling makes; see `fill`.
 
-    ``surface`` is the one whose rest positions the region is of, ``ground`` where the texture has it.
+    ``surface`` is the one whose rest positions the region is of, ``painted`` where the texture has it.
     """
-    form = format_of(texture, channel)
-    value = _value(form, color)
-    if max_depth is not None:
-        depth = as_depth(max_depth, "max_depth")
+    opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
+    as_choice(wanted.blend, BLENDS, "blend")
+    form = format_of(texture, wanted.channel)
+    value = _value(form, wanted.color)
+    if wanted.max_depth is not None:
+        depth = as_depth(wanted.max_depth, "max_depth")
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
-    check_inside(ground.surface, placement)
-    layer = rasterize_paint(
-        ground, source, placement, Levels(depth, depth), fit=False, executor=executor, progress=progress
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
+    check_inside(painted.surface, placement)
+    layer = rasterize_surface(
+        painted, source, placement, Depths(depth, depth), fit=False, executor=executor, progress=progress
     )
-    return texture or empty_texture([form], placement, ground.surface.bounds, ground.surface), layer
+    base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
+    return base, merged(base, layer, painted, opacity, wanted.blend, executor, progress)
 
 
+@dataclass(eq=False)
 class RegionSource(PaintSource):
-    """One value; ``covers`` says where of rest positions, ``chosen`` (m,) on which triangles at all."""
+    """One value over a region."""
 
-    def __init__(
-        self,
-        form: ChannelFormat,
-        value: Float32s,
-        rest: Float64s,
-        triangles: Int32s,
-        chosen: Bools,
-        covers: RegionFunction,
-    ) -> None:
-        super().__init__(form)
-        self._value = value
-        self._mesh = rest, triangles
-        self._chosen = chosen
-        self._covers = covers
+    form: ChannelFormat
+    value: Float32s  # (components,)
+    rest: Float64s  # (n, 3)
+    triangles: Int32s  # (m, 3)
+    chosen: Bools  # (m,)   the triangles that it may cover
+    covers: RegionFunction
+
+    def __post_init__(self) -> None:
+        """Take the channel that is painted."""
+        super().__init__(self.form)
 
     def touched(self) -> Int32s:
         """Return the triangles that may be covered."""
-        return np.flatnonzero(self._chosen).astype(np.int32)
+        return np.flatnonzero(self.chosen).astype(np.int32)
 
     def on(self, chosen: Int32s) -> RegionSource:
         """Return the same for some of the triangles."""
-        rest, triangles = self._mesh
-        return RegionSource(
-            self._channels[0], self._value, rest, triangles[chosen], self._chosen[chosen], self._covers
-        )
+        return replace(self, triangles=self.triangles[chosen], chosen=self.chosen[chosen])
 
     def evaluate(
         self,
@@ -203,12 +209,15 @@ class RegionSource(PaintSource):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the value and its coverage (n, components + 1)."""
-        rest, faces = self._mesh
-        found = np.zeros((len(triangles), len(self._value) + 1), np.float32)
-        found[:, :-1] = self._value
-        own = np.flatnonzero(self._chosen[triangles])
-        points = at_corners(rest, faces[triangles[own]], barycentric[own])
-        found[own, -1] = _checked(self._covers, points)
+        found = np.zeros((len(triangles), len(self.value) + 1), np.float32)
+        found[:, :-1] = self.value
+        own = np.flatnonzero(self.chosen[triangles])
+        if own.size:
+            points = at_corners(self.rest, self.triangles[triangles[own]], barycentric[own])
+            shape = (len(points),)
+            found[own, -1] = answer(
+                self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
+            )
         return found
 
 
@@ -251,12 +260,3 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
 
 def _everywhere(points: Float64s) -> npt.ArrayLike:
     return np.ones(len(points))
-
-
-def _checked(function: RegionFunction, points: Float64s) -> Float32s:
-    """Call a region's function; refuse what is no coverage."""
-    if not len(points):
-        return np.empty(0, np.float32)
-    where = points.__getitem__
-    found = answer(function, [points], [(len(points),)], "region", where, least=0.0, most=1.0)
-    return found.astype(np.float32)

@@ -21,13 +21,13 @@ from octex.source.surface import Surface
 from octex.source.welding import welded
 from octex.tree import morton
 from octex.tree.edit import among, first_not_below
-from octex.tree.layout import GRID_BITS
+from octex.tree.layout import GRID_BITS, MAX_DEPTH
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
+from octex.view.shading import face_normals
 from octex.voxelize.fragments import (
     Blocks,
-    Fragments,
     Run,
     bin_triangles,
     cut,
@@ -84,14 +84,13 @@ class Sheets(NamedTuple):
     table: Table
     pairs: Int64s  # (k, 2)   neighbours, the smaller number first, ascending
     ties: Float64s  # (k,)   one over how far apart they are, in cells
+    grid: Int32s  # (v, 3)   the surface's vertices in steps of 2⁻³⁰ of the root's edge
+    faces: Int32s  # (m, 3)   its triangles
 
-    def at(self, grid: Int32s, faces: Int32s, triangles: Int32s, barycentric: Float64s) -> Int64s:
-        """Return the sheets that points (n,) are on: of their triangle in their cell or beside it; else −1.
-
-        ``grid`` are the surface's vertices in steps of 2⁻³⁰ of the root's edge.
-        """
+    def at(self, triangles: Int32s, barycentric: Float64s) -> Int64s:
+        """Return the sheets that points (n,) are on: of their triangle, in their cell or beside; else −1."""
         found = np.empty(len(triangles), np.int64)
-        _find(self.table, self.level, grid, faces, triangles, barycentric, found)
+        _find(self.table, self.level, self.grid, self.faces, triangles, barycentric, found)
         return found
 
 
@@ -136,7 +135,15 @@ def sheets_of(
         table,
         pairs,
         1.0 / np.maximum(apart, _NEAR),
+        grid,
+        faces,
     )
+
+
+def level_within(surface: Surface, placement: Placement, most: int) -> int:
+    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
+    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
+    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
 
 
 def _columns_of(
@@ -144,13 +151,8 @@ def _columns_of(
 ) -> Columns:
     """Cut what lies in some blocks, and in the region if one is given."""
     pieces = cut(grid, faces, blocks, run, level)
-    return _columns(pieces, None if within is None else within.holds(pieces.codes, level))
-
-
-def _columns(pieces: Fragments, chosen: Bools | None) -> Columns:
-    """Return the columns of the pieces in chosen cells, or in all."""
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
-    some = slice(None) if chosen is None else np.flatnonzero(chosen[owners])
+    some = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
     bits = bits_of(pieces.flags)[pieces.entries[some]]
     columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]
     return *columns, pieces.areas[some]

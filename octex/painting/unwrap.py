@@ -9,6 +9,7 @@ maps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 import numpy.typing as npt
@@ -222,23 +223,23 @@ def _propagate(
 
     Where triangles are not acute, a vertex may be nearer than one that its ray passes: it is corrected later.
     """
-    heap = np.empty(distances.size, np.int64)
-    places = np.full(distances.size, -1, np.int64)
-    given = np.zeros(distances.size, np.bool_)
-    count = 0
+    is_given = np.zeros(distances.size, np.bool_)
+    waiting = [(distances[known[0]], known[0])]
     for k in range(known.size):
-        given[known[k]] = True
-        count = _raise(heap, places, count, distances, known[k])
-    while count > 0:
-        vertex = heap[0]
-        count = _pop(heap, places, count, distances)
-        if distances[vertex] > reach:
+        is_given[known[k]] = True
+        if k:
+            heappush(waiting, (distances[known[k]], known[k]))
+    while waiting:
+        distance, vertex = heappop(waiting)
+        if distance > reach:
             break
+        if distance > distances[vertex]:  # it has come nearer meanwhile
+            continue
         for at in range(first[vertex], first[vertex + 1]):
             face = around[at]
             for corner in range(3):
                 other = faces[face, corner]
-                if other == vertex or given[other]:
+                if other == vertex or is_given[other]:
                     continue
                 third = faces[face, 0] + faces[face, 1] + faces[face, 2] - vertex - other
                 if third == vertex or third == other:  # noqa: SIM109  (kernels have no such tuples)
@@ -247,7 +248,7 @@ def _propagate(
                 distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two)
                 if distance < distances[other] * (1.0 - 1e-12):
                     distances[other], angles[other] = distance, angle
-                    count = _raise(heap, places, count, distances, other)
+                    heappush(waiting, (distance, other))
 
 
 @inlined
@@ -285,56 +286,13 @@ def _stepped(
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
 
 
-@inlined
-def _raise(heap: Int64s, places: Int64s, count: int, distances: Float64s, vertex: int) -> int:
-    """Move a vertex that has come nearer up in a binary heap, into which it is put if it is not there.
-
-    ``places`` (vertices,) say where vertices are in the heap, −1 if they are not. Returns its size.
-    """
-    at = places[vertex]
-    if at < 0:
-        at = count
-        count += 1
-    while at > 0 and distances[heap[(at - 1) >> 1]] > distances[vertex]:
-        heap[at] = heap[(at - 1) >> 1]
-        places[heap[at]] = at
-        at = (at - 1) >> 1
-    heap[at], places[vertex] = vertex, at
-    return count
-
-
-@inlined
-def _pop(heap: Int64s, places: Int64s, count: int, distances: Float64s) -> int:
-    """Take the nearest vertex, the first, out of a binary heap; return its size."""
-    count -= 1
-    places[heap[0]] = -1
-    if count == 0:
-        return 0
-    vertex, at = heap[count], 0
-    while 2 * at + 1 < count:
-        child = 2 * at + 1
-        if child + 1 < count and distances[heap[child + 1]] < distances[heap[child]]:
-            child += 1
-        if distances[heap[child]] >= distances[vertex]:
-            break
-        heap[at] = heap[child]
-        places[heap[at]] = at
-        at = child
-    heap[at], places[vertex] = vertex, at
-    return count
-
-
-def _edges(faces: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the distinct edges (k, 2), lower vertex first, and how many triangles have each."""
+def _border_vertices(faces: Int64s, count: int) -> Bools:
+    """Say which vertices are on edges of one triangle alone."""
     ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
-    return np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1), counts
-
-
-def _border_vertices(faces: Int64s, count: int) -> Bools:
-    ends, counts = _edges(faces)
+    alone = keys[counts == 1]
     border = np.zeros(count, np.bool_)
-    border[ends[counts == 1]] = True
+    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
     return border
 
 

@@ -26,7 +26,7 @@ from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
 from tests.make.command import OUT, VIEW, colored_box, painting, python
-from tests.make.same import assert_same
+from tests.make.same import assert_equal, assert_same
 
 SIZE = 40
 SQUARE = (16, 16, 23, 23)  # in the picture's middle, on the box: left, top, right, bottom, all inside
@@ -95,6 +95,13 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 # --- painting
+
+
+def assert_painted(one: octex.OctreeTexture, other: octex.OctreeTexture) -> None:
+    """Two textures are the same, and lie in the same place; a command's metadata say more."""
+    assert_same(one, other)
+    assert one.placement == other.placement
+    np.testing.assert_array_equal(one.bounds, other.bounds)
 
 
 def test_textures_and_layers_whose_content_is_broken_are_refused(
@@ -213,14 +220,14 @@ def test_a_layer_kept_and_merged_later_is_the_same_paint(
     merge = [scene.texture, scene.model, layer, "--opacity", 0.5]
     text = result(capsys, *merge, OUT, tmp_path / "b.octex")
     assert ": 1 layer painted, " in text
-    assert_same(octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex"))
+    assert_painted(octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex"))
     picture = octex.Projection(scene.square, scene.camera, opacity=0.5)
     texture = octex.open(scene.texture)
-    assert_same(octex.paint(texture, scene.surface, picture), octex.open(tmp_path / "a.octex"))
+    assert_painted(octex.paint(texture, scene.surface, picture), octex.open(tmp_path / "a.octex"))
     result(capsys, *merge, layer, "--blend", "multiply", OUT, tmp_path / "c.octex")
     for _ in range(2):
         texture = octex.merge(texture, octex.open(layer), scene.surface, opacity=0.5, blend="multiply")
-    assert_same(texture, octex.open(tmp_path / "c.octex"))
+    assert_painted(texture, octex.open(tmp_path / "c.octex"))
     told = json.loads(octex.open(tmp_path / "c.octex").metadata["paint"])
     digest = hashlib.sha256(layer.read_bytes()).hexdigest()
     entry = {"image": "layer.octex", "sha256": digest, "blend": "multiply", "opacity": 0.5}
@@ -242,7 +249,7 @@ def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
     assert (tmp_path / "archived.octex").read_bytes() == out.read_bytes()
     result(capsys, *arguments, OUT, texture, "--force")
     assert texture.read_bytes() == out.read_bytes()
-    assert_same(opened, octex.open(scene.texture))  # what is mapped is the old file
+    assert_equal(opened, octex.open(scene.texture))  # what is mapped is the old file
 
 
 def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
@@ -360,7 +367,7 @@ def test_a_texture_that_is_not_there_is_begun(
     made = octex.open(out)
     made.validate()
     picture = octex.Projection(scene.square, scene.camera)
-    assert_same(made, octex.paint(None, scene.surface, picture))
+    assert_painted(made, octex.paint(None, scene.surface, picture))
     points, inside = scene.places(1.5)
     np.testing.assert_allclose(made.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
     assert made.metadata["source"] == "box.glb"
@@ -506,7 +513,7 @@ def test_masks_are_one_for_all_or_one_each(
     both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras, OUT, out]
     result(capsys, *both, "--mask", white, "--mask", black, "--quiet")
     picture = octex.Projection(scene.square, scene.camera, white)
-    assert_same(
+    assert_painted(
         octex.open(out),
         octex.paint(
             octex.open(scene.texture),
@@ -955,7 +962,7 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
     ):
         result(capsys, *new, *words)
         made = octex.open(tmp_path / "out.octex")
-        assert_same(made, octex.paint(None, scene.surface, picture, **options))
+        assert_painted(made, octex.paint(None, scene.surface, picture, **options))
     for holes in ("smooth", "0"):
         message = complaint(capsys, *scene.shot, OUT, tmp_path / "b.octex", "--holes", holes)
         assert message == f"{scene.texture} has colours; --holes is for a new texture"
@@ -980,16 +987,19 @@ def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
 
 
 def test_the_help_names_the_librarys_defaults() -> None:
-    from octex.painting import balance, holes, paint, pictures
+    from octex.painting import options, paint, picture
 
-    assert pictures.BLENDS == BLENDS
-    assert paint.PICTURES == PICTURES
-    assert balance.BALANCES == BALANCES
-    assert holes.HOLES == HOLES
+    assert picture.BLENDS == BLENDS
+    assert options.PICTURES == PICTURES
+    assert options.BALANCES == BALANCES
+    assert options.HOLES == HOLES
     text = " ".join(Parser("octex paint", COMMANDS["paint"], COMMANDS).help().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
-    assert f"not surface tilted more (default {paint.TAKEN_ANGLE:g}; {paint.DRAWN_ANGLE:g} for views)" in text
+    assert (
+        f"not surface tilted more (default {options.TAKEN_ANGLE:g}; {options.DRAWN_ANGLE:g} for views)"
+        in text
+    )
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None
 

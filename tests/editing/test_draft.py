@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
-import octex.painting.merge
 from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
-from octex.painting import tilewise
+from octex.painting import tiles as tilewise
 from octex.painting.holes import with_coverage
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.picture import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
 from tests.make.same import assert_same
@@ -87,7 +86,7 @@ def test_the_brightest_light_far_away_limits_averages_of_a_draft_too() -> None:
     bright = octex.fill(texture, surface, octex.Sphere((1, 0, 0), 0.1), (5, 9, 2), blend="add")
     sphere = octex.Sphere((-1, 0, 0), 0.1)
     found = octex.fill(bright, surface, sphere, (7, 7, 7), blend="add")
-    with mock.patch.object(octex.painting.merge, "tiles_around", lambda *_: None):
+    with mock.patch.object(tilewise, "tiles_around", lambda *_: None):
         assert_same(found, octex.fill(bright, surface, sphere, (7, 7, 7), blend="add"))
     tiles = tiles_around(bright, [np.empty(0, np.int64)] * 7 + [bright.tree.level_codes(7)[:1]])
     assert tiles is not None
@@ -103,7 +102,7 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
         paint = stroke(random, surface, depth)
         found = paint(texture)
         found.tree.validate()
-        with mock.patch.object(octex.painting.merge, "tiles_around", lambda *_: None):
+        with mock.patch.object(tilewise, "tiles_around", lambda *_: None):
             assert_same(found, paint(texture))
         texture = found
         if texture.tree.n_cells > 100_000:

@@ -47,7 +47,7 @@ ROWS = [
     {"conversion"},
     {"cameras"},
     {"view"},
-    {"painting"},
+    {"painting", "photos"},
     {"processing"},
     {"baking"},
     {"formats"},
@@ -58,7 +58,7 @@ ROWS = [
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "voxelize", "conversion", "cameras", "view", "painting"}
+MADE = {"source", "voxelize", "conversion", "cameras", "view", "painting", "photos"}
 FORBIDDEN = {
     "source": STORED,
     "cameras": STORED,

@@ -59,10 +59,7 @@ def test_sheets_are_what_hangs_together_in_cells(seed: int) -> None:
     numbers = [naive.sheets.index(each) for each in found]
     np.testing.assert_allclose(sheets.areas, np.array(naive.areas)[numbers], atol=1e-6)
     assert {frozenset((numbers[a], numbers[b])) for a, b in sheets.pairs.tolist()} == naive.pairs
-    own = sheets.at(
-        np.rint(placement.to_texture_space(surface.rest) * 2**30).astype(np.int32),
-        surface.triangles, sheets.triangles, sheets.barycentric,
-    )  # fmt: skip
+    own = sheets.at(sheets.triangles, sheets.barycentric)
     np.testing.assert_array_equal(own, np.arange(len(found)))
 
 

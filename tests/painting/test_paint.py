@@ -13,12 +13,12 @@ import pytest
 import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
-from octex.painting.balance import exposures
-from octex.painting.blending import blended
+from octex.painting.blend import blended
 from octex.painting.cells import paint_of
-from octex.painting.layer import wanted_levels
-from octex.painting.pictures import BLENDS, Blend
+from octex.painting.layer import wanted_depths
+from octex.painting.picture import BLENDS, Blend
 from octex.parallel import pool_of
+from octex.photos.balance import exposures
 from octex.texture import OctreeTexture
 from octex.tree.beside import boundary
 from octex.tree.layout import KEPT, SPLIT
@@ -474,21 +474,20 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
-    from octex.painting.projected import Projected, stretches_of, terms_of
-    from octex.painting.shots import sight_of, take_shots
+    from octex.painting.reading import terms_of
+    from octex.painting.sight import take_shots
+    from octex.painting.surface import PaintedSurface
 
     form = octex.convert(surface, 2).channels["base_color"].format
-    shots = []
+    shots, painted = [], PaintedSurface(surface)
     with pool_of(1) as pool:
         for x in (0.0, 5.0):
             pose = np.eye(4)
             pose[:3, 3] = x, 0, 3
             camera = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=180.0)
             picture = octex.Projection(one_color(camera, (0.2 + 0.1 * x, 0.5, 0.5)), camera)
-            mesh = surface.vertices, surface.triangles
-            shots += take_shots([picture], form, [1.0], [sight_of(*mesh, camera, 0.0, pool)], pool)
-    stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
-    source = Projected(shots, form, terms_of(75, 0, False), surface.vertices, surface.triangles, stretches)
+            shots += take_shots([picture], form, [1.0], painted.sights([camera], 0.0, pool), pool)
+    source = painted.projected(shots, form, terms_of(75, 0, False))
     np.testing.assert_allclose(exposures(source, surface, "full", None), np.zeros((2, 5)), atol=1e-6)
 
 
@@ -692,16 +691,16 @@ def test_one_level_serves_where_pixels_vary_little() -> None:
     # Cells as wide as these would be of levels 6.6, 7.5, 5.3 and 8.6.
     widths = np.repeat([1 / 100, 1 / 180, 1 / 40, 1 / 400], [60, 20, 17, 3])
     areas = np.ones(100)
-    found = wanted_levels(widths, areas, 1.0, 1.0)
+    found = wanted_depths(widths, areas, 1.0, 1.0)
     assert found == (7, 9, False)
     some = np.array([1 / 100, 1 / 180, 1 / 40, 1 / 400, 1 / 12, np.inf])
-    assert np.ceil(found.wanted(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
-    assert wanted_levels(widths[:-3], areas[:-3], 1.0, 1.0) == (7, 7, True)
-    alone = wanted_levels(widths, areas, 1.0, 1.0, is_alone=True)
+    assert np.ceil(found.levels(some, 1.0, 1.0)).tolist() == [7, 7, 7, 9, 4, 0]
+    assert wanted_depths(widths[:-3], areas[:-3], 1.0, 1.0) == (7, 7, True)
+    alone = wanted_depths(widths, areas, 1.0, 1.0, is_single=True)
     assert alone == (9, 9, False)
-    assert np.ceil(alone.wanted(some, 1.0, 1.0)).tolist() == [7, 9, 6, 9, 4, 0]
-    assert wanted_levels(widths, areas, 1.0, 1.0, 6) == (6, 6, True)
-    assert wanted_levels(widths[:0], areas[:0], 1.0, 1.0) == (0, 0, True)
+    assert np.ceil(alone.levels(some, 1.0, 1.0)).tolist() == [7, 9, 6, 9, 4, 0]
+    assert wanted_depths(widths, areas, 1.0, 1.0, 6) == (6, 6, True)
+    assert wanted_depths(widths[:0], areas[:0], 1.0, 1.0) == (0, 0, True)
     surface, camera = ball(), above(4.0, 100)
     layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera))
     assert [level for level, (leaves, _) in enumerate(layer.tree.cells_by_depth()) if leaves] == [7]

@@ -13,8 +13,8 @@ import octex
 from octex.channels import decode
 from octex.cli.common import run
 from octex.errors import DefectError, ExitCode
-from octex.painting import raising
-from octex.painting.pictures import Blend
+from octex.painting import steps
+from octex.painting.picture import Blend
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.octree import Octree
@@ -120,7 +120,7 @@ def test_what_octex_itself_gets_wrong_is_not_blamed_on_who_uses_it(
     def broken(*_: Any) -> Any:
         return Octree.from_levels([np.zeros(1, np.int64), np.zeros(1, np.int64)])
 
-    monkeypatch.setattr(raising, "raised", broken)
+    monkeypatch.setattr(steps, "raised", broken)
     surface = plain(square())
     texture = octex.convert(surface, depth=4)
 

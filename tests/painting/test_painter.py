@@ -13,8 +13,8 @@ import pytest
 import octex
 from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError
-from octex.painting.pictures import BLENDS, Blend
-from octex.painting.shots import sight_of
+from octex.painting.picture import BLENDS, Blend
+from octex.painting.sight import sight_of
 from tests.editing.test_draft import case
 from tests.make.painted import ball
 from tests.make.same import assert_same
@@ -98,7 +98,7 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
 def test_a_camera_that_stays_looks_once() -> None:
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     painter = octex.Painter(octex.convert(surface, 6), surface)
-    with mock.patch("octex.painting.ground.sight_of", wraps=sight_of) as look:
+    with mock.patch("octex.painting.surface.sight_of", wraps=sight_of) as look:
         for color in (10, 20, 30):
             painter.paint(brush(surface, color, 30))
         assert look.call_count == 1
@@ -136,7 +136,7 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> Non
 
     made = []
     for own in (counted, whole):
-        with mock.patch("octex.painting.layer.cell_levels", own):
+        with mock.patch("octex.painting.steps.cell_levels", own):
             made.append(octex.paint(texture, surface, octex.Projection(image, camera), max_depth=8))
     assert_same(*made)
     assert not np.array_equal(made[0].channels["base_color"].values, texture.channels["base_color"].values)

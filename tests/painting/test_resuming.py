@@ -17,17 +17,18 @@ import pytest
 
 import octex
 from octex.errors import OutputError
-from octex.painting import agreement, paint, pictures, refine, shots
-from octex.painting.resuming import digest_of
+from octex.painting import paint, picture, sight
+from octex.painting.resume import digest_of
+from octex.photos import agreement, refine
 from tests.conftest import needs_jit
 from tests.photos.test_agreement import projections, ring
 from tests.properties.edit_claims import digest
 
 WORK = {
-    "decoded": (pictures, "_window_of"),
-    "seen": (shots, "visibility_of"),
+    "decoded": (picture, "_window_of"),
+    "seen": (sight, "visibility_of"),
     "compared": (agreement, "_differences"),
-    "projected": (paint, "rasterize_paint"),
+    "projected": (paint, "rasterize_surface"),
     "refined": (refine, "_refined"),
 }
 

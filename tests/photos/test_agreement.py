@@ -13,10 +13,11 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, decode
 from octex.errors import ArgumentError
-from octex.painting import agreement
-from octex.painting.balance import evened
-from octex.painting.consensus import agreed_step, medians, robust_weights
-from octex.painting.pictures import levels_of, masked
+from octex.painting.picture import mips_of
+from octex.photos import agreement
+from octex.photos.balance import evened
+from octex.photos.consensus import agreed_step, medians, robust_weights
+from octex.photos.patches import masked
 from tests.conftest import needs_jit
 from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_agreement
@@ -88,10 +89,10 @@ def test_what_is_not_known_is_masked_as_it_is_around() -> None:
 def test_a_mask_fades_between_the_middles_of_its_patches() -> None:
     image = np.random.default_rng(2).random((16, 16, 4)).astype(np.float32)
     camera = octex.Camera.pinhole((16, 16), pose=np.eye(4), convention="opencv", focal=9.0)
-    levels = levels_of(octex.Projection(image, camera), BASE_COLOR)
+    mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
     mask = np.ones((4, 4), np.float32)
     mask[:, 2:] = 0
-    part = masked(levels, mask).pixels[:256].reshape(16, 16, 4) / levels.pixels[:256].reshape(16, 16, 4)
+    part = masked(mips, mask).pixels[:256].reshape(16, 16, 4) / mips.pixels[:256].reshape(16, 16, 4)
     x = np.arange(16) + 0.5  # patches' middles are at 2, 6, 10, 14
     np.testing.assert_allclose(
         part, np.broadcast_to(np.clip((10 - x) / 4, 0, 1)[:, None], (16, 16, 4)), atol=1e-5
@@ -235,13 +236,13 @@ def test_values_far_from_the_weighted_median_count_for_little() -> None:
 def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
     image = np.random.default_rng(5).uniform(0.1, 1, (6, 10, 3)).astype(np.float32)
     camera = octex.Camera.pinhole((10, 6), pose=np.eye(4), convention="opencv", focal=9.0)
-    levels = levels_of(octex.Projection(image, camera), BASE_COLOR)
-    found = evened(levels, np.array([0.3, -0.2]))
+    mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
+    found = evened(mips, np.array([0.3, -0.2]))
     y, x = np.mgrid[:6, :10]
     squares = ((x - 4.5) ** 2 + (y - 2.5) ** 2) / (25 + 9)
     factor = np.exp(0.3 * squares - 0.2 * squares**2)[..., None]
     np.testing.assert_allclose(
-        found.pixels[:60, :3].reshape(6, 10, 3), levels.pixels[:60, :3].reshape(6, 10, 3) * factor, rtol=1e-5
+        found.pixels[:60, :3].reshape(6, 10, 3), mips.pixels[:60, :3].reshape(6, 10, 3) * factor, rtol=1e-5
     )
     light = image * factor
     assert (found.range[0] <= light.min(axis=(0, 1)) + 1e-6).all()

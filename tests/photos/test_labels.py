@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.painting import labels as labelling
-from octex.painting.best import Patches
 from octex.painting.multigrid import graph_of
+from octex.photos import labels as labelling
+from octex.photos.best import BestPaint
 from tests.conftest import needs_jit
 from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_labels
@@ -27,12 +27,12 @@ def grid(rows: int, columns: int) -> Array:
     return np.concatenate(pairs)
 
 
-def said(count: int, pictures: int, random: np.random.Generator) -> labelling.Views:
+def said(count: int, pictures: int, random: np.random.Generator) -> labelling.LabelCosts:
     paint = random.uniform(0, 0.3, (pictures, count, 3)).astype(np.float32)
     weights = (random.uniform(0, 1, (pictures, count)) ** 2).astype(np.float32)
     weights[random.random((pictures, count)) < 0.3] = 0
     weights[:, random.integers(count)] = 0
-    return labelling.views_of(paint, weights, random.uniform(2, 6, count))
+    return labelling.costs_of(paint, weights, random.uniform(2, 6, count))
 
 
 def test_labels_of_small_graphs_cost_little_more_than_the_best() -> None:
@@ -78,7 +78,7 @@ def test_what_levels_borders_is_that_of_least_squares() -> None:
     labels = random.integers(-1, 3, count).astype(np.int32)
     paint = random.random((3, count, 3)).astype(np.float32)
     weights = (random.random((3, count)) < 0.7).astype(np.float32)
-    found = labelling.levelling(sheets.pairs, sheets.ties, sheets.codes, sheets.level, labels, paint, weights)
+    found = labelling.levelling(sheets, labels, paint, weights)
     expected = naive_labels.levelling(sheets.pairs, sheets.ties, labels, paint, weights, 1e-3)
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
@@ -111,7 +111,7 @@ def test_borders_of_other_exposures_are_levelled() -> None:
     paint = (gains * light).astype(np.float32)
     weights = np.ones((8, len(points)), np.float32)
     pairs = sheets.pairs
-    found = labelling.levelling(pairs, sheets.ties, sheets.codes, 5, labels, paint, weights)
+    found = labelling.levelling(sheets, labels, paint, weights)
     one, other = pairs[labels[pairs[:, 0]] != labels[pairs[:, 1]]].T
     own = np.take_along_axis(paint, labels[None, :, None], axis=0)[0]
     made = labelling.exposed(own, found) / light
@@ -156,13 +156,13 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
 class _TwoPictures:
     """Stands for the shots of a paint source: one paints 0.2, the other 0.8, all of them 0.5."""
 
-    channels = (BASE_COLOR,)
+    form = BASE_COLOR
     shots = (0.2, 0.8)
 
     def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
         return np.tile(np.float32([0.5, 0.5, 0.5, 1.0]), (len(triangles), 1))
 
-    def with_shots(self, shots: list[float], numbers: list[int]) -> _TwoPictures:  # noqa: ARG002
+    def with_shots(self, shots: list[float]) -> _TwoPictures:
         alone = _TwoPictures()
         alone.shots = tuple(shots)  # type: ignore[assignment]
         return alone
@@ -175,17 +175,16 @@ class _TwoPictures:
 class _Sheets:
     """Says for each point its triangle's number as the sheet; −1 for triangle 2."""
 
-    def at(self, grid: Array, faces: Array, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
+    def at(self, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
         return np.where(triangles == 2, -1, triangles)
 
 
 def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
     shares = np.array([[1, 0], [0, 1]], np.float32)
-    none: Any = np.zeros((0, 3), np.int32)
     source: Any = _TwoPictures()
     sheets: Any = _Sheets()
     own = np.arange(3, dtype=np.int32)
-    paint = Patches(source, sheets, shares, np.zeros((2, 2, 3), np.float32), (none, none), own)
+    paint = BestPaint(source, sheets, shares, np.zeros((2, 2, 3), np.float32), own)
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
     np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
     assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()

@@ -9,10 +9,10 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.painting import overexposed, paint
-from octex.painting.balance import balanced
-from octex.painting.overexposed import without_overexposed
 from octex.parallel import pool_of
+from octex.photos import overexposed, weigh
+from octex.photos.balance import balanced
+from octex.photos.overexposed import without_overexposed
 from tests.conftest import needs_jit
 from tests.make.painted import codes
 from tests.photos.test_agreement import projections, ring
@@ -52,7 +52,7 @@ def test_what_is_cut_off_is_painted_by_others_that_show_it(
     options: dict[str, Any] = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
     as_they_are = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     found = error(octex.paint(None, surface, given, **options), surface)
-    monkeypatch.setattr(paint, "without_overexposed", lambda _, evened, __: evened)
+    monkeypatch.setattr(weigh, "without_overexposed", lambda _, evened, __: evened)
     without = error(octex.paint(None, surface, given, **options), surface)
     assert found < as_they_are + 1.0
     assert without > as_they_are + 3.0
@@ -97,4 +97,4 @@ def test_pictures_that_are_not_cut_off_stay_as_they_are() -> None:
             evened = balanced(source, surface, "gain", 0, pool)
             found = without_overexposed(source, evened, pool)
         for one, other in zip(found.shots, evened.shots, strict=True):
-            assert one.levels is other.levels
+            assert one.mips is other.mips

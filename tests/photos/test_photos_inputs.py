@@ -14,7 +14,7 @@ from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.cli.main import main
 from octex.errors import ArgumentError
-from octex.painting.pictures import Projection, levels_of
+from octex.painting.picture import Projection, mips_of
 from octex.painting.sharpened import sharpened
 from octex.source.images.decode import orientation_of, turned
 from octex.source.images.png import SIGNATURE
@@ -31,7 +31,7 @@ def wide(width: int = 6, height: int = 4) -> Camera:
 
 def pixels_of(projection: Projection) -> Array:
     camera = projection.camera
-    rows = levels_of(projection, BASE_COLOR).pixels[: camera.width * camera.height]
+    rows = mips_of(projection, BASE_COLOR).pixels[: camera.width * camera.height]
     return rows.reshape(camera.height, camera.width, 4)
 
 
@@ -66,7 +66,7 @@ def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_p
     found = pixels_of(Projection(tmp_path / "a.jpg", wide()))
     np.testing.assert_allclose(found, held(srgb_to_linear(stored / 255)), atol=1e-5)
     with pytest.raises(ArgumentError, match="has 6×4 pixels, its camera 5×5"):
-        levels_of(Projection(tmp_path / "a.jpg", wide(5, 5)), BASE_COLOR)
+        mips_of(Projection(tmp_path / "a.jpg", wide(5, 5)), BASE_COLOR)
 
 
 def test_what_is_no_photograph_has_no_orientation() -> None:

@@ -14,12 +14,12 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, encode
 from octex.cli.main import main
-from octex.painting import refine
-from octex.painting.ground import Ground
-from octex.painting.moved import _read, moved, pixel_at
-from octex.painting.pictures import levels_of
-from octex.painting.refine import _better
+from octex.painting.picture import mips_of
+from octex.painting.surface import PaintedSurface
 from octex.parallel import workers
+from octex.photos import refine
+from octex.photos.poses import _read, adjusted, pixel_at
+from octex.photos.refine import _better
 from tests.conftest import needs_jit
 from tests.make.command import OUT, painting
 from tests.make.painted import above, ball, picture_of
@@ -30,7 +30,7 @@ pytestmark = needs_jit
 
 
 def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
-    return moved(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
+    return adjusted(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
 def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
@@ -50,16 +50,14 @@ def test_points_are_compared_at_the_coarsest_level_too() -> None:
     surface, cameras, images = textured(5, 96)
     samples = surface.scatter(500)
     with workers(1) as executor:
-        levels = [
-            levels_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)
-        ]
-        source = refine._source(Ground(surface), cameras, levels, executor)
+        mips = [mips_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)]
+        source = refine._source(PaintedSurface(surface), cameras, mips, executor)
     counts = []
     for level in (0, max(refine._LEVELS)):
         rim = refine._RIM * 2**level
-        says = refine._says(source, samples.triangles, samples.barycentric, rim)
-        counts.append(np.count_nonzero(says))
-        for shot, own in zip(source.shots, says > 0, strict=True):
+        weights = refine._weights_at(source, samples.triangles, samples.barycentric, rim)
+        counts.append(np.count_nonzero(weights))
+        for shot, own in zip(source.shots, weights > 0, strict=True):
             assert (refine._margins(shot, samples.points[own]) >= rim).all()
     assert 0.1 * counts[0] < counts[1] < counts[0]
 
@@ -113,7 +111,7 @@ def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(pixels: f
 class _Told:
     """What three pictures show of 1000 points, and how much that tells of where the cameras are."""
 
-    says = np.ones((3, 1000))
+    weights = np.ones((3, 1000))
 
     def __init__(self, values: Array, tells: Array) -> None:
         self._values, self._tells = values, tells
@@ -179,10 +177,10 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
         camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
     for number in range(7):
-        there = moved(camera, pixel_at(camera, points), np.eye(7)[number])
+        there = adjusted(camera, pixel_at(camera, points), np.eye(7)[number])
         if number not in (2, 5):  # about the axis of the view and along it, where less changes
             assert 0.2 < shift(there, camera, points) < 3
-    assert np.array_equal(moved(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
+    assert np.array_equal(adjusted(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
 
 
 def test_pictures_are_read_with_their_slopes() -> None:

@@ -10,12 +10,14 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.painting import paint, sharpness
-from octex.painting.paint import Pictures
-from octex.painting.projected import Projected, stretches_of, terms_of
-from octex.painting.sharpness import Details, details_of, shown_of, weighed_by_sharpness
-from octex.painting.shots import sight_of, take_shots
+from octex.painting.options import Pictures
+from octex.painting.project import Projected
+from octex.painting.reading import terms_of
+from octex.painting.sight import take_shots
+from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
+from octex.photos import sharpness, weigh
+from octex.photos.sharpness import Details, details_of, shown_of, weighed_by_sharpness
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.photos.test_agreement import error, projections
@@ -57,11 +59,10 @@ def blurred(image: Array, pixels: float) -> Array:
 
 def source_of(surface: octex.Surface, shown: list[octex.Projection]) -> Projected:
     with pool_of(1) as pool:
-        mesh = surface.vertices, surface.triangles
-        sights = [sight_of(*mesh, each.camera, 0.0, pool) for each in shown]  # type: ignore[arg-type]
+        painted = PaintedSurface(surface)
+        sights = painted.sights([each.camera for each in shown], 0.0, pool)  # type: ignore[misc]
         shots = list(take_shots(shown, BASE_COLOR, [1.0] * len(shown), sights, pool))
-    stretches = stretches_of(surface.vertices, surface.rest, surface.triangles)
-    return Projected(shots, BASE_COLOR, terms_of(75, 0, False), *mesh, stretches)
+    return painted.projected(shots, BASE_COLOR, terms_of(75, 0, False))
 
 
 def shown_by(surface: octex.Surface, images: list[Array], cameras: list[octex.Camera]) -> Array:
@@ -146,7 +147,7 @@ def test_a_blurred_picture_is_painted_where_no_other_sees(pictures: Pictures) ->
     clean = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     made = octex.paint(None, surface, projections(given, cameras), **options)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paint, "weighed_by_sharpness", lambda source, _: source)
+        patch.setattr(weigh, "weighed_by_sharpness", lambda source, _: source)
         plain = octex.paint(None, surface, projections(given, cameras), **options)
     assert error(made, surface) - clean < 0.6 * (error(plain, surface) - clean)
     others = projections(given[:2] + given[3:], cameras[:2] + cameras[3:])
@@ -167,4 +168,4 @@ def test_what_cannot_be_told_changes_nothing() -> None:
         source_of(surface, projections(images, cameras)),
     ):
         weighed = weighed_by_sharpness(source, surface)
-        assert (weighed._says == 1).all()
+        assert all(shot.weight == 1.0 for shot in weighed.shots)

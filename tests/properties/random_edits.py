@@ -21,7 +21,7 @@ import numpy.typing as npt
 import octex
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, ROUGHNESS
 from octex.errors import OctexError
-from octex.painting.pictures import BLENDS
+from octex.painting.picture import BLENDS
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -49,8 +49,8 @@ MOST_AVERAGED = 3_000
 #: much the pieces may have in common.
 SMALL = (
     ("octex.painting.paint.AROUND", 8),
-    ("octex.painting.tilewise.PIECE", 500),
-    ("octex.painting.tilewise.MOST", 1000.0),
+    ("octex.painting.tiles.PIECE", 500),
+    ("octex.painting.tiles.MOST", 1000.0),
 )
 
 #: Refusals of what cannot be done, and why; any other error of octex's is a fault.

@@ -73,7 +73,8 @@ def soak(folder: Path, *arguments: str) -> tuple[int, str, list[dict[str, object
     tool.parent.mkdir(parents=True, exist_ok=True)
     tests.mkdir(parents=True, exist_ok=True)
     tool.write_text(TOOL.read_text(encoding="utf-8"), encoding="utf-8")
-    (tests / "__init__.py").touch()
+    for package in (tests.parent, tests):
+        (package / "__init__.py").touch()
     (tests / "random_odd.py").write_text(
         "import os, time\n"
         "def check(seed):\n"

@@ -10,9 +10,10 @@ import pytest
 
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
-from octex.painting.pictures import Projection
-from octex.painting.projected import Projected, shading_of, stretches_of, terms_of
-from octex.painting.shots import _spread, sight_of, take_shots
+from octex.painting.picture import Projection
+from octex.painting.reading import terms_of
+from octex.painting.sight import _spread, sight_of, take_shots
+from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
@@ -29,17 +30,10 @@ def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array,
     white = Projection(one_color(camera, (1, 1, 1)), camera)
     with pool_of(1) as pool:
         feather = terms.get("feather", 0.0)
-        sight = sight_of(surface.vertices, surface.triangles, camera, feather, pool)
-        [shot] = take_shots([white], BASE_COLOR, [1.0], [sight], pool)
-    source = Projected(
-        [shot],
-        BASE_COLOR,
-        terms_of(terms.get("max_angle", 90.0), terms.get("feather", 0.0), terms.get("back_faces", False)),
-        surface.vertices,
-        surface.triangles,
-        stretches_of(surface.vertices, surface.rest, surface.triangles),
-        shading=shading_of(surface),
-    )
+        painted = PaintedSurface(surface)
+        shots = take_shots([white], BASE_COLOR, [1.0], painted.sights([camera], feather, pool), pool)
+        limits = terms_of(terms.get("max_angle", 90.0), feather, terms.get("back_faces", False))
+        source = painted.projected(list(shots), BASE_COLOR, limits)
     return source.evaluate(triangles.astype(np.int32), barycentric, np.zeros(len(triangles), np.float32))[
         :, 3
     ]
@@ -274,10 +268,7 @@ def test_beside_an_edge_paint_is_that_of_the_surface_itself() -> None:
     with pool_of(1) as pool:
         sight = sight_of(surface.vertices, surface.triangles, camera, 0.0, pool)
         shots = list(take_shots([Projection(image, camera)], BASE_COLOR, [1.0], [sight], pool))
-    mesh = surface.vertices, surface.triangles
-    source = Projected(
-        shots, BASE_COLOR, terms_of(90.0, 0.0, False), *mesh, np.ones(len(mesh[1]), np.float32)
-    )
+    source = PaintedSurface(surface).projected(shots, BASE_COLOR, terms_of(90.0, 0.0, False))
     found = source.evaluate(samples.triangles, samples.barycentric, np.zeros(4000, np.float32))
     margins = sight.margins[pixels[:, 1], pixels[:, 0]]
     error = np.abs(found[:, :3] - np.where(samples.points[:, 2:] > 0.25, other, own)).max(axis=1)

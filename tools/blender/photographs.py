@@ -32,8 +32,7 @@ import octex
 from octex.channels import linear_to_srgb
 from octex.drawing import render_surface, texture_shader
 from octex.drawing.hits import rest_normals, visible_hits
-from octex.painting.balance import BALANCES
-from octex.painting.paint import PICTURES
+from octex.painting.options import BALANCES, PICTURES
 
 WORKER = Path(__file__).with_name("photographs_worker.py")
 DROID = Path(__file__).parents[2] / "samples" / "droid.glb"

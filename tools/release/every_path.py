@@ -178,9 +178,10 @@ def _separate(surface: octex.Surface) -> None:
 
 def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
-    from octex.painting.agreement import find_modes, off_modes
-    from octex.painting.balance import evened
-    from octex.painting.pictures import levels_of, masked
+    from octex.painting.picture import mips_of
+    from octex.photos.agreement import find_modes, off_modes
+    from octex.photos.balance import evened
+    from octex.photos.patches import masked
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     camera.differentials(surface.vertices, surface.vertices)
@@ -195,9 +196,9 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.paint(None, surface, [picture] * 3, pictures="best")
     find_modes(np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros((1, 3), np.float32))
     off_modes(*np.zeros((2, 1, 1, 3), np.float32))
-    levels = levels_of(picture, BASE_COLOR)
-    masked(levels, np.ones((1, 4), np.float32))
-    evened(levels, np.ones(2))
+    mips = mips_of(picture, BASE_COLOR)
+    masked(mips, np.ones((1, 4), np.float32))
+    evened(mips, np.ones(2))
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
     octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)

@@ -10,7 +10,7 @@ make it worse). A camera of which pictures tell too little stays as it was given
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -21,26 +21,28 @@ from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
-from octex.conversion import large
 from octex.errors import ArgumentError
-from octex.painting.agreement import agreeing
-from octex.painting.balance import BALANCES, Balance, balanced
-from octex.painting.consensus import agreed_step, consensus, robust_weights
-from octex.painting.ground import Ground, key_of
-from octex.painting.moved import NUMBERS, Views, moved, pixel_at
-from octex.painting.pictures import Levels, Projection, check_projections, content_of, levels_of, room_for
-from octex.painting.projected import Projected, terms_of
-from octex.painting.resuming import Kept, fits, kept_in
-from octex.painting.shots import Shot, in_fixed_order, most_ahead, shot_of
+from octex.painting.options import BALANCES, Balance
+from octex.painting.picture import Mips, Projection, check_projections, content_of, mips_of, room_for
+from octex.painting.project import Projected
+from octex.painting.reading import terms_of
+from octex.painting.resume import Stages, stages_in
+from octex.painting.sight import Shot, most_ahead, order_key
+from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, as_progress, ordered_map, workers
+from octex.photos.agreement import agreeing
+from octex.photos.balance import balanced
+from octex.photos.consensus import agreed_step, consensus, robust_weights
+from octex.photos.poses import NUMBERS, Observations, adjusted, pixel_at
 from octex.source.surface import Surface, as_surface
+from octex.view.visibility import straight, view_of
 
 #: Points of the surface that are looked at. At the coarsest level so many of these are compared; at finer
 #: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
 _POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
 #: Of more pictures than so many there are fewer points: of twice as many half, and no less than this part.
 _FEW, _LEAST = 12, 0.25
-#: Levels of pictures, each twice as coarse, that are read one after the other, and tries on each.
+#: Mips of pictures, each twice as coarse, that are read one after the other, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
 #: A step in which no number of a camera changes by so many pixels is the last of its level.
 _STILL = 0.005
@@ -95,87 +97,80 @@ def refine_cameras(
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
         raise ArgumentError("patches are where they were laid; only cameras are refined")
-    ground, report = Ground(as_surface(surface)), as_progress(progress)
+    painted, report = PaintedSurface(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras
-    kept = kept_in(resume)
+    stages = stages_in(resume)
+    own = stages.of(
+        lambda: [painted.content, [*map(content_of, shown), *map(key_of, cameras)], balance, reference]
+    )
     with workers(threads, executor) as pool, room_for(shown, memory, folder):
-        task = ground, shown, cameras, balance, reference, pool, report, kept
-        if kept is None:
-            return _refined(*task)
-        made_from = [*map(content_of, shown), *map(key_of, cameras)]
-        own = kept.of(ground.content, made_from, balance, reference)
-        return own.arrays("cameras", lambda: _as_arrays(_refined(*task)), partial(_as_kept, cameras))
 
+        def refined() -> dict[str, Array]:
+            found = _refined(painted, shown, cameras, balance, reference, pool, report, stages)
+            return {
+                "world_to_camera": np.stack([each.world_to_camera for each in found]),
+                "K": np.stack([each.K for each in found]),
+            }
 
-def _as_arrays(cameras: Sequence[Camera]) -> dict[str, Array]:
-    return {
-        "world_to_camera": np.stack([each.world_to_camera for each in cameras]),
-        "K": np.stack([each.K for each in cameras]),
-    }
-
-
-def _as_kept(given: Sequence[Camera], arrays: Mapping[str, Array]) -> list[Camera] | None:
-    """Return cameras as they were kept; None for what cannot be those."""
-    count = len(given)
-    if not fits(arrays, {"world_to_camera": ("f8", (count, 4, 4)), "K": ("f8", (count, 3, 3))}):
-        return None
-    try:
+        found = own.arrays("cameras", refined)
         return [
             replace(camera, world_to_camera=matrix, K=K)
-            for camera, matrix, K in zip(given, arrays["world_to_camera"], arrays["K"], strict=True)
+            for camera, matrix, K in zip(cameras, found["world_to_camera"], found["K"], strict=True)
         ]
-    except ArgumentError:
-        return None
 
 
 def _refined(
-    ground: Ground,
+    painted: PaintedSurface,
     shown: Sequence[Projection],
     cameras: list[Camera],
     balance: Balance | None,
     reference: int | None,
     pool: Executor,
     report: Progress,
-    kept: Kept | None,
+    stages: Stages,
 ) -> list[Camera]:
     """Refine cameras, checked, as `refine_cameras` does."""
-    surface = ground.surface
-    decode = partial(levels_of, form=BASE_COLOR, kept=kept)
-    levels = [
-        each if kept else large.moved(each) for each in ordered_map(pool, decode, shown, window=most_ahead())
+    surface = painted.surface
+    decode = partial(mips_of, form=BASE_COLOR, stages=stages)
+    mips = [stages.placed(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
+    keys = [
+        order_key(view_of(straight(camera)), camera.K, camera.lens, own)
+        for camera, own in zip(cameras, mips, strict=True)
     ]
-    order, fixed = _ordered(ground, cameras, levels, reference, pool)
-    began, levels = [cameras[n] for n in order], [levels[n] for n in order]
+    order = sorted(range(len(shown)), key=keys.__getitem__)
+    fixed = None if reference is None else order.index(reference)
+    began, mips = [cameras[n] for n in order], [mips[n] for n in order]
     samples = surface.scatter(int(_share(len(order)) * _POINTS))
     scales = [pixel_at(camera, samples.points) for camera in began]
     cameras, numbers = list(began), np.zeros((len(order), NUMBERS))
     stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
     def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
-        source = _source(ground, cameras, levels, pool)
+        source = _source(painted, cameras, mips, pool)
         return source if balance is None else balanced(source, surface, balance, fixed, pool)
 
-    def views(cameras: list[Camera], level: int, balance: Balance | None) -> Views:
+    def observed(cameras: list[Camera], level: int, balance: Balance | None) -> Observations:
         source = lit(cameras, balance)
-        says = _says(source, samples.triangles, samples.barycentric, _RIM * 2**level)
-        pictures = [shot.levels for shot in source.shots]
-        return Views(began, scales, samples.points, pictures, level, source.gains, says)
+        weights = _weights_at(source, samples.triangles, samples.barycentric, _RIM * 2**level)
+        pictures = [shot.mips for shot in source.shots]
+        gains = np.stack([shot.gains for shot in source.shots])
+        return Observations(began, scales, samples.points, pictures, level, gains, weights)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
-        given = views(cameras, level, balance)
+        given = observed(cameras, level, balance)
         if not stays.any():
-            stays[np.argmax((given.says * (given.says > 0).sum(axis=0)).sum(axis=1))] = True
+            stays[np.argmax((given.weights * (given.weights > 0).sum(axis=0)).sum(axis=1))] = True
         far = _FAR * (level + 1)
         every = np.arange(0, len(samples.points), len(samples.points) // _COARSE)
         some = _telling(given, numbers, far) if done else every
         numbers = _agreeing(given.at(some), numbers, stays, far)
-        cameras = [moved(*each) for each in zip(began, scales, numbers, strict=True)]
+        cameras = [adjusted(*each) for each in zip(began, scales, numbers, strict=True)]
         if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
-            levels = [shot.levels for shot in agreeing(lit(cameras, balance), pool).shots]
+            mips = [shot.mips for shot in agreeing(lit(cameras, balance), pool).shots]
     light: Balance | None = balance and "full"
-    before, after = views(began, 0, light), views(cameras, 0, light)
+    before, after = observed(began, 0, light), observed(cameras, 0, light)
     some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
     is_better = _better(before.at(some), after.at(some), numbers) & ~stays
     cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
@@ -184,29 +179,12 @@ def _refined(
     return [found[number] for number in range(len(shown))]
 
 
-def _ordered(
-    ground: Ground,
-    cameras: list[Camera],
-    levels: list[Levels],
-    reference: int | None,
-    executor: Executor,
-) -> tuple[list[int], int | None]:
-    """Return the pictures' numbers in an order by what they hold, and which of these is the reference."""
-    shots = _source(ground, cameras, levels, executor).shots
-    order = [next(n for n, shot in enumerate(shots) if shot is each) for each in in_fixed_order(shots)]
-    return order, None if reference is None else order.index(reference)
-
-
 def _source(
-    ground: Ground, cameras: Sequence[Camera], levels: Sequence[Levels], executor: Executor
+    painted: PaintedSurface, cameras: Sequence[Camera], mips: Sequence[Mips], executor: Executor
 ) -> Projected:
-    sights = ground.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
-    shots = [shot_of(sight, own) for sight, own in zip(sights, levels, strict=True)]
-    surface = ground.surface
-    return Projected(
-        shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False), surface.vertices, surface.triangles,
-        ground.stretches, shading=ground.shading,
-    )  # fmt: skip
+    sights = painted.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
+    shots = [sight.shot(own) for sight, own in zip(sights, mips, strict=True)]
+    return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
 def _share(pictures: int) -> float:
@@ -214,15 +192,15 @@ def _share(pictures: int) -> float:
     return max(min(_FEW / pictures, 1.0), _LEAST)
 
 
-def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
+def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
     """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
-    values, steep = np.full((2, *views.says.shape, 3), np.nan)
-    for n, say in enumerate(views.says > 0):
-        values[n, say], slopes = views.seen_by(n, numbers[n])
-        steep[n, say] = (slopes**2).sum(axis=2)
-    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
-    weights = _weights(np.nan_to_num(values).reshape(says.shape), says, far)
-    tells = (weights.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
+    values, steep = np.full((2, *observed.weights.shape, 3), np.nan)
+    for n, sees in enumerate(observed.weights > 0):
+        values[n, sees], slopes = observed.seen_by(n, numbers[n])
+        steep[n, sees] = (slopes**2).sum(axis=2)
+    weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values).reshape(len(values), -1)
+    robust = _robust(np.nan_to_num(values).reshape(weights.shape), weights, far)
+    tells = (robust.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
     each = max(int(_share(len(tells)) * min(_TELLING, _MOST / len(tells))), 1)
     order = np.argsort(-tells, axis=1, kind="stable")[:, :each]
     found = np.zeros(tells.shape, np.bool_)
@@ -230,24 +208,25 @@ def _telling(views: Views, numbers: Float64s, far: float) -> Int64s:
     return np.flatnonzero(found.any(axis=0))
 
 
-def _agreeing(views: Views, numbers: Float64s, stays: Bools, far: float) -> Float64s:
+def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: float) -> Float64s:
     """Return numbers of cameras by which what pictures hold agrees best (Levenberg-Marquardt)."""
-    values, slopes = views.seen(numbers)
-    says = np.repeat(views.says, 3, axis=1) * np.isfinite(values)
-    _, far = robust_weights(np.nan_to_num(values), says, far)
+    values, slopes = observed.seen(numbers)
+    weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values)
+    _, far = robust_weights(np.nan_to_num(values), weights, far)
     held = np.full(numbers.shape, (_NOISE / _OFF) ** 2 / _OWN)
 
     def cost(values: Float64s, numbers: Float64s) -> float:
-        return far**2 * float((says * _apart(values, says, far)).sum()) + float((held * numbers**2).sum())
+        off = float((weights * _apart(values, weights, far)).sum())
+        return far**2 * off + float((held * numbers**2).sum())
 
     least, damping = cost(values, numbers), _DAMPING
     for _ in range(_TRIES):
         known = np.nan_to_num(values)
-        weights = _weights(known, says * np.isfinite(values), far)
-        ridge = held + damping * np.einsum("in,inp->ip", weights, slopes**2).max(axis=1, keepdims=True)
+        robust = _robust(known, weights * np.isfinite(values), far)
+        ridge = held + damping * np.einsum("in,inp->ip", robust, slopes**2).max(axis=1, keepdims=True)
         ridge[stays] = np.inf
-        step = agreed_step(slopes, known, weights, ridge, held * numbers)
-        tried = views.seen(numbers + step)
+        step = agreed_step(slopes, known, robust, ridge, held * numbers)
+        tried = observed.seen(numbers + step)
         now = cost(tried[0], numbers + step)
         if now < least:
             least, numbers, (values, slopes), damping = now, numbers + step, tried, damping * _RIGHT
@@ -258,26 +237,26 @@ def _agreeing(views: Views, numbers: Float64s, stays: Bools, far: float) -> Floa
     return numbers
 
 
-def _weights(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _robust(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return how much pictures count: the less the farther they are from what most say (Geman & McClure)."""
-    return says / (1.0 + ((values - _middle(values, says, far)) / far) ** 2) ** 2
+    return weights / (1.0 + ((values - _middle(values, weights, far)) / far) ** 2) ** 2
 
 
-def _middle(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _middle(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return what most pictures say of points (n,)."""
-    weights, _ = robust_weights(values, says, far)
-    return consensus(values, weights)
+    robust, _ = robust_weights(values, weights, far)
+    return consensus(values, robust)
 
 
-def _apart(values: Float64s, says: Float64s, far: float) -> Float64s:
+def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
     """Return how far pictures are from what most say, 0 to 1 (pictures, n); 1 where they show no more."""
     known = np.isfinite(values)
     values = np.where(known, values, 0.0)
-    apart = ((values - _middle(values, says * known, far)) / far) ** 2
+    apart = ((values - _middle(values, weights * known, far)) / far) ** 2
     return np.where(known, apart / (1.0 + apart), 1.0)
 
 
-def _better(before: Views, after: Views, numbers: Float64s) -> Bools:
+def _better(before: Observations, after: Observations, numbers: Float64s) -> Bools:
     """Say which pictures agree clearly better with the others where their cameras have numbers than without.
 
     A point counts as much as it tells of where the camera is: by how its colour changes with the numbers.
@@ -286,40 +265,40 @@ def _better(before: Views, after: Views, numbers: Float64s) -> Bools:
     these.
     """
     (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
-    says = np.repeat(np.minimum(before.says, after.says), 3, axis=1) * np.isfinite(old)
-    says *= (says > 0).sum(axis=0) > 1
-    tells = says * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
+    weights = np.repeat(np.minimum(before.weights, after.weights), 3, axis=1) * np.isfinite(old)
+    weights *= (weights > 0).sum(axis=0) > 1
+    tells = weights * np.sqrt((old_slopes**2 + new_slopes**2).sum(axis=2))
 
     def apart(values: Float64s, number: int) -> float:
-        return float((tells[number] * _apart(values, says, _FAR)[number]).sum())
+        return float((tells[number] * _apart(values, weights, _FAR)[number]).sum())
 
     found = np.zeros(len(numbers), np.bool_)
     others = np.ones_like(found)  # whose cameras have their numbers
     while True:
         better = found.copy()
         for n in np.flatnonzero(~found).tolist():
-            alone = np.where((others | found)[:, None], new, old)
-            moved = alone.copy()
-            alone[n], moved[n] = old[n], new[n]
-            least = apart(alone, n) if found.any() else min(apart(alone, n), apart(old, n))
-            better[n] = apart(moved, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
+            given = np.where((others | found)[:, None], new, old)
+            refined = given.copy()
+            given[n], refined[n] = old[n], new[n]
+            least = apart(given, n) if found.any() else min(apart(given, n), apart(old, n))
+            better[n] = apart(refined, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
         if (better == found).all():
             return found
         found, others = better, np.zeros_like(found)
 
 
-def _says(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
+def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
     """Return how much pictures say of points (pictures, n): the better they see them, to 1; at least two.
 
     Nothing within ``rim`` pixels of where the surface ends.
     """
-    _, weights = source.each(triangles, barycentric, source.widths(triangles, barycentric))
+    _, seen = source.each(triangles, barycentric, source.widths(triangles, barycentric))
     points = source.positions(triangles, barycentric)
-    for shot, own in zip(source.shots, weights, strict=True):
-        own *= _margins(shot, points) >= rim
-    share = weights / np.maximum(weights.max(axis=0), 1e-30)
-    says: Float64s = np.where((weights > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
-    return says
+    for shot, weights in zip(source.shots, seen, strict=True):
+        weights *= _margins(shot, points) >= rim
+    share = seen / np.maximum(seen.max(axis=0), 1e-30)
+    found: Float64s = np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
+    return found
 
 
 def _margins(shot: Shot, points: Float64s) -> Float64s:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import Literal, get_args
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
+from octex.cameras.lens import distort
 from octex.jit import kernel
-from octex.painting.consensus import agreed_step, robust_weights
-from octex.painting.pictures import Levels
-from octex.painting.projected import Projected
-from octex.painting.shots import most_ahead, pixels_of_points
-from octex.parallel import ordered_map, sharing
+from octex.painting.options import Balance
+from octex.painting.picture import Mips
+from octex.painting.project import Projected
+from octex.painting.sight import Shot
+from octex.photos.consensus import agreed_step, robust_weights
 from octex.source.surface import Surface
-
-#: What is evened out: one gain for each picture; or gains of each component, and what is lost in the corners.
-Balance = Literal["gain", "full"]
-BALANCES: tuple[Balance, ...] = get_args(Balance)
 
 #: Points of the surface that pictures are compared at.
 _POINTS = 10_000
@@ -44,15 +40,14 @@ def balanced(
     keep theirs.
     """
     numbers = exposures(source, surface, balance, reference)
-    gains = source.gains * np.exp(numbers[:, :3]).astype(np.float32)
+    gains = np.stack([shot.gains for shot in source.shots]) * np.exp(numbers[:, :3]).astype(np.float32)
 
-    def lit(number: int) -> Levels:
-        levels, vignetting = source.shots[number].levels, numbers[number, 3:]
-        return evened(levels, vignetting) if vignetting.any() else levels
+    def lit(number: int) -> Mips:
+        mips, vignetting = source.shots[number].mips, numbers[number, 3:]
+        return evened(mips, vignetting) if vignetting.any() else mips
 
-    with sharing(executor) as pool:
-        every = ordered_map(pool, lit, range(len(numbers)), window=most_ahead())
-        return source.with_levels(every).with_gains(gains)
+    pairs = zip(source.with_mips(lit, executor).shots, gains, strict=True)
+    return source.with_shots([shot._replace(gains=own) for shot, own in pairs])
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
@@ -68,7 +63,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
     paint, weights = paint[:, seen], weights[:, seen]
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
-    squares = np.stack([_radii(shot.levels, pixels_of_points(shot, points)) for shot in source.shots]) ** 2
+    squares = np.stack([_radii(shot.mips, _pixels_of(shot, points)) for shot in source.shots]) ** 2
     usable = (weights > 0)[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
     logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
     counted = usable.reshape(logs.shape).astype(np.float64)
@@ -118,21 +113,34 @@ def _slopes(squares: Float64s, balance: Balance) -> Float64s:
     return found
 
 
-def _radii(levels: Levels, pixels: Float64s) -> Float64s:
+def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
+    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
+    x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
+    if shot.camera.is_pinhole:
+        with np.errstate(all="ignore"):
+            slopes = np.column_stack([x, y]) / np.where(z > 0.0, z, np.nan)[:, None]
+        places = np.empty_like(slopes)
+        distort(shot.lens, np.ascontiguousarray(slopes), places)
+    else:
+        places = np.column_stack([x, y])
+    return places @ shot.K[:2, :2].T + shot.K[:2, 2]
+
+
+def _radii(mips: Mips, pixels: Float64s) -> Float64s:
     """Return how far pixel coordinates (n, 2) are from a picture's middle, 1 in its corners."""
-    half = levels.sizes[0, 1:] / 2
+    half = mips.sizes[0, 1:] / 2
     found: Float64s = np.linalg.norm(np.nan_to_num(pixels) - half, axis=1) / np.linalg.norm(half)
     return np.minimum(found, 1.0)
 
 
-def evened(levels: Levels, vignetting: Float64s) -> Levels:
+def evened(mips: Mips, vignetting: Float64s) -> Mips:
     """Return a picture times exp(a·r² + b·r⁴)."""
-    pixels = np.empty_like(levels.pixels)
+    pixels = np.empty_like(mips.pixels)
     a, b = vignetting.tolist()
-    factors = _even(levels.pixels, levels.sizes, a, b, pixels)
-    low, high = levels.range * factors[0], levels.range * factors[1]
+    factors = _even(mips.pixels, mips.sizes, a, b, pixels)
+    low, high = mips.range * factors[0], mips.range * factors[1]
     ends: Float32s = np.stack([np.minimum(low[0], high[0]), np.maximum(low[1], high[1])])
-    return levels._replace(pixels=pixels, range=ends)
+    return mips._replace(pixels=pixels, range=ends)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""A large layer merged tile by tile: memory is taken for some tiles at a time.
+"""A layer merged by tiles: only those around the paint, and of a large layer some at a time.
 
 A piece is some tiles in Morton order. The paint in and beside them is merged into a draft of the texture, as
 if there were no other; of that draft the tiles are kept. What is above the tiles is averaged at the end.
@@ -7,7 +7,6 @@ if there were no other; of that draft the tiles are kept. What is above the tile
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor
 from itertools import islice
 from typing import NamedTuple
 
@@ -19,21 +18,23 @@ from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import (
     STEPS,
+    Change,
     Tiles,
     brightest_tiles,
     cells_in,
+    change_in,
     coarsest_near,
     cut_out,
     put_together,
+    tiles_around,
 )
 from octex.editing.nodes import nodes_at
 from octex.editing.split import refaced
-from octex.painting.blending import Merged, average_tiles, blend_paint, no_parts
-from octex.painting.cells import Paint, paint_of, refine_paint, some
-from octex.painting.ground import Ground
-from octex.painting.pictures import Blend
-from octex.painting.raising import raise_texture
-from octex.parallel import Progress, ordered_map, sharing, silent, workers
+from octex.errors import own_making
+from octex.painting.blend import Merge, Merged, averaged_above, no_parts
+from octex.painting.cells import Paint, paint_of, some
+from octex.painting.steps import delete_paint, merge_draft, refine_paint
+from octex.parallel import ordered_map, sharing, silent, workers
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import with_boundary
@@ -63,15 +64,33 @@ class _Piece(NamedTuple):
     tiles: Tiles
     whole: OctreeTexture  # its tiles, and all above them
     top: OctreeTexture  # the tiles as leaves, with the parts that are paint
-    is_told: bool  # see Merged
+    averages_rows: bool  # see Merged
     painted: Int64s  # the tiles with paint
     new: Int64s  # with new cells
     fresh: Int64s  # with cells where the texture had nothing
     added: Int64s  # with cells of the layer there
 
 
+def merge_layer(task: Merge) -> Change | None:
+    """Merge a layer into a texture, piece by piece; return the change, or None if there is no paint."""
+    texture, pieces = task.texture, pieces_of(task.texture, task.layer)
+    if pieces is not None:
+        with own_making():
+            found = _merge_pieces(task, pieces)
+        tiles = Tiles(pieces.level, np.concatenate(pieces.tiles))
+        return None if found is None else change_in(tiles, texture, found)
+    paint = paint_of(task.layer, task.opacity)
+    if not any(each.codes.size for each in paint):
+        return None
+    around = tiles_around(texture, [each.codes for each in paint])
+    draft = texture if around is None else cut_out(texture, around)
+    merged = merge_draft(task, draft, paint)
+    task.progress("merge", 1, 1)
+    return None if merged is None else Change(around, draft, delete_paint(merged))
+
+
 def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
-    """Divide a layer for a texture; return None for one that is merged at once."""
+    """Divide a layer for a texture; return None for one that is merged in one draft."""
     tree, painted = texture.tree, layer.tree
     if painted.n_leaves + tree.n_leaves <= PIECE or not tree.n_leaves or not painted.n_leaves:
         return None
@@ -92,49 +111,34 @@ def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
     return Pieces(level, coarsest, found)
 
 
-def merge_by_tiles(
-    texture: OctreeTexture,
-    layer: OctreeTexture,
-    pieces: Pieces,
-    ground: Ground,
-    *,
-    target: str,
-    blend: Blend,
-    opacity: float,
-    executor: Executor,
-    progress: Progress,
-) -> OctreeTexture | None:
-    """Merge a layer piece by piece; return the texture with it, or None if there is no paint."""
-    level, none = pieces.level, np.empty(0, np.int64)
-    closed, bright = Tiles(level, none), brightest_tiles(texture, level)
+def _merge_pieces(task: Merge, pieces: Pieces) -> OctreeTexture | None:
+    """Return the texture with the layer, or None if there is no paint."""
+    texture, level = task.texture, pieces.level
+    bright = brightest_tiles(texture, level)
 
     def merge_piece(tiles: Int64s) -> _Piece | None:
         near = with_boundary(tiles, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
-        part, own = cut_out(texture, opened), cut_out(layer, Tiles(level, near))
-        paint = _inside(paint_of(own, opacity), near, level)
-        with workers(1) as alone:
-            raised = raise_texture(
-                part, texture, own, paint, ground, alone, silent,
-                target=target, blend=blend, coarsest=pieces.coarsest,
-            )  # fmt: skip
-            if not any(each.codes.size for each in raised.paint):
-                return None
-            made = blend_paint(part, raised, own, target, blend, opacity, alone)
-        return _kept(made, raised.added, Tiles(level, tiles))
+        layer = cut_out(task.layer, Tiles(level, near))
+        with workers(1) as one_worker:
+            own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
+            made = merge_draft(
+                own, cut_out(texture, opened), _inside(paint_of(layer, task.opacity), near, level)
+            )
+        return None if made is None else _piece_of(made, Tiles(level, tiles))
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
-    with sharing(executor) as pool:
+    with sharing(task.executor) as pool:
         all_merged = ordered_map(
-            pool, merge_piece, pieces.tiles, stage="merge", progress=progress, window=window
+            pool, merge_piece, pieces.tiles, stage="merge", progress=task.progress, window=window
         )
         found = [large.moved(each) for each in all_merged if each is not None]
     if not any(each.painted.size for each in found):
         return None
-    before = cut_out(texture, closed)
-    above = cut_out(layer, closed)
-    top = average_tiles(_top(before, above, found), before, above, target, blend)
-    return put_together(top, texture, [(each.tiles, each.whole) for each in found])
+    closed = Tiles(level, np.empty(0, np.int64))
+    before, task = cut_out(texture, closed), task._replace(layer=cut_out(task.layer, closed))
+    top = averaged_above(task, before, _top(before, task.layer, found))
+    return put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in found])
 
 
 def paint_by_tiles(
@@ -159,25 +163,18 @@ def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
     ]
 
 
-def _kept(made: Merged, added: Sequence[Int64s], tiles: Tiles) -> _Piece:
-    """Return what is kept of a piece: its tiles."""
-    level, tree = tiles.level, made.texture.tree
+def _piece_of(made: Merged, tiles: Tiles) -> _Piece:
+    """Return what a piece has in its tiles."""
+    tree = made.texture.tree
     parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
     top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
+    lists = made.painted, _codes_of(tree, made.is_new), _codes_of(tree, made.is_fresh), made.added
     return _Piece(
         tiles,
         cut_out(made.texture, tiles),
-        cut_out(top, Tiles(level, tiles.codes[:0])),
-        made.is_told,
-        *(
-            _tiles_with(own, tiles)
-            for own in (
-                made.painted,
-                _codes_of(tree, made.is_new),
-                _codes_of(tree, made.is_fresh),
-                added,
-            )
-        ),
+        cut_out(top, Tiles(tiles.level, tiles.codes[:0])),
+        made.averages_rows,
+        *(_tiles_with(codes, tiles) for codes in lists),
     )
 
 
@@ -251,5 +248,6 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         is_fresh,
         is_new,
         [none] * level + [painted],
-        any(each.is_told for each in pieces),
+        any(each.averages_rows for each in pieces),
+        [],
     )

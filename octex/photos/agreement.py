@@ -17,64 +17,53 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s
 from octex.jit import inlined, kernel
-from octex.painting.patches import beside, patches_of, seen_at, sums_around, widths_of
-from octex.painting.pictures import Levels, masked
-from octex.painting.projected import Projected
-from octex.painting.resuming import Kept, fits
-from octex.painting.shots import most_ahead
+from octex.painting.picture import Mips
+from octex.painting.project import Projected
+from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
+from octex.photos.patches import batches, beside, masked, patches_of, seen_at, sums_around, widths_of
 
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
-#: A picture's say grows with its weight, by this power: three that see a place aslant outvote one from ahead.
-_SAY = 0.125
+#: A picture's vote grows with its weight, by this power: three that see a place aslant outvote one ahead.
+_VOTE = 0.125
 #: Pictures differ by noise, and by what is out of place: more than so many times this quantile of their
 #: differences is another thing, which lies in this range of codes.
 _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
 #: So far apart, in codes, colours support each other by a fourth.
 _APART = 10.0
-#: A mode is none unless others say so too: this much of the picture's own say.
+#: A mode is none unless others vote so too: this much of the picture's own vote.
 _SUPPORT = 0.5
 #: Patches are unlike the others where so much of what is around is far off; where that is not known,
 #: where so much of it is filled in.
 _MAJORITY, _FILLED = 0.5, 0.3
 #: They are masked if most of the 5 × 5 patches around one of them, and at least so many, are far off.
 _CERTAIN = 8
-#: So many points of all pictures are looked at together.
-_POINTS = 1 << 20
 
 
-def agreeing(source: Projected, executor: Executor, kept: Kept | None = None) -> Projected:
+def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED) -> Projected:
     """Return the same paint, its pictures masked where they do not agree with the others.
 
-    ``kept`` is what is kept of all that the source is made from.
+    ``stages`` are those of what was made from all that the source is.
     """
     numbers = range(len(source.shots))
     with sharing(executor) as pool:
-        found = list(ordered_map(pool, partial(_kept_differences, source, kept), numbers))
+        found = list(ordered_map(pool, partial(_stored_differences, source, stages), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
 
-    def agreed(number: int) -> Levels:
-        levels, mask = source.shots[number].levels, _mask(found[number], far)
-        return levels if mask.all() else masked(levels, mask)
+    def agreed(number: int) -> Mips:
+        mips, mask = source.shots[number].mips, _mask(found[number], far)
+        return mips if mask.all() else masked(mips, mask)
 
-    with sharing(executor) as pool:
-        return source.with_levels(ordered_map(pool, agreed, numbers, window=most_ahead()))
+    return source.with_mips(agreed, executor)
 
 
-def _kept_differences(source: Projected, kept: Kept | None, number: int) -> Float32s:
-    """Return `_differences`, or what is ``kept`` of them."""
-    if kept is None:
-        return _differences(source, number)
-    expected = {"codes": ("f4", patches_of(source.shots[number]))}
-    return kept.of(number).arrays(
-        "differences",
-        lambda: {"codes": _differences(source, number)},
-        lambda arrays: arrays["codes"] if fits(arrays, expected) else None,
-    )
+def _stored_differences(source: Projected, stages: Stages, number: int) -> Float32s:
+    own = stages.of(lambda: [number])
+    return own.arrays("differences", lambda: {"codes": _differences(source, number)})["codes"]
 
 
 def _differences(source: Projected, number: int) -> Float32s:
@@ -83,10 +72,8 @@ def _differences(source: Projected, number: int) -> Float32s:
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
-    own = source.with_shots([shot], [number])
-    step = max(_POINTS // len(source.shots), 1)
-    for first in range(0, len(patches), step):
-        some = slice(first, first + step)
+    own = source.with_shots([shot])
+    for some in batches(len(patches), len(source.shots)):
         where = triangles[some], barycentric[some]
         colors, weights = source.each(*where, widths_of(own, *where))
         found = np.empty_like(colors[number])
@@ -148,10 +135,10 @@ def nearness_of(codes: float) -> float:
 def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
     """Write the codes (n, 3) of the mode of pictures (pictures, n) where one sees; NaN where none is known.
 
-    The mode is the picture's colour which the others support most, each by its say.
+    The mode is the picture's colour which the others support most, each by its vote.
     """
     count = len(weights)
-    codes, says, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
+    codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
         found[n] = np.nan
         if not weights[own, n] > 0.0:
@@ -165,21 +152,21 @@ def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -
         if several < _LEAST:
             continue
         for i in range(count):
-            says[i] = np.float64(weights[i, n] / largest) ** _SAY if weights[i, n] > 0.0 else 0.0
-            supports[i] = says[i]
+            votes[i] = np.float64(weights[i, n] / largest) ** _VOTE if weights[i, n] > 0.0 else 0.0
+            supports[i] = votes[i]
             for component in range(3):
                 light = max(colors[i, n, component], np.float32(0.0))
                 codes[i, component] = np.float32(255.0) * np.sqrt(light)
-            for j in range(i if says[i] > 0.0 else 0):
-                if says[j] > 0.0:
+            for j in range(i if votes[i] > 0.0 else 0):
+                if votes[j] > 0.0:
                     near = nearness_of(_apart(codes, i, j))
-                    supports[i] += says[j] * near
-                    supports[j] += says[i] * near
+                    supports[i] += votes[j] * near
+                    supports[j] += votes[i] * near
         best = 0
         for i in range(count):
             if supports[i] > supports[best]:
                 best = i
-        if supports[best] - says[best] >= _SUPPORT * says[best]:
+        if supports[best] - votes[best] >= _SUPPORT * votes[best]:
             for component in range(3):
                 found[n, component] = codes[best, component]
 

@@ -1,26 +1,17 @@
-"""Pictures, projected onto a surface: a source of paint and of how opaque it is."""
+"""What one picture paints at points of a surface that its camera sees: kernels."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
-from octex.channels import ChannelFormat
-from octex.conversion import large
 from octex.jit import inlined, kernel
-from octex.painting.pictures import Levels, clipped, read_paint
-from octex.painting.shots import TRUSTED, Shot, near_paint, renamed
-from octex.painting.source import PaintSource
-from octex.parallel import built_once
-from octex.source.corners import at_corners
+from octex.painting.picture import clipped, read_paint
+from octex.painting.sight import TRUSTED, Shot
 from octex.source.images.cubic import catmull_rom
-from octex.source.surface import Surface
-from octex.view.shading import corner_normals_of, face_normals
 from octex.view.visibility import (
     View,
     nearness,
@@ -31,9 +22,6 @@ from octex.view.visibility import (
     visible_part,
 )
 from octex.voxelize.fragments import Blocks
-
-#: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
-Shading = Callable[[Int32s], Float32s]
 
 #: By how many degrees before the largest angle paint begins to fade.
 FADE = 10.0
@@ -67,243 +55,6 @@ def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
         feather,
         back_faces,
     )
-
-
-class Projected(PaintSource):
-    """Paint from shots of a posed surface.
-
-    shots      what cameras see of it; stretches (m,) what is 1 long on a posed triangle is so long at rest
-    vertices   (n, 3) posed positions; triangles (m, 3)
-    gains      (shots, 3), factors of each shot's components
-    says       (shots,), factors of how much each shot counts beside others
-    shading    gives the normals that the camera's angles are measured to; default: ``corner_normals``. What
-               is hidden or faces away is so by the triangles themselves
-    """
-
-    def __init__(
-        self,
-        shots: Sequence[Shot],
-        form: ChannelFormat,
-        terms: Terms,
-        vertices: Float64s,
-        triangles: Int32s,
-        stretches: Float32s,
-        gains: Float32s | None = None,
-        says: Float64s | None = None,
-        shading: Shading | None = None,
-    ) -> None:
-        super().__init__(form)
-        self._shading = shading or partial(_computed, vertices, triangles)
-        self._shots = list(shots)
-        self._terms = terms
-        self._mesh = vertices, triangles, stretches
-        self._gains = np.ones((len(self._shots), 3), np.float32) if gains is None else gains
-        self._says = np.ones(len(self._shots)) if says is None else says
-
-    @property
-    def shots(self) -> list[Shot]:
-        """The shots that paint."""
-        return self._shots
-
-    @property
-    def gains(self) -> Float32s:
-        """Factors of each shot's components (shots, 3)."""
-        return self._gains
-
-    @property
-    def color(self) -> Float32s | None:
-        """The value that all pixels with paint have, before and after gains; None for several."""
-        ends = np.concatenate([shot.levels.range for shot in self._shots])
-        is_one = (ends == ends[0]).all() and (self._gains == 1.0).all()
-        return ends[0, : self._channels[0].components] if is_one else None
-
-    def with_shots(self, shots: Sequence[Shot], numbers: Sequence[int] | None = None) -> Projected:
-        """Return paint from other shots, with the factors of these, or of some by their numbers."""
-        chosen = slice(None) if numbers is None else list(numbers)
-        return self._with(shots, self._gains[chosen], self._says[chosen])
-
-    def with_levels(self, every: Iterable[Levels]) -> Projected:
-        """Return paint from other pictures of the same shots."""
-        pairs = zip(self._shots, every, strict=True)
-        return self.with_shots(
-            [
-                shot if levels is shot.levels else shot._replace(levels=large.moved(levels))
-                for shot, levels in pairs
-            ]
-        )
-
-    def with_gains(self, gains: Float32s) -> Projected:
-        """Return the same paint with other gains."""
-        return self._with(self._shots, gains, self._says)
-
-    def with_says(self, says: Float64s) -> Projected:
-        """Return the same paint whose shots count for more or less."""
-        return self._with(self._shots, self._gains, says)
-
-    def _with(self, shots: Sequence[Shot], gains: Float32s, says: Float64s) -> Projected:
-        form, terms = self._channels[0], self._terms
-        return Projected(shots, form, terms, *self._mesh, gains, says, self._shading)
-
-    def near_paint(self, reach: int) -> Projected:
-        """Return the same paint; pixels without any as far around as ``reach`` see nothing."""
-        shots = [near_paint(shot, reach) for shot in self._shots]
-        if all(new is shot for new, shot in zip(shots, self._shots, strict=True)):
-            return self
-        return self.with_shots(shots)
-
-    @built_once
-    def _normals(self) -> Float32s:
-        return self._shading(np.arange(len(self._mesh[1]), dtype=np.int32))
-
-    def touched(self) -> Int32s:
-        """Return the triangles that own a pixel of a shot."""
-        is_seen = np.zeros(len(self._mesh[1]) + 1, np.bool_)
-        for shot in self._shots:
-            is_seen[shot.seen.triangle] = True  # none, −1, is the last
-        return np.flatnonzero(is_seen[:-1]).astype(np.int32)
-
-    def on(self, chosen: Int32s) -> Projected:
-        """Return the same paint for some of the triangles, among them all that own a pixel."""
-        vertices, triangles, stretches = self._mesh
-        names = np.full(len(triangles) + 1, -1, np.int32)  # none, −1, is the last
-        names[chosen] = np.arange(len(chosen), dtype=np.int32)
-        shots = [renamed(shot, names[shot.seen.triangle]) for shot in self._shots]
-        faces = np.ascontiguousarray(triangles[chosen])
-        normals = self._shading(chosen)
-        return Projected(
-            shots, self._channels[0], self._terms, vertices, faces, stretches[chosen],
-            self._gains, self._says, normals.__getitem__,
-        )  # fmt: skip
-
-    def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
-        """Say of which blocks a shot may see something: what is not seen is not painted."""
-        found = np.zeros(blocks.codes.size, np.bool_)
-        for shot in self._shots:
-            counts = np.zeros(np.add(shot.seen.triangle.shape, 1), np.int32)
-            np.cumsum(np.cumsum(shot.seen.triangle >= 0, 0, np.int32), 1, out=counts[1:, 1:])
-            _reach(shot.camera, counts, *self._mesh[:2], rest, blocks, corners, edge, found)
-        return found
-
-    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
-        sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
-        where = triangles, barycentric, widths
-        for shot, gains, say in zip(self._shots, self._gains, self._says, strict=True):
-            _add(shot, self._terms, *self._mesh, self._normals, gains, say, *where, sums, clear)
-        found = np.zeros((len(triangles), self._channels[0].components + 1), np.float32)
-        _finish(sums, clear, found)
-        return found
-
-    def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
-        """Return what each shot paints (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
-        paint = np.zeros((len(self._shots), len(triangles), 3), np.float32)
-        weights = np.zeros((len(self._shots), len(triangles)))
-        where = triangles, barycentric, widths
-        factors = zip(self._shots, self._gains, self._says, strict=True)
-        for number, (shot, gains, say) in enumerate(factors):
-            sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
-            _add(shot, self._terms, *self._mesh, self._normals, gains, say, *where, sums, clear)
-            weights[number] = sums[:, 3]
-            paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
-        # They go with the eighth power of a model's units, which leaves the range of float32.
-        weights /= np.maximum(weights.max(axis=0), 1e-300)
-        return paint, weights.astype(np.float32)
-
-    def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
-        """Return where points are on the posed surface (n, 3)."""
-        vertices, faces, _ = self._mesh
-        return at_corners(vertices, faces[triangles], barycentric)
-
-    def barycentric_at(self, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
-        """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
-        vertices, faces, _ = self._mesh
-        corners = vertices[faces[triangles]] @ shot.camera.world_to_camera[:3, :3].T
-        corners += shot.camera.world_to_camera[:3, 3]
-        if not shot.camera.is_pinhole:
-            corners[..., 2] = 1.0
-        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ shot.camera.inverse_k.T
-        sides = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
-        parts = np.maximum(
-            np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None], 0.0
-        )
-        totals = parts.sum(axis=1, keepdims=True)
-        found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
-        return found
-
-    def footprints(self) -> tuple[Float32s, Float64s]:
-        """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
-
-        The points are the triangles' corners and middles, the area what is seen of the triangles. The finest
-        come first.
-        """
-        touched = self.touched()
-        vertices, triangles, _ = self._mesh
-        places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
-        areas = np.minimum(face_normals(vertices, triangles[touched])[1], self._seen_areas(touched))
-        each = [self.widths(touched, np.tile(place, (len(touched), 1))) for place in places]
-        widths = np.concatenate(each)
-        # Numbers that are not negative are in the order of their bits: a fifth of the time of an argsort.
-        keys = widths.view(np.uint32).astype(np.uint64) << np.uint64(32)
-        keys |= np.arange(widths.size, dtype=np.uint64)
-        keys.sort()
-        order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
-        return widths[order], np.tile(areas / len(places), len(places))[order]
-
-    def _seen_areas(self, chosen: Int32s) -> Float64s:
-        """Return how much of triangles (n,) pixels see, by the pixels in their middles."""
-        found = np.zeros(len(chosen))
-        middles = np.full((len(chosen), 3), 1 / 3)
-        vertices, triangles, _ = self._mesh
-        lengths = np.ones(len(triangles), np.float32)
-        for shot in self._shots:
-            seen = shot.seen.triangle
-            counts = np.bincount(seen[seen >= 0], minlength=len(triangles))[chosen]
-            edges = np.full(len(chosen), np.inf, np.float32)
-            _narrow(shot, vertices, triangles, lengths, self._terms.back_faces, chosen, middles, edges)
-            edges[counts == 0] = 0.0
-            found += counts * edges.astype(np.float64) ** 2
-        return found
-
-    def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
-        return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
-
-    def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
-        """Return how wide the finest pixel that looks toward points is there, in rest units: its area's root.
-
-        Infinity for points that no camera has before it.
-        """
-        widths = np.full(len(triangles), np.inf, np.float32)
-        for shot in self._shots:
-            _narrow(shot, *self._mesh, self._terms.back_faces, triangles, barycentric, widths)
-        return widths
-
-
-def stretches_of(vertices: Float64s, rest: Float64s, triangles: Int32s) -> Float32s:
-    """Return how long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
-    if rest is vertices:
-        return np.ones(len(triangles), np.float32)
-    (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stretches = np.sqrt(resting / posed)
-    return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
-
-
-def shading_of(surface: Surface) -> Shading:
-    """Return a surface's shading normals: its own if it has ``frames``, else those of `corner_normals`."""
-    if surface.frames is None:
-        return partial(_computed, surface.vertices, surface.triangles)
-    return partial(_given, surface)
-
-
-def _computed(vertices: Float64s, triangles: Int32s, chosen: Int32s) -> Float32s:
-    return corner_normals_of(chosen, vertices, triangles)
-
-
-def _given(surface: Surface, chosen: Int32s) -> Float32s:
-    frames = surface.posed_frames(chosen)
-    assert frames is not None
-    return frames.normals.values[frames.normals.rows]
 
 
 @inlined
@@ -412,7 +163,7 @@ def _read_beside(
     without distortion sees the place.
     """
     (u, v), (x, y), (near, right, down) = place, pixel, plane
-    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.triangle.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
     of_x, of_y = catmull_rom(np.float32(u - 0.5 - left)), catmull_rom(np.float32(v - 0.5 - top))
@@ -434,42 +185,40 @@ def _read_beside(
         own = np.float32(1.0) / (far * far)
         if shot.margins[i, j] < np.float32(1.0) and not _is_cut_out(shot, row, column, i, j):
             weight, own = weight * _MIXED, own * _MIXED * _MIXED
-        p = shot.levels.pixels[row * columns + column]
+        p = shot.mips.pixels[row * columns + column]
         a, b, c, d = a + weight * p[0], b + weight * p[1], c + weight * p[2], d + weight * p[3]
         e, f, g, h = e + own * p[0], f + own * p[1], g + own * p[2], h + own * p[3]
         share += weight
         total += own
     if not total > none:
-        return read_paint(shot.levels, u, v, 1.0)
+        return read_paint(shot.mips, u, v, 1.0)
     rest = (np.float32(1.0) - share) / total
-    return clipped(shot.levels, a + rest * e, b + rest * f, c + rest * g, d + rest * h)
+    return clipped(shot.mips, a + rest * e, b + rest * f, c + rest * g, d + rest * h)
 
 
 @inlined
 def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
     """Say whether a pixel, which sees pixel (i, j), is beside background that the picture has transparent."""
-    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.triangle.shape
     for side in range(4):
         down, right = (side & 1) * (side - 2), (1 - (side & 1)) * (side - 1)
         inside = 0 <= row + down < rows and 0 <= column + right < columns
         inside = inside and 0 <= i + down < height and 0 <= j + right < width
         at = (row + down) * columns + column + right
-        if inside and shot.seen.triangle[i + down, j + right] < 0 and shot.levels.pixels[at, 3] == 0.0:
+        if inside and shot.seen.triangle[i + down, j + right] < 0 and shot.mips.pixels[at, 3] == 0.0:
             return True
     return False
 
 
 @kernel
-def _add(
+def add_paint(
     shot: Shot,
     terms: Terms,
     vertices: Float64s,
     faces: Int32s,
     stretches: Float32s,
     normals: Float32s,
-    gains: Float32s,
-    say: float,
     triangles: Int32s,
     barycentric: Float64s,
     widths: Float32s,
@@ -479,7 +228,7 @@ def _add(
     """Add a shot's paint to weighted sums (n, 4), and take its coverage from what is ``clear`` (n,)."""
     view = shot.camera
     height, width = shot.seen.triangle.shape
-    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     last = -1
     a = b = c = of_a = of_b = of_c = (0.0, 0.0, 0.0)
     plane = (0.0, 0.0, 0.0, 0.0)
@@ -545,23 +294,23 @@ def _add(
                 shot, triangle, (u, v), (px, py), (near, right, down), slack
             )
         else:
-            red, green, blue, alpha = read_paint(shot.levels, u, v, wide)
+            red, green, blue, alpha = read_paint(shot.mips, u, v, wide)
         if not alpha > 0.0:
             continue
         density = max(shaded, _LEAST_COSINE) * fine * fine
         trust = 0.01 + min(margin / TRUSTED, 1.0)
         # The finer of two pictures outweighs the other by the fourth power of their pixels on the surface: of
         # 12 pictures around a model the second gives back 30.3 dB, this 31.0, the finest alone as much.
-        weight = say * coverage * trust * (density * density) * (density * density)
-        sums[n, 0] += weight * red * gains[0]
-        sums[n, 1] += weight * green * gains[1]
-        sums[n, 2] += weight * blue * gains[2]
+        weight = shot.weight * coverage * trust * (density * density) * (density * density)
+        sums[n, 0] += weight * red * shot.gains[0]
+        sums[n, 1] += weight * green * shot.gains[1]
+        sums[n, 2] += weight * blue * shot.gains[2]
         sums[n, 3] += weight * alpha
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 
 
 @kernel
-def _reach(
+def mark_seen_blocks(
     view: View,
     counts: Int32s,
     vertices: Float64s,
@@ -634,7 +383,8 @@ def _reach(
 
 
 @kernel
-def _finish(sums: Float64s, clear: Float64s, found: Float32s) -> None:
+def finish(sums: Float64s, clear: Float64s, found: Float32s) -> None:
+    """Write the means of weighted sums, and coverage."""
     components = found.shape[1] - 1
     for n in range(clear.size):
         if sums[n, 3] > 0.0:
@@ -644,7 +394,7 @@ def _finish(sums: Float64s, clear: Float64s, found: Float32s) -> None:
 
 
 @kernel
-def _narrow(
+def narrow(
     shot: Shot,
     vertices: Float64s,
     faces: Int32s,
@@ -656,7 +406,7 @@ def _narrow(
 ) -> None:
     """Lower ``widths`` (n,) to that of a shot's pixels, where it looks toward the points."""
     view = shot.camera
-    columns, rows = shot.levels.sizes[0, 1], shot.levels.sizes[0, 2]
+    columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     last = -1
     a = b = c = (0.0, 0.0, 0.0)
     plane = (0.0, 0.0, 0.0, 0.0)

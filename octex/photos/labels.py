@@ -14,6 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.jit import inlined, kernel
 from octex.painting.multigrid import Graph, added, coarser, graph_of, solve
+from octex.painting.sheets import Sheets
 
 #: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
 _QUALITY, _UNSEEN = 3.0, 1.0
@@ -31,14 +32,14 @@ _FEATHER = 3
 _HOLD = 1e-3
 
 
-class Views(NamedTuple):
-    """What pictures say of sheets."""
+class LabelCosts(NamedTuple):
+    """What it costs to take sheets from pictures."""
 
     colors: Float32s  # (n, pictures, 3)   roots of light; where one does not see it the mean of those that do
     costs: Float32s  # (n, pictures)   infinite where one does not see it
 
 
-def views_of(paint: Float32s, weights: Float32s, areas: Float64s) -> Views:
+def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
     """Return what pictures say of sheets of some areas (n,): paint (pictures, n, 3), weights (pictures, n).
 
     The weights rise with the fourth power of the quality; what has none is not seen.
@@ -50,16 +51,16 @@ def views_of(paint: Float32s, weights: Float32s, areas: Float64s) -> Views:
     return _completed(colors.transpose(1, 0, 2), np.where(seen, costs, np.inf).T.astype(np.float64))
 
 
-def _completed(colors: Float32s, costs: Float64s) -> Views:
+def _completed(colors: Float32s, costs: Float64s) -> LabelCosts:
     """Fill in the mean colour where pictures see nothing."""
     seen = np.isfinite(costs)
     sums = (colors * seen[..., None]).sum(axis=1)
     mean = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
     made = np.ascontiguousarray(np.where(seen[..., None], colors, mean[:, None]), np.float32)
-    return Views(made, np.ascontiguousarray(costs, np.float32))
+    return LabelCosts(made, np.ascontiguousarray(costs, np.float32))
 
 
-def _coarser_views(views: Views, areas: Float64s, above: Int64s, count: int) -> Views:
+def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int) -> LabelCosts:
     """Return what pictures say of the ``count`` sheets that sheets are part of."""
     seen = np.isfinite(views.costs)
     costs = np.where(seen, views.costs, _UNSEEN * areas[:, None]) * seen.any(axis=1, keepdims=True)
@@ -70,7 +71,7 @@ def _coarser_views(views: Views, areas: Float64s, above: Int64s, count: int) -> 
     return _completed(colors.astype(np.float32), np.where(sums[..., 3] > 0, sums[..., 4], np.inf))
 
 
-def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: Views) -> Int32s:
+def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) -> Int32s:
     """Return the picture (n,) of each sheet, −1 for what none sees.
 
     Found some levels above by sequential tree-reweighted message passing (Kolmogorov 2006), then moved at the
@@ -80,7 +81,7 @@ def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: Views) -> Int3
     steps = []
     for _ in range(_ABOVE):
         graph, codes, above = coarser(graph, codes)
-        views = _coarser_views(views, areas, above, codes.size)
+        views = _coarser_costs(views, areas, above, codes.size)
         areas = np.bincount(above, areas, codes.size).astype(np.float64, copy=False)
         levels.append((graph, views))
         steps.append(above)
@@ -94,7 +95,7 @@ def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: Views) -> Int3
     return labels
 
 
-def passed(graph: Graph, views: Views) -> Int32s:
+def passed(graph: Graph, views: LabelCosts) -> Int32s:
     """Return labels by message passing, the best of all passes; −1 for what no picture sees."""
     order = np.argsort(views.costs, axis=1, kind="stable")[:, :_CANDIDATES].astype(np.int32)
     order[~np.isfinite(np.take_along_axis(views.costs, order, axis=1))] = -1
@@ -112,7 +113,7 @@ def passed(graph: Graph, views: Views) -> Int32s:
 
 
 @inlined
-def _between(views: Views, i: int, j: int, p: int, q: int) -> float:
+def _between(views: LabelCosts, i: int, j: int, p: int, q: int) -> float:
     """Return what a border one cell long costs between sheets i and j of pictures p and q."""
     if p == q:
         return 0.0
@@ -126,7 +127,7 @@ def _between(views: Views, i: int, j: int, p: int, q: int) -> float:
 
 
 @kernel
-def energy(graph: Graph, views: Views, labels: Int32s) -> float:
+def energy(graph: Graph, views: LabelCosts, labels: Int32s) -> float:
     """Return what labels cost, those of what no picture sees, −1, nothing."""
     total = 0.0
     for n in range(labels.size):
@@ -143,7 +144,7 @@ def energy(graph: Graph, views: Views, labels: Int32s) -> float:
 @kernel
 def _pass(
     graph: Graph,
-    views: Views,
+    views: LabelCosts,
     candidates: Int32s,
     back: Int64s,
     messages: Float64s,
@@ -212,7 +213,7 @@ def _pass(
 
 
 @kernel
-def _move(graph: Graph, views: Views, labels: Int32s) -> int:
+def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
     """Give each sheet the cheapest label of its own and its neighbours' (Besag 1986); return how many change.
 
     A sheet that its picture does not see has the cheapest of all.
@@ -247,22 +248,14 @@ def _move(graph: Graph, views: Views, labels: Int32s) -> int:
     return changed
 
 
-def levelling(
-    pairs: Int64s,
-    ties: Float64s,
-    codes: Int64s,
-    level: int,
-    labels: Int32s,
-    paint: Float32s,
-    weights: Float32s,
-) -> Float64s:
+def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s) -> Float64s:
     """Return the exposures (n, 3) of sheets, for `exposed`, by which pictures meet at their borders.
 
     Their steps across borders undo what the two pictures differ by there; else they change as little as may
     be from sheet to sheet, and are little themselves (least squares). The farther pictures differ, the less
     that tells: something is out of place. Nothing is asked for where neither of two sheets is seen by both.
     """
-    one, other = pairs.T
+    pairs, (one, other), codes = sheets.pairs, sheets.pairs.T, sheets.codes
     p, q = labels[one], labels[other]
     apart, count = np.zeros((len(pairs), 3)), np.zeros(len(pairs))
     for sheet in (one, other):
@@ -274,13 +267,13 @@ def levelling(
     apart /= np.maximum(count, 1)[:, None]
     apart[p == q] = 0.0
     tied = (p >= 0) & (q >= 0) & ((p == q) | (count > 0))
-    ties = ties / (1.0 + (np.abs(apart).max(axis=1) / _FAR) ** 2) ** 2
+    ties = sheets.ties / (1.0 + (np.abs(apart).max(axis=1) / _FAR) ** 2) ** 2
     right = np.zeros((codes.size, 3))
     for component in range(3):
         step = ties * tied * apart[:, component]
         right[:, component] = np.bincount(one, step, codes.size) - np.bincount(other, step, codes.size)
     graph = graph_of(pairs[tied], ties[tied], codes.size)
-    return solve(graph, codes, level, np.full(codes.size, _HOLD), right)
+    return solve(graph, codes, sheets.level, np.full(codes.size, _HOLD), right)
 
 
 def feathered(

@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.painting.projected import Projected
+from octex.painting.project import Projected
+from octex.photos.patches import batches
 from octex.source.surface import Surface
 
-#: Points of the surface that are looked at, and how many points of pictures at once.
-_POINTS, _AT_ONCE = 40_000, 1 << 20
+#: Points of the surface that are looked at.
+_POINTS = 40_000
 #: Detail is what lies between so many pixels and twice that, of the coarsest picture that counts.
 _WIDTH = 2.0
 #: With how many others a picture is compared at least: of two none is right.
@@ -55,7 +56,10 @@ def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
         return source
     shown = shown_of(details_of(source, surface), len(source.shots))
     blurs = -_FALL * np.log(np.clip(shown / _SHARP, 1e-3, 1.0))  # variances
-    return source.with_says(np.asarray((1.0 + 12.0 * blurs) ** -4.0))
+    weights = ((1.0 + 12.0 * blurs) ** -4.0).tolist()
+    return source.with_shots(
+        [shot._replace(weight=weight) for shot, weight in zip(source.shots, weights, strict=True)]
+    )
 
 
 def shown_of(details: Details, count: int) -> Float64s:
@@ -110,12 +114,10 @@ def _beside(details: Details, is_sharp: Bools) -> Float64s:
 def details_of(source: Projected, surface: Surface) -> Details:
     """Return what pictures show at points of the surface."""
     samples = surface.scatter(_POINTS)
-    step = max(_AT_ONCE // len(source.shots), 1)
     parts = []
-    for first in range(0, _POINTS, step):
-        where = samples.triangles[first : first + step], samples.barycentric[first : first + step]
-        part = _details_at(source, *where)
-        parts.append(part._replace(points=part.points + first))
+    for some in batches(_POINTS, len(source.shots)):
+        part = _details_at(source, samples.triangles[some], samples.barycentric[some])
+        parts.append(part._replace(points=part.points + some.start))
     return Details(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
@@ -126,7 +128,7 @@ def _details_at(source: Projected, triangles: Int32s, barycentric: Float64s) -> 
     counts &= counts.sum(axis=0) > _OTHERS
     coarsest = np.zeros(len(triangles), np.float32)
     for number, shot in enumerate(source.shots):
-        widths = source.with_shots([shot], [number]).widths(*where)
+        widths = source.with_shots([shot]).widths(*where)
         coarsest = np.where(counts[number], np.maximum(coarsest, widths), coarsest)
     fine, coarse = (
         np.sqrt(np.maximum(source.each(*where, np.float32(width) * coarsest)[0][counts], np.float32(0)))

@@ -1,14 +1,13 @@
-"""Pictures to paint with: what is given, and the levels from which paint is read."""
+"""Pictures to paint with, and the mips that paint is read from."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -25,7 +24,7 @@ from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
 from octex.jit import inlined, kernel
-from octex.painting.resuming import Kept, digest_of, fits
+from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
 from octex.source.images.cubic import catmull_rom
@@ -44,7 +43,7 @@ BLENDS: tuple[Blend, ...] = get_args(Blend)
 _OPAQUE = np.float32(1.0 - 1e-6)
 #: Pixels so near to a key, in 8-bit codes of each component, are of its colour.
 _KEY_CODES = 24
-#: Bytes that a pixel takes: its levels, those of them that agree, and what the camera sees in it.
+#: Bytes that a pixel takes: its mips, those of them that agree, and what the camera sees in it.
 _PIXEL_MEMORY = 64
 #: Codes of images.
 _MOST_CODE = 65535.0
@@ -111,14 +110,14 @@ def room_for(
     return scratch(place)
 
 
-class Levels(NamedTuple):
-    """A picture and smaller ones, each half as wide and high, as kernels read them.
+class Mips(NamedTuple):
+    """A picture and smaller ones, each half as wide and high.
 
-    A row is a pixel: up to three components as the channel has them decoded, multiplied by alpha, and alpha.
+    A row is a pixel: up to three components, decoded, multiplied by alpha; and alpha.
     """
 
-    pixels: Float32s  # (pixels of all levels, 4)
-    sizes: Int64s  # (levels, 3)   first row, width, height
+    pixels: Float32s  # (pixels of all mips, 4)
+    sizes: Int64s  # (mips, 3)   first row, width, height
     range: Float32s  # (2, 3)   the least and the largest of each component where the picture has any alpha
 
 
@@ -135,63 +134,40 @@ class Window(NamedTuple):
         return array[self.top : self.bottom, self.left : self.right]
 
 
-def levels_of(
-    projection: Projection, form: ChannelFormat, scale: float = 1.0, kept: Kept | None = None
-) -> Levels:
+def mips_of(
+    projection: Projection, form: ChannelFormat, scale: float = 1.0, stages: Stages = NOT_STORED
+) -> Mips:
     """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
 
     Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
     camera's.
     """
-    return window_of(projection, form, scale, None, kept)[0]
+    return window_of(projection, form, scale, None, stages)[0]
 
 
 def window_of(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None, kept: Kept | None = None
-) -> tuple[Levels, Window]:
-    """Decode what of a projection is within ``around`` pixels of paint, or all for None: see `levels_of`.
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages = NOT_STORED
+) -> tuple[Mips, Window]:
+    """Decode the part of a projection within ``around`` pixels of paint, or all for None; see `mips_of`."""
 
-    Returns also where in the picture that is. Where it is ``kept`` it is not decoded.
-    """
-    if kept is None:
-        return _window_of(projection, form, scale, around)
+    def decoded() -> dict[str, Array]:
+        mips, window = _window_of(projection, form, scale, around)
+        return {**mips._asdict(), "window": np.array(window, np.int64)}
+
     size = projection.camera.width, projection.camera.height
-
-    def made() -> dict[str, Array]:
-        levels, window = _window_of(projection, form, scale, around)
-        return {**levels._asdict(), "window": np.array(window, np.int64)}
-
-    where = kept.of(size, form, scale, around, content_of(projection))
-    return where.arrays("picture", made, partial(_as_kept, size))
-
-
-def _as_kept(size: tuple[int, int], arrays: Mapping[str, Array]) -> tuple[Levels, Window] | None:
-    """Return what is kept of a picture of that size (width, height); None for what cannot be that."""
-    (width, height), window = size, arrays.get("window")
-    if window is None or not fits({"window": window}, {"window": ("i8", (4,))}):
-        return None
-    where = Window(*window.tolist())
-    if not (0 <= where.left < where.right <= width and 0 <= where.top < where.bottom <= height):
-        return None
-    sizes = _sizes(where.right - where.left, where.bottom - where.top)
-    rows = int(sizes[-1, 0] + sizes[-1, 1] * sizes[-1, 2])
-    expected = {"pixels": ("f4", (rows, 4)), "sizes": ("i8", sizes.shape), "range": ("f4", (2, 3))}
-    if not fits(arrays, {**expected, "window": ("i8", (4,))}):
-        return None
-    return Levels(arrays["pixels"], sizes, arrays["range"]), where
+    own = stages.of(lambda: [size, form, scale, around, content_of(projection)])
+    found = own.arrays("picture", decoded)
+    return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
 
 
 def _window_of(
     projection: Projection, form: ChannelFormat, scale: float, around: int | None
-) -> tuple[Levels, Window]:
-    size = width, height = projection.camera.width, projection.camera.height
-    texels = _texels(projection.image, "the image", size)
-    _check_size(texels, width, height, projection.name)
-    before = None
+) -> tuple[Mips, Window]:
+    size = projection.camera.width, projection.camera.height
+    texels, before = _texels(projection.image, "the image", size), None
     if projection.since is not None:
         before = _texels(projection.since, "the picture as it was", size)
-        _check_size(before, width, height, _name_of(projection.since, "the picture as it was"))
-    window = Window(0, 0, width, height)
+    window = Window(0, 0, *size)
     if around is not None:
         has_paint = texels[:, :, 3] > 0
         if before is not None and before.dtype == texels.dtype:
@@ -201,17 +177,16 @@ def _window_of(
     sizes = _sizes(*texels.shape[1::-1])
     ends = sizes[:, 0] + sizes[:, 1] * sizes[:, 2]
     rows = np.empty((int(ends[-1]), 4), np.float32)
-    levels = [
+    mips = [
         rows[first:end].reshape(down, across, 4)
         for (first, across, down), end in zip(sizes, ends, strict=True)
     ]
-    pixels = _decoded(texels, form, levels[0])
+    pixels = _decoded(texels, form, mips[0])
     factor: np.float32 | Float32s = np.float32(scale)
     if before is not None:
         factor = factor * (pixels != _decoded(window.of(before), form)).any(axis=2)
     if projection.mask is not None:
         mask = _texels(projection.mask, "the mask", size)
-        _check_size(mask, width, height, _name_of(projection.mask, "the mask"))
         shown = _as_fractions(mask[:, :, 3])
         if (shown == 1.0).all():
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
@@ -222,16 +197,16 @@ def _window_of(
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
-    for above, level in pairwise(levels):
+    for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
     pixels[:] = sharpened(pixels, _is_light(form))
-    return Levels(rows, sizes, limits), window
+    return Mips(rows, sizes, limits), window
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:
     """Return the part of a picture that is so near to some pixels, to whole multiples of that.
 
-    So the pixels of smaller levels are those of the whole picture's.
+    So the pixels of smaller mips are those of the whole picture's.
     """
     ends = []
     for axis in (1, 0):  # of columns, and of rows
@@ -246,7 +221,7 @@ def _window_around(has_paint: Bools, around: int) -> Window:
 
 
 def _sizes(width: int, height: int) -> Int64s:
-    """Return the first row, width and height of a picture's levels; see Levels."""
+    """Return the first row, width and height of a picture's mips; see Mips."""
     sizes = [(0, width, height)]
     while min(sizes[-1][1:]) > 1:
         first, across, down = sizes[-1]
@@ -270,66 +245,28 @@ def _ends(pixels: Float32s) -> Float32s:
     return ends
 
 
-def masked(levels: Levels, mask: Float32s) -> Levels:
-    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, between whose pixels it fades.
-
-    A mask's pixels cover the picture, the last ones perhaps more than that.
-    """
-    pixels = np.empty_like(levels.pixels)
-    _mask_levels(levels.pixels, levels.sizes, mask, pixels)
-    return levels._replace(pixels=pixels)
-
-
-@kernel
-def _mask_levels(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) -> None:
-    rows, columns = mask.shape
-    width, height = sizes[0, 1], sizes[0, 2]
-    step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
-    lefts, parts = np.empty(width, np.int64), np.empty(width, np.float32)
-    for level in range(len(sizes)):
-        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
-        for j in range(across):
-            x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
-            lefts[j] = int(x)
-            parts[j] = x - lefts[j]
-        for i in range(down):
-            y = min(max((i + 0.5) * height / (down * step) - 0.5, 0.0), rows - 1.0)
-            above = int(y)
-            below, low = min(above + 1, rows - 1), np.float32(y - above)
-            for j in range(across):
-                left, part = lefts[j], parts[j]
-                right = min(left + 1, columns - 1)
-                upper = mask[above, left] + (mask[above, right] - mask[above, left]) * part
-                lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
-                factor = upper + (lower - upper) * low
-                at = first + i * across + j
-                for component in range(4):
-                    found[at, component] = given[at, component] * factor
-
-
 def _name_of(image: Image, otherwise: str) -> str:
     return str(as_path(image, "image")) if is_path(image) else otherwise
 
 
 def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
-    """Return the texels of an image, of a file turned upright if it then has a size (width, height)."""
-    if not is_path(image):
+    """Return the texels of an image of a size (width, height), of a file turned upright if that has it."""
+    if is_path(image):
+        texels, data = read_image_file(as_path(image, "image"))
+        upright = turned(texels, orientation_of(data))
+        texels = upright if upright.shape[1::-1] == size else texels
+    else:
         try:
-            return as_texels(image)  # type: ignore[arg-type]
+            texels = as_texels(image)  # type: ignore[arg-type]
         except ImageError as error:
             raise ImageError(f"{otherwise}: {error}") from None
-    texels, data = read_image_file(as_path(image, "image"))
-    upright = turned(texels, orientation_of(data))
-    return upright if upright.shape[1::-1] == size else texels
-
-
-def _check_size(texels: Array, width: int, height: int, name: str) -> None:
     rows, columns = texels.shape[:2]
-    if (columns, rows) != (width, height):
+    if (columns, rows) != size:
         raise ArgumentError(
-            f"{name} has {columns}×{rows} pixels, its camera {width}×{height}; scale the picture, or give "
-            "the camera that it was taken with"
+            f"{_name_of(image, otherwise)} has {columns}×{rows} pixels, its camera {size[0]}×{size[1]}; "
+            "scale the picture, or give the camera that it was taken with"
         )
+    return texels
 
 
 def _is_key(texels: npt.NDArray[np.uint16 | np.float32], key: Sequence[int]) -> Bools:
@@ -402,7 +339,7 @@ def check_projections(projections: Projection | Sequence[Projection]) -> list[Pr
 
 @inlined
 def read_paint(
-    levels: Levels, x: float, y: float, width: float
+    mips: Mips, x: float, y: float, width: float
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return paint at pixel coordinates as a box of ``width`` pixels sees it: times alpha, and alpha.
 
@@ -411,19 +348,19 @@ def read_paint(
     level whose pixels are next smaller, so that the variance is the box's.
     """
     if not width > 1.0:
-        return _bicubic(levels, 0, x, y)
-    level = min(int(np.log2(width)), levels.sizes.shape[0] - 1)
-    scale_x = levels.sizes[level, 1] / levels.sizes[0, 1]
-    scale_y = levels.sizes[level, 2] / levels.sizes[0, 2]
+        return _bicubic(mips, 0, x, y)
+    level = min(int(np.log2(width)), mips.sizes.shape[0] - 1)
+    scale_x = mips.sizes[level, 1] / mips.sizes[0, 1]
+    scale_y = mips.sizes[level, 2] / mips.sizes[0, 2]
     x, y = x * scale_x, y * scale_y
     apart = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
     if not apart > 0.0:
-        return _bicubic(levels, level, x, y)
+        return _bicubic(mips, level, x, y)
     a = b = c = d = np.float32(0.0)
     for corner in range(4):
         u = x + (apart if corner & 1 else -apart)
         v = y + (apart if corner & 2 else -apart)
-        e, f, g, h = _bicubic(levels, level, u, v)
+        e, f, g, h = _bicubic(mips, level, u, v)
         a, b, c, d = a + e, b + f, c + g, d + h
     quarter = np.float32(0.25)
     return a * quarter, b * quarter, c * quarter, d * quarter
@@ -431,9 +368,9 @@ def read_paint(
 
 @inlined
 def _bicubic(
-    levels: Levels, level: int, x: float, y: float
+    mips: Mips, level: int, x: float, y: float
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    start, width, height = levels.sizes[level, 0], levels.sizes[level, 1], levels.sizes[level, 2]
+    start, width, height = mips.sizes[level, 0], mips.sizes[level, 1], mips.sizes[level, 2]
     u, v = x - 0.5, y - 0.5
     i, j = int(np.floor(u)), int(np.floor(v))
     of_x, of_y = catmull_rom(np.float32(u - i)), catmull_rom(np.float32(v - j))
@@ -444,16 +381,16 @@ def _bicubic(
         for column in range(4):
             at = first + min(max(i + column - 1, 0), width - 1)
             weight = of_y[row] * of_x[column]
-            a += weight * levels.pixels[at, 0]
-            b += weight * levels.pixels[at, 1]
-            c += weight * levels.pixels[at, 2]
-            d += weight * levels.pixels[at, 3]
-    return clipped(levels, a, b, c, d)
+            a += weight * mips.pixels[at, 0]
+            b += weight * mips.pixels[at, 1]
+            c += weight * mips.pixels[at, 2]
+            d += weight * mips.pixels[at, 3]
+    return clipped(mips, a, b, c, d)
 
 
 @inlined
 def clipped(
-    levels: Levels, a: np.float32, b: np.float32, c: np.float32, d: np.float32
+    mips: Mips, a: np.float32, b: np.float32, c: np.float32, d: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return paint, times alpha, and alpha, brought back into the picture's range, which splines leave."""
     none = np.float32(0.0)
@@ -461,7 +398,7 @@ def clipped(
         return none, none, none, none
     if d > _OPAQUE:  # the spline may overshoot; colours have done so with it
         a, b, c, d = a / d, b / d, c / d, np.float32(1.0)
-    least, most = levels.range[0], levels.range[1]  # it leaves the range of the colours too
+    least, most = mips.range[0], mips.range[1]  # it leaves the range of the colours too
     return (
         min(max(a, d * least[0]), d * most[0]),
         min(max(b, d * least[1]), d * most[1]),

@@ -12,13 +12,12 @@ from functools import partial
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.painting.agreement import as_codes
-from octex.painting.consensus import medians
-from octex.painting.patches import PATCH, beside, patches_of, seen_at, widths_of
-from octex.painting.pictures import Levels, masked
-from octex.painting.projected import Projected
-from octex.painting.shots import Shot, most_ahead
-from octex.parallel import ordered_map, sharing
+from octex.painting.picture import Mips
+from octex.painting.project import Projected
+from octex.painting.sight import Shot
+from octex.photos.agreement import as_codes
+from octex.photos.consensus import medians
+from octex.photos.patches import PATCH, batches, beside, masked, patches_of, seen_at, widths_of
 
 #: From this light on a picture may be cut off: 250 of 255 codes.
 _CUT = 0.955
@@ -26,8 +25,6 @@ _CUT = 0.955
 _LIGHTER = 2.0
 #: Patches are pixels of this level.
 _LEVEL = PATCH.bit_length() - 1
-#: So many points of all pictures are looked at together.
-_POINTS = 1 << 20
 
 
 def without_overexposed(given: Projected, evened: Projected, executor: Executor) -> Projected:
@@ -35,36 +32,30 @@ def without_overexposed(given: Projected, evened: Projected, executor: Executor)
 
     ``given`` is the same as it was before.
     """
-    numbers = range(len(given.shots))
-    with sharing(executor) as pool:
-        return evened.with_levels(
-            ordered_map(pool, partial(_masked, given, evened), numbers, window=most_ahead())
-        )
+    return evened.with_mips(partial(_masked, given, evened), executor)
 
 
-def _masked(given: Projected, evened: Projected, number: int) -> Levels:
+def _masked(given: Projected, evened: Projected, number: int) -> Mips:
     """Return a picture that is evened out, masked where it is cut off and next to that, if others see it."""
-    shot, levels = given.shots[number], evened.shots[number].levels
-    if not _is_limited(shot.levels):
-        return levels
+    shot, mips = given.shots[number], evened.shots[number].mips
+    if not _is_limited(shot.mips):
+        return mips
     rows, columns = patches_of(shot)
     patches, triangles, barycentric = seen_at(given, shot, beside(_cut_off(shot)))
-    widths = widths_of(given.with_shots([shot], [number]), triangles, barycentric)
+    widths = widths_of(given.with_shots([shot]), triangles, barycentric)
     is_wrong = np.zeros(rows * columns, np.bool_)
     others_see = np.ones(rows * columns, np.bool_)  # where no middle sees the surface, too
-    step = max(_POINTS // len(given.shots), 1)
-    for first in range(0, len(patches), step):
-        some = slice(first, first + step)
+    for some in batches(len(patches), len(given.shots)):
         where = triangles[some], barycentric[some], widths[some]
         is_wrong[patches[some]], others_see[patches[some]] = _compared(given, evened, number, *where)
     mask = ~beside(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
-    return levels if mask.all() else masked(levels, mask.astype(np.float32))
+    return mips if mask.all() else masked(mips, mask.astype(np.float32))
 
 
 def _cut_off(shot: Shot) -> Bools:
     """Say which patches (rows, columns) of a picture are cut off, as a level of it shows them."""
-    first, width, height = shot.levels.sizes[min(_LEVEL, len(shot.levels.sizes) - 1)].tolist()
-    pixels = shot.levels.pixels[first : first + width * height].reshape(height, width, 4)
+    first, width, height = shot.mips.sizes[min(_LEVEL, len(shot.mips.sizes) - 1)].tolist()
+    pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
     light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
     rows, columns = patches_of(shot)
     found: Bools = np.pad(light, ((0, max(rows - height, 0)), (0, max(columns - width, 0))), mode="edge")
@@ -82,7 +73,7 @@ def _compared(
     """Say at which points (n,) a picture is cut off and others are lighter; and at which others are not."""
     where = triangles, barycentric, widths
     before, (after, weights) = given.each(*where)[0], evened.each(*where)
-    limited = np.array([_is_limited(shot.levels) for shot in given.shots])
+    limited = np.array([_is_limited(shot.mips) for shot in given.shots])
     is_cut = limited[:, None, None] & (before > _CUT)
     tells = (weights > 0)[..., None] & ~is_cut
     tells[number] = False
@@ -95,6 +86,6 @@ def _compared(
     return wrong, np.all(tell, axis=1)
 
 
-def _is_limited(levels: Levels) -> bool:
+def _is_limited(mips: Mips) -> bool:
     """Say whether a picture may be cut off: one that holds light beyond 1 is not."""
-    return bool((levels.range[1] <= 1.0).all() and (levels.range[1] > _CUT).any())
+    return bool((mips.range[1] <= 1.0).all() and (mips.range[1] > _CUT).any())

@@ -11,7 +11,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.cameras.camera import Camera
 from octex.jit import kernel
-from octex.painting.pictures import Levels
+from octex.painting.picture import Mips
 
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
 NUMBERS = 7
@@ -19,38 +19,38 @@ NUMBERS = 7
 _TRIAL = 1e-3
 
 
-class Views(NamedTuple):
+class Observations(NamedTuple):
     """Pictures at a level, and who sees which points."""
 
     cameras: Sequence[Camera]  # as given
     scales: Sequence[float]  # see `pixel_at`
     points: Float64s  # (n, 3)
-    pictures: Sequence[Levels]
+    pictures: Sequence[Mips]
     level: int  # that is read
     gains: Float32s  # (pictures, 3)
-    says: Float64s  # (pictures, n)   how much a picture says of a point
+    weights: Float64s  # (pictures, n)   how well a picture sees a point
 
-    def at(self, some: Int64s) -> Views:
+    def at(self, some: Int64s) -> Observations:
         """Return the same at some of the points."""
-        return self._replace(points=self.points[some], says=self.says[:, some])
+        return self._replace(points=self.points[some], weights=self.weights[:, some])
 
     def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return what a picture shows of the points that it tells of (k, 3), and how that changes."""
-        some = self.points[self.says[n] > 0]
+        """Return what a picture shows of the points that it sees (k, 3), and how that changes."""
+        some = self.points[self.weights[n] > 0]
         picture, camera, scale = self.pictures[n], self.cameras[n], self.scales[n]
         return _seen(picture, self.level, camera, some, scale, numbers, self.gains[n])
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
         """Return what pictures show (pictures, n · 3), and how that changes with numbers of cameras."""
-        values = np.full((*self.says.shape, 3), np.nan)
+        values = np.full((*self.weights.shape, 3), np.nan)
         slopes = np.zeros((*values.shape, NUMBERS))
-        for n, say in enumerate(self.says > 0):
-            values[n, say], slopes[n, say] = self.seen_by(n, numbers[n])
+        for n, sees in enumerate(self.weights > 0):
+            values[n, sees], slopes[n, sees] = self.seen_by(n, numbers[n])
         return values.reshape(len(values), -1), np.nan_to_num(slopes).reshape(len(slopes), -1, NUMBERS)
 
 
 def _seen(
-    picture: Levels,
+    picture: Mips,
     level: int,
     camera: Camera,
     points: Float64s,
@@ -61,7 +61,7 @@ def _seen(
     """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
     level = min(level, len(picture.sizes) - 1)
     size = picture.sizes[level, 1:] / [camera.width, camera.height]
-    pixels, _ = moved(camera, scale, numbers).project(points)
+    pixels, _ = adjusted(camera, scale, numbers).project(points)
     read = np.empty((len(points), 9))
     _read(picture.pixels, picture.sizes[level], pixels * size, read)
     read *= np.tile(np.sqrt(gains), 3)
@@ -69,7 +69,7 @@ def _seen(
     for number in range(NUMBERS):
         step = numbers.copy()
         step[number] += _TRIAL
-        there, _ = moved(camera, scale, step).project(points)
+        there, _ = adjusted(camera, scale, step).project(points)
         shift = (there - pixels) * size / _TRIAL
         slopes[..., number] = read[:, 3:6] * shift[:, :1] + read[:, 6:] * shift[:, 1:]
     return read[:, :3], slopes
@@ -116,7 +116,7 @@ def pixel_at(camera: Camera, points: Float64s) -> float:
     return (abs(float(np.median(depths))) if camera.projection == "pinhole" else 1.0) / focal
 
 
-def moved(camera: Camera, scale: float, numbers: Float64s) -> Camera:
+def adjusted(camera: Camera, scale: float, numbers: Float64s) -> Camera:
     """Return a camera turned and moved so that points shift by so many pixels, and zoomed likewise.
 
     ``scale`` is how wide its pixels are there; see `pixel_at`.

@@ -1,0 +1,330 @@
+"""Paint blended with what is there, and averages made anew above it.
+
+Of a node's residual the part that is not painted stays, and paint brings its own for the part that is: so
+averages stay those of the source where nothing changed, and become those of the paint where all did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
+from octex.channels import ALPHA, ChannelFormat
+from octex.editing.averages import Residuals, average, average_rows, residuals_at
+from octex.editing.nodes import Nodes, nodes_at
+from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
+from octex.painting.cells import Paint, leave_bare, painted_channel
+from octex.painting.picture import Blend
+from octex.painting.surface import PaintedSurface
+from octex.parallel import Progress
+from octex.texture import OctreeTexture
+from octex.texture.channel import Channel
+from octex.tree.edit import among, locate, with_all_above
+from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
+from octex.tree.octree import Octree, distinct
+from octex.tree.split import Rows, rows_of
+
+#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+_HIDING = 1.0 - 1.0 / 512.0
+
+
+class Merge(NamedTuple):
+    """A layer to be merged into a texture."""
+
+    texture: OctreeTexture
+    layer: OctreeTexture  # of a draft: the part of it that is there
+    surface: PaintedSurface
+    target: str  # the channel that is painted
+    blend: Blend
+    opacity: float
+    executor: Executor
+    progress: Progress
+    coarsest: int | None = None  # the level of the largest leaf or kept node near paint, if that is known
+
+    @property
+    def is_all_painted(self) -> bool:
+        """Whether the texture has no other channels than those that are painted."""
+        painted = {self.target, ALPHA.name} if self.blend == "over" else {self.target}
+        return painted >= self.texture.channels.keys()
+
+    @property
+    def hiding(self) -> float:
+        """The coverage from which on paint hides what was there."""
+        least = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}
+        return least.get(self.blend, np.inf) if self.is_all_painted else np.inf
+
+
+class Raised(NamedTuple):
+    """A texture raised to paint."""
+
+    texture: OctreeTexture
+    old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
+    is_fresh: Bools  # (cells,)   where the texture had nothing
+    is_skirt: Bools  # (cells,)   leaves that no surface is in
+    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+
+
+class Merged(NamedTuple):
+    """A texture with paint merged into it."""
+
+    texture: OctreeTexture
+    parts: OctreeTexture  # the same cells; how much of the channels that are painted is paint, 0 … 1
+    is_fresh: Bools  # (cells,)   where the texture had nothing
+    is_new: Bools  # (cells,)   where it had no cell
+    painted: list[Int64s]  # the leaves that paint is on, by level
+    averages_rows: bool  # of all channels, for cells that are split or faced otherwise
+    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+
+
+class Above(NamedTuple):
+    """The nodes above paint, and where they are in other trees; see `nodes_at`."""
+
+    nodes: Nodes
+    before: Nodes  # of the texture before it was raised
+    layer: Nodes  # of the paint octree
+
+
+class Blended(NamedTuple):
+    """A texture's channels with paint in its leaves, and how much of each cell is paint; to be averaged."""
+
+    base: OctreeTexture  # without the paint; cells whose facings may come to differ are split
+    channels: dict[str, Channel]
+    parts: dict[str, Channel]
+    above: Above
+    may_split: Int64s  # these cells
+    averages_rows: bool = False
+
+
+def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:
+    """Return paint (n, components) of some coverage (n,) over what is there; see BLENDS."""
+    if blend == "replace":
+        coverage = (coverage > 0).astype(np.float32)
+    part = coverage[:, None]
+    if blend == "add":
+        return base + part * paint
+    if blend == "multiply":
+        paint = base * paint
+    elif blend == "screen":
+        paint = 1 - (1 - base) * (1 - paint)
+    elif blend == "erase":
+        paint = np.zeros_like(base)
+    return (1 - part) * base + part * paint  # all of the paint where it is opaque, however bright the base is
+
+
+def mixed(
+    blend: Blend,
+    target: str,
+    old: Mapping[str, Float32s],
+    paint: Float32s,
+    coverage: Float32s,
+    is_fresh: Bools,
+) -> dict[str, tuple[Float32s, Float32s]]:
+    """Return what paint (n, components) makes of the values of channels, and how much of each is paint (n,).
+
+    ``old`` are the channel that is painted, ``target``, and alpha if there is one; where the texture had
+    nothing, ``is_fresh``, there is paint alone.
+    """
+    ones = np.ones((len(paint), 1), np.float32)
+    if blend == "erase":
+        paint = 0 * ones
+    found = {target: (paint, (coverage > 0).astype(np.float32) if blend == "replace" else coverage)}
+    if blend == "over" and target != ALPHA.name and ALPHA.name in old:
+        # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
+        there = np.where(is_fresh, np.float32(0), old[ALPHA.name][:, 0])
+        united = coverage + there * (1 - coverage)
+        part = np.where(united > 0, coverage / np.maximum(united, np.float32(1e-9)), np.float32(0))
+        found = {target: (paint, part), ALPHA.name: (ones, coverage)}
+    elif ALPHA.name in old and target != ALPHA.name and is_fresh.any():
+        found[ALPHA.name] = ones, np.zeros_like(coverage)
+    for name, (own, part) in found.items():
+        new = blended(old[name], own, part, "over" if name == ALPHA.name and blend != "erase" else blend)
+        new[is_fresh] = own[is_fresh] if name == target else coverage[is_fresh, None]
+        found[name] = new, np.where(is_fresh, np.float32(1), part)
+    return found
+
+
+def facings_of_paint(
+    layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float
+) -> tuple[Float32s, Float32s]:
+    """Return the paint on facings (n,) of cells (n,), and its coverage.
+
+    A facing that the paint octree's cell lacks, as those of skirts may be, has the paint of the cell as a
+    whole; it is bare if the paint has other facings alone.
+    """
+    values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
+    is_absent = layer.tree.arrays.flags[paint.cells] & bits == 0
+    values[is_absent] = paint.values[is_absent]
+    is_bare = leave_bare(bits, paint.flags)
+    coverage[is_absent] = np.where(is_bare, np.float32(0), paint.coverage)[is_absent]
+    return values, coverage
+
+
+def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
+    """Return how much of the cells of channels is paint: nothing."""
+    counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
+    forms = [ChannelFormat(name, 1, "data", "float32") for name in names]
+    return {form.name: Channel(form, *(np.zeros((n, 1), np.float32) for n in counts)) for form in forms}
+
+
+def with_split_cells(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
+    """Return a texture some of whose cells, ascending, are split."""
+    if not cells.size:
+        return texture
+    return with_split(texture, cells, texture.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS), {})
+
+
+def writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channel]:
+    """Return a texture's channels, of which some can be written to."""
+    return {
+        name: Channel(own.format, *(each.copy() for each in own[1:])) if name in names else own
+        for name, own in texture.channels.items()
+    }
+
+
+def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
+    """Return cells, ascending, in which paint may make a difference between facings.
+
+    These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
+    ways along an axis. ``painted`` (n,) are the flags of the paint on the leaves.
+    """
+    flags = tree.arrays.flags
+    facings = flags & np.uint8(FACING_FLAGS)
+    leaves = cells[((flags[cells] | painted) & SPLIT != 0) & (facings[cells] != 0)]
+    nodes = above.nodes.cells
+    both = facings[nodes] & facings[nodes] >> np.uint8(1) & np.uint8(POSITIVE_FACINGS)
+    chosen = (both != 0) | (flags[nodes] & SPLIT != 0)
+    return np.sort(np.concatenate([leaves, nodes[chosen]]))
+
+
+def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
+    """Find the nodes above leaves, given by their Morton codes level by level.
+
+    So are split nodes, old ones, above new cells (cells,): these may face other ways than what they divide.
+    """
+    above = [distinct(own >> 3) for own in with_all_above(codes)[1:]]
+    for level, turned in enumerate(_split_above(tree, is_new, before)[: len(above)]):
+        above[level] = distinct(np.concatenate([above[level], turned]))
+    return Above(*(nodes_at(each, above) for each in (tree, before, layer)))
+
+
+def _split_above(tree: Octree, is_new: Bools, before: Octree) -> list[Int64s]:
+    """Return the codes of split nodes above new cells that were nodes before, by level."""
+    if not (is_new.any() and before.split.cells.size):
+        return []
+    found: list[Int64s] = []
+    above = np.empty(0, np.int64)
+    for level, (codes, is_node) in reversed(list(enumerate(tree.walk()))):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        own = codes[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
+        own = own[among(own, above)]
+        where = locate(before, own, level)
+        found.insert(0, own[(where.levels == level) & ~where.is_leaf])
+        above = distinct(np.concatenate([above, codes[is_new[here]]]) >> 3)
+    return found
+
+
+def averaged(
+    task: Merge, draft: OctreeTexture, raised: Raised, made: Blended, painted: list[Int64s]
+) -> Merged:
+    """Average anew, in place, above paint that has been blended; keep cells split that need it.
+
+    ``draft`` is the texture before it was raised.
+    """
+    base, channels, parts, above, may_split, averages_rows = made
+    is_new, is_fresh = raised.old < 0, raised.is_fresh
+    after = base.with_cells(base.tree, channels)
+    names = channels if ALPHA.name in parts or is_new.any() else parts
+    rows = rows_of(base.tree.split, above.nodes.cells)
+    left = {}
+    for name in _alpha_first(names):
+        left[name] = _residuals_before(draft, raised, name, above, rows)
+        if name in parts:
+            takes_on = name == task.target and task.blend in ("over", "replace")
+            layer = task.layer if takes_on else None
+            left[name] = _with_paint(
+                after, channels[name].format, parts[name], above, rows, left[name], layer
+            )
+        average(after, channels[name], left[name], above.nodes)
+    new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
+    excess = split_in_vain(after, new_split)
+    has_rows = averages_rows or excess.size < new_split.size
+    stays = ~among(rows.cells, excess)
+    texture = without_split(after, excess)
+    if has_rows or excess.size:
+        copies = {
+            name: each._replace(split_values=each.split_values.copy())
+            for name, each in texture.channels.items()
+        }
+        texture = texture.with_cells(texture.tree, copies)
+        rows = rows_of(texture.tree.split, above.nodes.cells)
+        rows_left = {name: each.rows[stays] for name, each in left.items()}
+        if has_rows:
+            for name in copies.keys() - left.keys():
+                rows_left[name] = _residuals_before(draft, raised, name, above, rows).rows
+        for name in _alpha_first(rows_left):
+            average_rows(texture, copies[name], rows_left[name], above.nodes)
+    parts_left = without_split(base.with_cells(base.tree, parts), excess)
+    return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
+
+
+def _alpha_first(names: Iterable[str]) -> list[str]:
+    """Sort channels: the others weigh by alpha's averages."""
+    return sorted(names, key=lambda name: name != ALPHA.name)
+
+
+def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:
+    """Return the residuals that nodes, and ``rows`` of them, had; none where the texture had nothing.
+
+    Those that were no nodes have the residuals of leaves that were raised.
+    """
+    nodes, was = above.nodes, above.before.numbers >= 0
+    owners = np.searchsorted(nodes.cells, rows.cells)
+    numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
+    kinds = (draft, above.before), (raised.texture, nodes._replace(numbers=numbers))
+    one, other = (residuals_at(texture, name, places, owners, rows.bits) for texture, places in kinds)
+    return Residuals(one.nodes + other.nodes, one.rows + other.rows)
+
+
+def _with_paint(
+    texture: OctreeTexture,
+    form: ChannelFormat,
+    part: Channel,
+    above: Above,
+    rows: Rows,
+    before: Residuals,
+    layer: OctreeTexture | None,
+) -> Residuals:
+    """Return the residuals of nodes of which ``part`` is paint, and those of the layer's paint, if given.
+
+    ``part`` is that of leaves, and of their rows, 0 … 1; that of nodes is filled in.
+    """
+    own = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
+    average(texture, own, nodes=above.nodes)
+    covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
+    left = Residuals(before.nodes * (1 - covered), before.rows * (1 - row_covered))
+    if layer is None:
+        return left
+    owners = np.searchsorted(above.nodes.cells, rows.cells)
+    paint = residuals_at(layer, painted_channel(layer), above.layer, owners, rows.bits)
+    return Residuals(left.nodes + paint.nodes * covered, left.rows + paint.rows * row_covered)
+
+
+def averaged_above(task: Merge, draft: OctreeTexture, made: Merged) -> Merged:
+    """Average anew above painted cells without children, into which paint has been merged already.
+
+    Neither ``draft``, the texture as it was, nor the layer have children there.
+    """
+    texture = made.texture
+    old = np.where(made.is_new, -1, 0)
+    raised = Raised(texture, old, made.is_fresh, np.zeros(old.size, np.bool_), [])
+    above = nodes_above(texture.tree, made.painted, made.is_new, draft.tree, task.layer.tree)
+    may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
+    base, parts = (with_split_cells(each, may_split) for each in (texture, made.parts))
+    channels, own = writable(base, base.channels), writable(parts, parts.channels)
+    blended = Blended(base, channels, own, above, may_split, made.averages_rows)
+    return averaged(task, draft, raised, blended, made.painted)

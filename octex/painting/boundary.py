@@ -1,0 +1,439 @@
+"""The boundary around paint: skirts off the surface, and what only paint is near (paper 4.1, step 3; 4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Int64s
+from octex.editing.nodes import all_children
+from octex.jit import kernel
+from octex.painting.cells import Paint, SurfaceCells, among_at, joined, leave_bare, paint_at, some
+from octex.parallel import ordered_map, sharing
+from octex.tree import morton
+from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
+from octex.tree.edit import Located, among, first_not_below, locate, places, with_all_above
+from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
+from octex.tree.octree import Octree, distinct
+
+#: Cells of a skirt that are painted at once.
+_BLOCK = 1 << 13
+
+
+class Finer(NamedTuple):
+    """Where paint, or the boundary around it, is finer than a texture; lists are by level."""
+
+    below: list[Int64s]  # paint in leaves
+    added: list[Int64s]  # paint where the texture has nothing
+    refined: list[Int64s]  # beside paint, refined from what is above
+    stored: list[Int64s]  # beside paint, stored
+    absent: list[Int64s]  # beside paint in leaves, where the texture has nothing
+    leaves: list[tuple[int, Int64s]]  # the leaves that paint or the boundary is in: levels and codes
+
+    @property
+    def is_any(self) -> bool:
+        """Whether there is any."""
+        return bool(self.leaves) or any(codes.size for codes in (*self.added, *self.refined))
+
+
+def find_finer(
+    tree: Octree, paint: Sequence[Paint], is_skirt: Bools, shallowest: int, is_all_painted: bool
+) -> Finer:
+    """Find where paint, or the boundary around it, is finer than a tree.
+
+    ``shallowest`` is the level of the largest leaves of the whole.
+    """
+    found = Finer([], [], [], [], [], [])
+    for level, each in enumerate(paint):
+        where = locate(tree, each.codes, level)
+        is_missing = where.levels < level
+        in_leaf = is_missing & where.is_leaf
+        below = each.codes[in_leaf]
+        found.leaves.extend(_leaves_above(below, where.of(in_leaf), level))
+        refined = stored = absent = np.empty(0, np.int64)
+        if each.codes.size and shallowest < level:
+            around = boundary(each.codes, level)
+            beside = locate(tree, around, level)
+            flags = tree.arrays.flags[beside.cells]
+            is_old = beside.is_leaf & is_skirt[beside.cells]  # see `with_old_skirts`
+            is_refined = (beside.levels < level) & (beside.is_leaf | (flags & KEPT != 0)) & ~is_old
+            refined = around[is_refined]
+            stored = around[(beside.levels == level) & ~is_old]
+            if is_all_painted:
+                is_absent = (beside.levels < level - 1) & ~beside.is_leaf & (flags & KEPT == 0)
+                absent = around[is_absent & near(around, below, level)]
+            in_leaf = is_refined & beside.is_leaf
+            found.leaves.extend(_leaves_above(around[in_leaf], beside.of(in_leaf), level))
+        found.below.append(below)
+        found.added.append(each.codes[is_missing & ~where.is_leaf])
+        found.refined.append(refined)
+        found.stored.append(stored)
+        found.absent.append(absent)
+    return found
+
+
+def _leaves_above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]]:
+    """Return the leaves above cells of a level, as levels and codes."""
+    return [
+        (top, distinct(codes[where.levels == top] >> 3 * (level - top)))
+        for top in np.flatnonzero(np.bincount(where.levels)).tolist()
+    ]
+
+
+def doubted_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[tuple[int, Int64s]]:
+    """Return the leaves near paint, by level, that ``resize`` may have made where no surface is.
+
+    Those are in nodes of more than four cells, of which all leaves are alike. Near is what is in or beside
+    nodes that paint is in and that keep a coefficient; see `on_kept`.
+    """
+    codes = np.empty(0, np.int64)
+    doubted: list[tuple[int, Int64s]] = []
+    painted = with_all_above([each.codes for each in paint])
+    walk = islice(enumerate(tree.walk()), 1, None)
+    for (deeper, (below, is_node)), above in zip(walk, painted, strict=False):
+        where = locate(tree, above, deeper - 1)
+        is_kept = (where.levels == deeper - 1) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        codes = distinct(np.concatenate([codes, with_boundary(above[is_kept], deeper - 1)]))
+        where = locate(tree, codes, deeper - 1)
+        children, starts = all_children(tree, where.nodes[(where.levels == deeper - 1) & ~where.is_leaf])
+        if not children.size:
+            codes = codes[:0]
+            continue
+        looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
+        counts = np.diff(starts, append=children.size)
+        own = children - tree.arrays.level_cells[deeper]
+        least, most = np.where(is_node[own], 1 << 16, looks), np.where(is_node[own], -1, looks)
+        is_filled = np.minimum.reduceat(least, starts) == np.maximum.reduceat(most, starts)
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
+        if is_filled.any():
+            doubted.append((deeper, below[own[is_filled]]))
+        codes = below[own]
+    return doubted
+
+
+def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
+    """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
+    if not outer.size:
+        return outer
+    bare = met[near(met, outer, level)]
+    bare = bare[~among(bare, ring)]
+    bare = bare[~is_within(bare, painted, level)]
+    return outer[~near(outer, bare, level)]
+
+
+def skirt_on_nothing(
+    absent: Int64s,
+    painted: Sequence[Int64s],
+    ring: Int64s,
+    met: Int64s,
+    unraised: Sequence[Int64s],
+    level: int,
+    top: int,
+) -> Int64s:
+    """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
+
+    A spline reaches half a cell beyond leaves, so that what was a leaf is refined to cells beside it too. A
+    single stored cell there makes all others below the same cell of level ``top`` count for nothing, also
+    to what is beside it of ``unraised`` leaves, given by level.
+    """
+    shift = 3 * (level - top)
+    tops = distinct(absent >> shift)
+    outer = met[near(met >> shift, tops, top)]
+    outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
+    taken = distinct(with_boundary(outer, level) >> shift)
+    free = tops[~among(tops, taken) & ~are_beside(tops, unraised, top)]
+    return absent[among(absent >> shift, free)]
+
+
+def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
+    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger.
+
+    Those do not count that are among ``tops``, given by level.
+    """
+    around = boundary(codes, level)
+    where = locate(tree, around, level)
+    around = around[where.is_leaf & (where.levels < level)]
+    around = around[~is_within(around, tops[:level], level)]
+    return near(codes, around, level)
+
+
+def is_beside_old(
+    codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
+) -> Bools:
+    """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
+
+    See `on_kept`: unpainted surface is in or beside them. They are of the coarsest level near paint.
+    """
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    cells = codes >> 3 * (level - coarsest)
+    around = with_boundary(distinct(cells), coarsest)
+    around = around[among(around, above[coarsest])]
+    return near(cells, around[are_beside(around, bare, coarsest)], coarsest)
+
+
+def bare_surface(
+    tree: Octree,
+    is_skirt: Bools,
+    paint: Sequence[Paint],
+    above: Sequence[Int64s],
+    tops: Sequence[Int64s],
+    met: SurfaceCells,
+) -> tuple[list[Int64s], list[Int64s]]:
+    """Return where the surface is not painted, by level: leaves that are not raised, and all there will be.
+
+    ``above`` are painted cells and all above them, ``tops`` the leaves that are raised.
+    """
+    painted = [each.codes for each in paint]
+    unraised = [own[~among(own, tops[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))]
+    bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
+    for level, codes in enumerate(met.codes):
+        inside = codes[is_within(codes >> 3, tops[:level], level - 1)] if level else codes[:0]
+        is_bare = ~among(inside, above[level]) & ~is_within(inside, painted, level)
+        there = np.flatnonzero(among(inside, painted[level]))
+        at = np.searchsorted(codes, inside[there]) + int(met.tree.arrays.level_cells[level])
+        own = paint[level].flags[np.searchsorted(painted[level], inside[there])]
+        is_bare[there] = leave_bare(met.tree.arrays.flags[at], own)
+        bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
+    return unraised, bare
+
+
+def free_leaves(
+    tree: Octree,
+    paint: Sequence[Paint],
+    tops: Sequence[Int64s],
+    bare: Sequence[Int64s],
+    coarsest: int,
+    hiding: float,
+) -> list[Int64s]:
+    """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
+
+    Two of their own size around them there is no ``bare`` surface and no paint through which something shows,
+    so that no cell off the surface below them is refined from what was there. Nor is there around any cell
+    above them that leaves or kept nodes of its size are beside; these are of level ``coarsest`` or deeper.
+    """
+    none = np.empty(0, np.int64)
+    shown = [[none, *bare[level : level + 1]] for level in range(len(tops))]
+    for level, each in enumerate(paint[: len(tops)]):
+        shown[level].append(each.codes[each.coverage < hiding])
+    seen = [distinct(np.concatenate(own)) for own in shown]
+    held, freed = none, []
+    for level, codes in enumerate(with_all_above(tops)):
+        is_held = among(codes >> 3, held)
+        if level >= coarsest and codes.size:
+            around = with_boundary(codes, level)
+            where = locate(tree, around, level)
+            has_own = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
+            own = around[(where.levels == level) & has_own]
+            around = around[are_beside(around, seen, level)]
+            is_held |= near(codes, own, level) & near(codes, around, level)
+        held = codes[is_held]
+        freed.append(tops[level][~among(tops[level], held)])
+    return freed
+
+
+def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
+    """Return leaves that the surface is in and not all of it painted, by level.
+
+    What lies in larger cells of paint is painted with them.
+    """
+    found = []
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        flags = tree.arrays.flags[here]
+        is_bare = ~is_node & ~is_skirt[here]
+        for above, each in enumerate(paint[: level + 1]):
+            if each.codes.size:
+                at = places(codes >> 3 * (level - above), each.codes)
+                there = at >= 0
+                is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
+        found.append(codes[is_bare])
+    return found
+
+
+def with_old_skirts(
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+) -> list[Paint]:
+    """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
+
+    Beside them are no ``bare`` leaves, given by level, but such as are beside paint too, or do not see it.
+    """
+    found = list(paint)
+    if not is_skirt.any():
+        return found
+    painted = _on_surface(tree, paint, is_skirt)
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        skirt = codes[~is_node & is_skirt[here]]
+        if not skirt.size:
+            continue
+        skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
+        skirt = skirt[_touch(skirt, painted, level, refined=True)]
+        if skirt.size:
+            around = boundary(skirt, level)
+            far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
+            far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
+            added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
+            found[level] = joined(found[level], _unseen(tree, added, far, level))
+    return found
+
+
+def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
+    """Return a skirt's paint without what changes bare leaves ``far`` from paint, given by level.
+
+    Beside leaves that all face one way, paint that faces the opposite way stays, on that facing alone.
+    """
+    is_beside = are_beside(skirt.codes, far, level)
+    chosen = ~is_beside
+    for bit in np.unique(skirt.flags[is_beside] & np.uint8(FACING_FLAGS)).tolist():
+        if bit.bit_count() == 1:
+            opposite = bit << 1 if bit & POSITIVE_FACINGS else bit >> 1
+            flags = [tree.arrays.flags[locate(tree, own, at).cells] for at, own in enumerate(far)]
+            seeing = [own[each & FACING_FLAGS != opposite] for own, each in zip(far, flags, strict=True)]
+            own = is_beside & (skirt.flags & FACING_FLAGS == bit)
+            chosen[own] = ~are_beside(skirt.codes[own], seeing, level)
+    skirt.coverage[is_beside] = 0.0
+    skirt.flags[is_beside] |= np.uint8(SPLIT)
+    return some(skirt, chosen)
+
+
+class OnKept(NamedTuple):
+    """Paint on kept coefficients."""
+
+    rows: Int64s  # (n,)   of the kept table, ascending
+    values: Float32s  # (n, components)   decoded
+    coverage: Float32s  # (n,)   0 … 1
+
+
+def on_kept(
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+) -> OnKept:
+    """Return the paint on kept nodes around which there are no ``bare`` leaves, given by level.
+
+    It is the mean of the paint in them, or else, where they are refined to beside paint, of that beside them.
+    The field reads their coefficients in cells off the surface, and from the cells beside them at most:
+    nothing that is not painted depends on them.
+    """
+    found: list[OnKept] = []
+    above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
+    leaves = _on_surface(tree, paint, is_skirt) if above else []
+    for level, painted in enumerate(above):
+        own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
+        if own.start == own.stop:
+            continue
+        first = int(tree.arrays.level_cells[level])
+        codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
+        chosen = among(codes, painted) | _touch(codes, leaves, level, refined=True)
+        chosen[chosen] = ~are_beside(codes[chosen], bare, level)
+        inside = paint_at(paint, codes[chosen], level)
+        off = codes[chosen & ~among(codes, painted)]
+        beside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
+        inside = joined(inside, beside)
+        found.append(OnKept(np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
+    if not found:
+        return OnKept(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])
+    return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
+    """Return the cells that have paint and are no skirts, by level."""
+    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
+    return [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
+
+
+def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
+    """Say at a glance which cells (n,) of a level may reach leaves, given by level: by cells four as wide."""
+    top = max(level - 2, 0)
+    inside = [own >> 3 * (at - top) for at, own in enumerate(leaves) if at >= top]
+    coarse = [*leaves[:top], distinct(np.concatenate(inside))]
+    around = [with_boundary(own, at) for at, own in enumerate(coarse)]
+    return is_within(codes >> 3 * (level - top), around, top)
+
+
+def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
+    """Say which cells (n,) of a level are in or beside some of leaves, given by level.
+
+    With ``refined`` also those that cells in or beside some are refined from.
+    """
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    around = with_boundary(codes, level)
+    found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
+    for at in range(level + 1, len(leaves)):
+        reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
+        for deeper in range(at, level, -1):
+            reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
+        found |= among(codes, reached)
+    return found
+
+
+def skirt_paint(skirt: Int64s, level: int, executor: Executor, beside: Paint) -> Paint:
+    """Return the paint of a skirt: the mean of the paint beside it."""
+    if not skirt.size:
+        return some(beside, slice(0))
+    found = Paint(
+        skirt,
+        np.zeros((skirt.size, beside.values.shape[1]), np.float32),
+        np.zeros(skirt.size, np.float32),
+        np.zeros(skirt.size, np.int64),
+        np.zeros(skirt.size, np.uint8),
+    )
+    parts = [some(found, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
+    with sharing(executor) as pool:
+        list(ordered_map(pool, lambda part: _average_beside(part, level, beside), parts))
+    return found
+
+
+@kernel
+def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
+    """Fill in the mean of the paint beside cells.
+
+    The paint in and around a block of 8³ cells is looked up for all that are in it.
+    """
+    components = paint.values.shape[1]
+    sums = np.empty(components, np.float64)
+    nearest = np.zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before
+    around = np.empty((10, 10, 10), np.int64)  # the place of paint in the block and beside it, or −1
+    last = np.int64(-1)
+    end = ((1 << level) - 1) >> 2
+    for n in range(skirt.codes.size):
+        code = skirt.codes[n]
+        if code >> 9 != last:
+            last = code >> 9
+            around[:] = -1
+            i, j, k = morton.decode(last << 3)
+            for side in range(64):
+                x, y, z = i + side % 4 - 1, j + side // 4 % 4 - 1, k + side // 16 - 1
+                if min(x, y, z) < 0 or max(x, y, z) > end:
+                    continue
+                block = morton.encode(x, y, z)
+                at = first_not_below(paint.codes, block << 6, nearest[side])
+                nearest[side] = at
+                while at < paint.codes.size and paint.codes[at] >> 6 == block:
+                    u, v, w = morton.decode(paint.codes[at] & 63)
+                    u, v, w = u + 4 * (x - i) + 1, v + 4 * (y - j) + 1, w + 4 * (z - k) + 1
+                    if min(u, v, w) >= 0 and max(u, v, w) < 10:
+                        around[w, v, u] = at
+                    at += 1
+        sums[:] = 0.0
+        coverage, count = 0.0, 0
+        u, v, w = morton.decode(code & 511)
+        for z in range(w, w + 3):
+            for y in range(v, v + 3):
+                for x in range(u, u + 3):
+                    at = around[z, y, x]
+                    if at < 0 or paint.codes[at] == code:
+                        continue
+                    for component in range(components):
+                        sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
+                    coverage += np.float64(paint.coverage[at])
+                    count += 1
+                    skirt.cells[n] = paint.cells[at]
+                    skirt.flags[n] |= paint.flags[at]
+        for component in range(components):
+            skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
+        skirt.coverage[n] = coverage / max(count, 1)

@@ -1,0 +1,80 @@
+"""What people may ask of paint, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
+from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
+from octex.errors import ArgumentError
+from octex.painting.picture import Projection
+from octex.texture import OctreeTexture, as_texture
+
+#: How several pictures combine that see a place.
+Pictures = Literal["average", "best", "robust"]
+PICTURES: tuple[Pictures, ...] = get_args(Pictures)
+#: How their exposures are made to agree: by one gain a picture; or one a component, and without vignetting.
+Balance = Literal["gain", "full"]
+BALANCES: tuple[Balance, ...] = get_args(Balance)
+
+#: What a new texture has where no picture saw the surface.
+Holes = Literal["leave", "smooth"]
+HOLES: tuple[Holes, ...] = get_args(Holes)
+
+#: Degrees beyond which nothing is painted: photographs blur what is seen so flatly, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
+
+
+@dataclass(frozen=True)
+class PaintOptions:
+    """The options of ``octex.paint`` and ``octex.project``; raises ArgumentError for values out of range."""
+
+    channel: str = BASE_COLOR.name
+    max_depth: int | None = None
+    max_angle: float | None = None
+    edge_feather: float = 0.0
+    pictures: Pictures | None = None
+    balance: Balance | None = None
+    reference: int | None = None
+    back_faces: bool = False
+    fit: bool = True
+
+    def __post_init__(self) -> None:
+        """Check them; the default angle and the reference depend on the pictures."""
+        for name, value in self._checked().items():
+            object.__setattr__(self, name, value)
+
+    def _checked(self) -> dict[str, object]:
+        angle, depth = self.max_angle, self.max_depth
+        return {
+            "max_depth": None if depth is None else as_depth(depth, "max_depth"),
+            "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
+            "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
+            "pictures": None if self.pictures is None else as_choice(self.pictures, PICTURES, "pictures"),
+            "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
+            "back_faces": as_flag(self.back_faces, "back_faces"),
+            "fit": as_flag(self.fit, "fit"),
+        }
+
+    def of(self, pictures: Sequence[Projection]) -> PaintOptions:
+        """Return them with the largest angle for some pictures; raise ArgumentError for another reference."""
+        usual = DRAWN_ANGLE if all(each.since is not None for each in pictures) else TAKEN_ANGLE
+        if self.reference is not None:
+            as_whole(self.reference, "reference", 0, len(pictures) - 1)
+        return replace(self, max_angle=usual if self.max_angle is None else self.max_angle)
+
+
+def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
+    """Return how a channel is stored, in a texture or in a new one."""
+    if texture is not None:
+        as_choice(channel, as_texture(texture).channels, "channel of the texture")
+        form = texture.channels[channel].format
+    else:
+        form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    if channel == ALPHA.name:
+        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of pictures')
+    if form.components > 3:
+        raise ArgumentError(f"channel {channel!r} has {form.components} components; pictures have three")
+    return form

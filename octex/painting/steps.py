@@ -1,0 +1,486 @@
+"""The steps of painting, named and numbered as in the paper (4.1).
+
+A layer of paint is rasterized (1), and merged into drafts: parts of the texture with all that the paint in
+them reaches. In each, cells that no surface is in are culled before they are made (7), the boundary is formed
+(3), the texture raised (4), the paint brought to its leaves (2), merged (5) and deleted (6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.channels import ALPHA, decode, encode
+from octex.conversion.adapt import adapted
+from octex.conversion.gaps import without_gaps
+from octex.conversion.levels import assemble, cell_levels
+from octex.conversion.sides import fitters
+from octex.editing.averages import with_summed_areas
+from octex.editing.carried import carried
+from octex.editing.draft import coarsest_near, coarsest_of
+from octex.editing.nodes import nodes_at
+from octex.editing.refined import Below, refined_below, refined_values, with_rows
+from octex.editing.split import refaced
+from octex.errors import ModelError, own_making
+from octex.painting.blend import (
+    Blended,
+    Merge,
+    Merged,
+    Raised,
+    averaged,
+    facings_of_paint,
+    may_differ,
+    mixed,
+    no_parts,
+    nodes_above,
+    with_split_cells,
+    writable,
+)
+from octex.painting.boundary import (
+    Finer,
+    bare_leaves,
+    bare_surface,
+    beside_larger,
+    doubted_leaves,
+    find_finer,
+    free_leaves,
+    is_beside_old,
+    on_kept,
+    skirt_of,
+    skirt_on_nothing,
+    skirt_paint,
+    with_old_skirts,
+)
+from octex.painting.cells import (
+    Paint,
+    SurfaceCells,
+    among_at,
+    facings_within,
+    joined,
+    paint_on_leaves,
+    painted_channel,
+    some,
+)
+from octex.painting.layer import CELLS, Depths, PaintSource, empty_texture, is_plain
+from octex.painting.surface import PaintedSurface
+from octex.parallel import Progress
+from octex.texture import OctreeTexture
+from octex.tree.areas import SKIRT
+from octex.tree.beside import is_within, with_boundary
+from octex.tree.edit import Edited, among, locate, raised, rebuilt, unchanged, with_all_above
+from octex.tree.layout import FACING_FLAGS, KEPT
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree, distinct
+from octex.tree.placement import Placement
+from octex.tree.split import rows_of
+from octex.voxelize.fragments import Blocks
+
+_NONE = np.empty(0, np.int64)
+#: Cells that are blended at once.
+_BLOCK = 1 << 16
+
+
+class Boundary(NamedTuple):
+    """Paint with the boundary around it, and the cells to raise a tree to; lists are by level."""
+
+    paint: list[Paint]  # with that of the boundary
+    wanted: list[Int64s]  # cells below leaves
+    stored: list[Int64s]  # all cells below these leaves that there will be
+    added: list[Int64s]  # leaves where the tree has nothing
+    freed: list[Int64s]  # leaves that keep nothing as nodes
+
+
+def rasterize_surface(
+    painted: PaintedSurface,
+    source: PaintSource,
+    placement: Placement,
+    depths: Depths,
+    *,
+    fit: bool,
+    cells: float = CELLS,
+    executor: Executor,
+    progress: Progress,
+) -> OctreeTexture:
+    """1. Rasterize the surface into a paint octree: a texture of the painted channel and its coverage.
+
+    Its leaves lie at rest positions, ``cells`` or more in the width of the paint's detail, but as even as
+    ``depths`` say, and hold the mean of the paint on the surface inside, weighted by area and coverage. What
+    no paint is on has no cells. With ``fit`` leaves hold what brings the field nearest to the paint, as in a
+    conversion; of paint of one colour these are the means.
+    """
+    surface, depth = painted.surface, depths.deepest
+    fit = fit and not is_plain(source)
+    nothing = empty_texture(source.channels, placement, surface.bounds)
+    touched = source.touched()
+    if not touched.size:
+        return nothing
+    chosen = painted.grid(placement).around(touched, depth)
+    here = source.on(chosen)
+    filled = cell_levels(
+        surface.part(chosen, here), here.channels, placement, depth, executor, progress,
+        has_samples=fit, has_gaps=True,
+        wanted=None if depths.is_even else partial(_wanted, here, placement.size, cells, depths),
+        reached=partial(_reached, here, surface.rest, placement),
+    )  # fmt: skip
+    if not filled.codes.size:
+        return nothing
+    covered = without_gaps(*assemble(here.channels, filled), filled, placement)
+    if not covered.tree.n_leaves:
+        return nothing
+    fitting = splitting = None
+    if covered.samples is not None:
+        # Opaque paint stays opaque.
+        fitting, splitting = fitters(covered.samples, placement, executor, progress, unfitted=(ALPHA.name,))
+    tree, values = adapted(
+        covered.tree, covered.channels, None,
+        max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
+        progress=progress,
+    )  # fmt: skip
+    return refaced(OctreeTexture(tree, values, placement, surface.bounds))
+
+
+def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
+    """Say which blocks of a level paint may lie in."""
+    corners = placement.to_rest(decode_cells(blocks.codes) / 2**level)
+    return source.reaches(blocks, corners, placement.size / 2**level, rest)
+
+
+def _wanted(
+    source: PaintSource,
+    size: float,
+    cells: float,
+    depths: Depths,
+    triangles: Int32s,
+    barycentric: Float64s,
+    _widths: Float32s,
+) -> Float64s:
+    return depths.levels(source.widths(triangles, barycentric), size, cells)
+
+
+def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged | None:
+    """Merge paint into a draft of the texture; return None if none of it is there."""
+    tree = draft.tree
+    if task.blend == "erase":
+        paint = [_on(tree, each, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+    if not any(each.codes.size for each in paint):
+        return None
+    surface_cells: SurfaceCells | None = None
+    if tree.n_leaves:
+        is_skirt = _skirts(task, tree, paint)
+        edited = unchanged(tree)
+        shallowest = coarsest_of(task.texture.tree)
+        finer = find_finer(tree, paint, is_skirt, shallowest, task.is_all_painted)
+        if finer.is_any:
+            surface_cells = cull_cells(task, finer.leaves, _deepest(paint))
+            task.progress("merge", 0, 1)
+            paint, *levels = form_boundary(task, tree, paint, is_skirt, finer, surface_cells)
+            wanted, _, added, _ = levels
+            if any(codes.size for codes in (*wanted, *added)):
+                with own_making():
+                    edited = raised(tree, *levels)
+    else:
+        is_skirt = np.zeros(tree.n_cells, np.bool_)
+        paint = paint[: _deepest(paint) + 1]
+        edited = rebuilt(tree, [each.codes for each in paint])
+        edited = edited._replace(old=np.full_like(edited.old, -1))  # its root stood for nothing
+    with own_making():
+        made = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
+        paint = refine_paint(paint, task.layer, made.texture.tree, task.opacity)
+        return merge_paint(task, draft, made, paint)
+
+
+def _deepest(paint: Sequence[Paint]) -> int:
+    return max(level for level, each in enumerate(paint) if each.codes.size)
+
+
+def _on(tree: Octree, paint: Paint, level: int) -> Paint:
+    """Return the paint that lies on cells of a tree."""
+    where = locate(tree, paint.codes, level)
+    return some(paint, (where.levels == level) | where.is_leaf)
+
+
+def _skirts(task: Merge, tree: Octree, paint: Sequence[Paint]) -> Bools:
+    """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made."""
+    is_skirt: Bools = tree.arrays.areas == SKIRT
+    doubted = doubted_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
+    if doubted:
+        met = cull_cells(task, doubted, doubted[-1][0])
+        for level, codes in doubted:
+            is_skirt[locate(tree, codes[~among(codes, met.codes[level])], level).cells] = True
+    return is_skirt
+
+
+def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
+    """7. Cull: return the cells down to ``depth`` that the surface meets in some cells, given by level."""
+    placement = task.texture.placement
+    none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
+    chosen = task.surface.grid(placement).touching(within) if within else np.empty(0, np.int32)
+    if not chosen.size:
+        return none
+    part = task.surface.surface.part(chosen)
+    try:
+        filled = cell_levels(
+            part, (), placement, depth, task.executor, task.progress,
+            has_samples=False, reached=partial(_are_near, within),
+        )  # fmt: skip
+    except ModelError:  # no triangle there has an area
+        return none
+    tree, _ = assemble((), filled)
+    return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
+
+
+def _are_near(cells: Sequence[tuple[int, Int64s]], blocks: Blocks, level: int) -> Bools:
+    """Say which blocks of a level meet cells, given by level, or cells beside these."""
+    found = np.zeros(blocks.codes.size, np.bool_)
+    for at, codes in cells:
+        found |= among_at(blocks.codes, level, with_boundary(codes, at), at)
+    return found
+
+
+def form_boundary(
+    task: Merge, tree: Octree, paint: Sequence[Paint], is_skirt: Bools, finer: Finer, met: SurfaceCells
+) -> Boundary:
+    """3. Form the boundary around paint: cells beside it on the surface, and skirts off the surface.
+
+    Paint below what was a leaf gets a skirt, which would else be refined from the coefficients kept, and
+    show through. Leaves that have nothing but paint around them, all of which hides what was there, keep
+    none: they need no skirt. A skirt where nothing was counts for more than what the field refines to there,
+    in every channel. So there is none in textures with channels that are not painted: their field would
+    move.
+    """
+    depth = _deepest(paint)
+    leaves = [
+        distinct(np.concatenate([_NONE, *(codes for at, codes in finer.leaves if at == level)]))
+        for level in range(max(tree.max_depth, depth) + 1)
+    ]
+    # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
+    new = with_all_above(
+        [np.concatenate([finer.below[level], finer.added[level]]) for level in range(depth + 1)]
+    )
+    painted = [each.codes for each in paint]
+    above = with_all_above(painted)
+    hides = bool(finer.leaves) and any((each.coverage >= task.hiding).any() for each in paint)
+    unraised: list[Int64s] = []
+    bare: list[Int64s] = []
+    coarsest = task.coarsest or 0
+    if hides or any(codes.size for codes in finer.absent):
+        unraised, bare = bare_surface(tree, is_skirt, paint, above, leaves, met)
+        if task.coarsest is None:
+            first = next(level for level, codes in enumerate(painted) if codes.size)
+            coarsest = coarsest_near(tree, painted, first)
+    freed = free_leaves(tree, paint, leaves, bare, coarsest, task.hiding) if hides else []
+    found = Boundary([], [], [], [], freed)
+    skirts: list[Int64s] = []  # none lies in another
+    for level, each in enumerate(paint[: depth + 1]):
+        if not each.codes.size:
+            found.paint.append(each)
+            found.wanted.append(_NONE)
+            found.added.append(finer.added[level])
+            skirts.append(_NONE)
+            continue
+        surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
+        is_met = among(finer.refined[level], surface_cells)
+        ring, outer = finer.refined[level][is_met], finer.refined[level][~is_met]
+        outer = outer[~is_within(outer, freed, level)]
+        whole_ring = np.sort(np.concatenate([ring, finer.stored[level]]), kind="stable")
+        if (outer.size or finer.absent[level].size) and level <= tree.max_depth:
+            first, end = tree.arrays.level_cells[level : level + 2]
+            faced = tree.level_codes(level)[~is_skirt[first:end]]
+            surface_cells = distinct(np.concatenate([surface_cells, faced]))
+        kinds = [skirt_of(outer, painted, whole_ring, surface_cells, level)]
+        here = finer.absent[level]
+        here = here[is_beside_old(here, level, above, bare, coarsest)]
+        roots = np.maximum(locate(tree, here, level).levels + 1, coarsest)
+        for top in distinct(roots).tolist():
+            own = here[roots == top], painted, whole_ring, surface_cells, unraised[:level]
+            kinds.append(skirt_on_nothing(*own, level, top))
+        skirt = np.sort(np.concatenate(kinds), kind="stable")
+        skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
+        where = locate(tree, skirt, level)
+        # What the surface meets in leaves beside kept nodes that are not raised is not known: they might not
+        # stay as they are.
+        is_below_kept = (where.levels < level) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, leaves, level)
+        skirt, where = skirt[~is_below_kept], where.of(~is_below_kept)
+        skirts.append(skirt)
+        is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
+        is_new = where.levels < level
+        found.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.executor, each)))
+        added = [finer.added[level], skirt[is_free & is_new & ~where.is_leaf]]
+        found.added.append(np.sort(np.concatenate(added), kind="stable"))
+        wanted = [finer.below[level], ring, skirt[is_new & where.is_leaf]]
+        found.wanted.append(distinct(np.concatenate(wanted)))
+    every = zip(met.codes, new, with_all_above(skirts), strict=True)
+    found.stored.extend(distinct(np.concatenate(each)) for each in every)
+    return found
+
+
+def raise_texture(
+    task: Merge,
+    draft: OctreeTexture,
+    edited: Edited,
+    met: SurfaceCells | None,
+    paint: Sequence[Paint],
+    is_skirt: Bools,
+) -> Raised:
+    """4. Raise the texture to where the paint is finer: new cells have what the field refines to.
+
+    Leaves above become nodes that keep their coefficients, so that the field does not move. Cells that are
+    added where nothing was take other channels from the coarser averages there.
+    """
+    tree = edited.tree
+    is_fresh = np.zeros(tree.n_cells, np.bool_)
+    if tree is draft.tree:
+        return Raised(draft, edited.old, is_fresh, is_skirt, [])
+    values = {name: edited.carried(channel.values) for name, channel in draft.channels.items()}
+    flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
+    rows: list[tuple[Int64s, Below]] = []
+    added: list[Int64s] = []
+    found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
+    looked_up = [(_NONE, np.empty((0, 3)))]
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        first = int(tree.arrays.level_cells[level])
+        new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
+        cells, new_codes = first + new, codes[new]
+        added.append(_NONE)
+        if not new.size:
+            continue
+        where, inside = locate(draft.tree, new_codes, level), locate(task.layer.tree, new_codes, level)
+        is_met = np.zeros(new.size, np.bool_)
+        if met is not None and level < len(met.codes) and met.codes[level].size:
+            is_met = where.is_leaf & among(new_codes, met.codes[level])
+            at = np.searchsorted(met.codes[level], new_codes[is_met])
+            _face(flags, areas, cells[is_met], met.tree, at + int(met.tree.arrays.level_cells[level]))
+        is_painted = (inside.levels == level) & ~is_met
+        _face(flags, areas, cells[is_painted], task.layer.tree, inside.cells[is_painted])
+        is_bare = ~is_met & ~is_painted  # skirts, which face as the paint beside them, and nodes above them
+        flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
+        areas[cells[is_bare]] = SKIRT
+        is_own = is_painted & ~where.is_leaf
+        added[-1] = new_codes[is_own]
+        is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
+        is_kept = draft.tree.arrays.flags[where.cells] & KEPT != 0
+        is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
+        facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
+        below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
+        rows.append((cells[is_refined], below))
+        found.append((cells[is_refined], below.values))
+        is_other = ~is_refined & ~is_node[new]  # nodes are averaged
+        looked_up.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
+    others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
+    if draft.tree.n_leaves and others.size:
+        points = draft.placement.to_rest(centres)
+        found.append((others, task.texture.sample(points, list(draft.channels), normalize=False)))
+    for name, channel in draft.channels.items():
+        for chosen, own in found:
+            values[name][chosen] = encode(own[name], channel.format.dtype, channel.format.space)
+    channels = carried(draft, edited, values)
+    tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
+    made = refaced(with_rows(draft.with_cells(tree, channels), rows))
+    if any(codes.size for codes in added):
+        nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
+        made = made.with_cells(with_summed_areas(made.tree, nodes), made.channels)
+    is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
+    return Raised(made, edited.old, is_fresh, is_skirt, added)
+
+
+def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: Int64s) -> None:
+    """Give cells the facings and areas of cells of another tree, in place."""
+    flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
+    areas[cells] = tree.arrays.areas[sources]
+
+
+def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
+    """2. Bring paint to the resolution of a tree that is deeper, by the field's refinement.
+
+    The paper does so where paint is translucent. Here opaque paint goes down too: a texture of even depth is
+    looked up four times as fast as one of many.
+    """
+    found = list(paint)
+    while len(found) <= tree.max_depth:
+        found.append(some(paint[0], slice(0)))
+    if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
+        return found
+    name, walk = painted_channel(layer), list(tree.walk())
+    for level in range(len(walk) - 1):
+        codes, is_node = walk[level]
+        is_above = among(found[level].codes, codes[is_node])
+        if not is_above.any():
+            continue
+        coarse = some(found[level], is_above)
+        found[level] = some(found[level], ~is_above)
+        parents = coarse.codes
+        for deeper in range(level + 1, len(walk)):
+            codes, is_node = walk[deeper]
+            children = codes[among(codes >> 3, parents)]
+            if not children.size:
+                break
+            is_leaf = ~is_node[np.searchsorted(codes, children)]
+            leaves, parents = children[is_leaf], children[~is_leaf]
+            if leaves.size:
+                owners = np.searchsorted(coarse.codes, leaves >> 3 * (deeper - level))
+                values = refined_values(layer.tree, layer.channels, leaves, deeper)
+                coverage = values[ALPHA.name][:, 0] * np.float32(opacity)
+                own = Paint(leaves, values[name], coverage, coarse.cells[owners], coarse.flags[owners])
+                found[deeper] = joined(found[deeper], own)
+    return found
+
+
+def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[Paint]) -> Merged:
+    """5. Merge the paint: blend each leaf that it is on once, and average anew above them.
+
+    Skirts are blended with the paint beside them, and so are the coefficients kept that only paint is near.
+    """
+    tree, is_skirt, is_fresh, is_new = raised.texture.tree, raised.is_skirt, raised.is_fresh, raised.old < 0
+    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
+    paint = with_old_skirts(tree, paint, bare, is_skirt, task.executor)
+    painted = [each.codes for each in paint]
+    cells, on_leaves = paint_on_leaves(tree, paint)
+    above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
+    may_split = may_differ(tree, cells, on_leaves.flags, above)
+    base = with_split_cells(raised.texture, may_split)
+    met = {name: own for name, own in base.channels.items() if name in (task.target, ALPHA.name)}
+    names = [name for name in met if name == task.target or task.blend == "over" or is_fresh[cells].any()]
+    parts = no_parts(base.tree, names)
+    channels = writable(base, base.channels if ALPHA.name in names or is_new.any() else names)
+
+    def blend(
+        kind: str,
+        rows: Int64s,
+        values: Float32s,
+        coverage: Float32s,
+        fresh: Bools,
+        bare: Int64s | None = None,
+    ) -> None:
+        """Blend rows of a kind; fresh ones without paint have the values of cells ``bare``."""
+        old = {name: decode(getattr(own, kind)[rows], own.format.space) for name, own in met.items()}
+        for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
+            form = channels[name].format
+            if bare is not None and name != ALPHA.name:
+                some_bare = fresh & (coverage == 0)
+                new[some_bare] = decode(channels[name].values[bare[some_bare]], form.space)
+            getattr(channels[name], kind)[rows] = encode(new, form.dtype, form.space)
+            if kind != "kept_values":
+                getattr(parts[name], kind)[rows, 0] = part
+
+    for begin in range(0, cells.size, _BLOCK):
+        here = slice(begin, begin + _BLOCK)
+        blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
+    kept = on_kept(tree, paint, bare, is_skirt, task.executor)
+    if kept.rows.size:
+        blend("kept_values", *kept, np.zeros(kept.rows.size, np.bool_))
+    rows = rows_of(base.tree.split, cells)
+    owners = some(on_leaves, np.searchsorted(cells, rows.cells))
+    facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
+    blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
+    return averaged(task, draft, raised, Blended(base, channels, parts, above, may_split), painted)
+
+
+def delete_paint(merged: Merged) -> OctreeTexture:
+    """6. Delete the paint: return the texture without what says how much of it is paint."""
+    return merged.texture

@@ -1,0 +1,246 @@
+"""The surface that is painted, and which of its triangles lie near paint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
+from octex.cameras.camera import Camera
+from octex.channels import ChannelFormat
+from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
+from octex.painting.picture import Projection
+from octex.painting.project import Projected, Shading
+from octex.painting.reading import Terms
+from octex.painting.resume import NOT_STORED, Stages, digest_of
+from octex.painting.sight import Shot, Sight, sight_of
+from octex.painting.unwrap import Patch
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode_cells
+from octex.tree.placement import Placement
+from octex.view.shading import corner_normals, corner_normals_of, face_normals
+from octex.voxelize.grid import on_grid
+
+#: The level of the coarse cells: 128³, whose coordinates fit a byte.
+_COARSE = 7
+
+
+class PaintedSurface:
+    """A surface, and what painting reads of it: where its triangles lie, how it shades, what cameras see.
+
+    In a session that is kept for the next stroke: the normals of all triangles, and what the cameras of the
+    last call see.
+    """
+
+    def __init__(self, surface: Surface, *, in_session: bool = False) -> None:
+        self.surface = surface
+        self._in_session = in_session
+        self._grid: tuple[Placement, TriangleGrid] | None = None
+        self._sights: dict[bytes, Sight] = {}
+
+    def grid(self, placement: Placement) -> TriangleGrid:
+        """Return where the triangles lie in a root cell."""
+        if self._grid is None or self._grid[0] != placement:
+            self._grid = placement, TriangleGrid(self.surface, placement)
+        return self._grid[1]
+
+    @cached_property
+    def stretches(self) -> Float32s:
+        """How long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
+        vertices, rest, triangles = self.surface.vertices, self.surface.rest, self.surface.triangles
+        if rest is vertices:
+            return np.ones(len(triangles), np.float32)
+        (_, posed), (_, resting) = face_normals(vertices, triangles), face_normals(rest, triangles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stretches = np.sqrt(resting / posed)
+        return np.nan_to_num(stretches, nan=1.0, posinf=1e6).astype(np.float32)
+
+    @cached_property
+    def shading(self) -> Shading:
+        """The normals that angles to cameras are measured to: the surface's own, or `corner_normals`."""
+        mesh = self.surface.vertices, self.surface.triangles
+        if self.surface.frames is not None:
+            return partial(_normals_of_frames, self.surface)
+        if self._in_session:
+            return corner_normals(*mesh).__getitem__
+        return partial(corner_normals_of, positions=mesh[0], triangles=mesh[1])
+
+    @cached_property
+    def content(self) -> bytes:
+        """A digest of where it is, at rest and posed, and of how it shades."""
+        surface = self.surface
+        frames = () if surface.frames is None else (*surface.frames.normals, *surface.frames.tangents)
+        return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
+
+    def projected(self, shots: Sequence[Shot], form: ChannelFormat, terms: Terms) -> Projected:
+        """Return the paint of shots of it."""
+        mesh = self.surface.vertices, self.surface.triangles
+        return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading)
+
+    def sights(
+        self, cameras: Sequence[Camera], feather: float, executor: Executor, stages: Stages = NOT_STORED
+    ) -> Iterator[Sight]:
+        """Yield what cameras see of it."""
+        mesh = self.surface.vertices, self.surface.triangles
+        own = stages.of(lambda: [self.content])
+        before, self._sights = self._sights, {}
+        for camera in cameras:
+            key = key_of(camera) + np.float64(feather).tobytes()
+            sight = before.get(key) or self._sights.get(key)
+            if sight is None:
+                sight = sight_of(*mesh, camera, feather, executor, own)
+            if self._in_session:
+                self._sights[key] = sight
+            yield sight
+
+
+def laid_flat(
+    surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
+) -> tuple[PaintedSurface, list[Projection]]:
+    """Return the surface, and pictures with cameras; of pictures through a patch the surface lies flat.
+
+    Raises ArgumentError for a patch beside another one or a camera, and for one of another surface.
+    """
+    patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
+    if patch is None:
+        return surface, projections
+    if any(each.camera is not patch for each in projections):
+        raise ArgumentError("pictures through a patch are painted by themselves, those of each in a call")
+    if len(patch.surface.triangles) != len(surface.surface.triangles):
+        raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
+    flat = patch.surface if texture is None else patch.surface.placed_in(texture)
+    return PaintedSurface(flat), [replace(each, camera=patch.camera) for each in projections]
+
+
+def key_of(camera: Camera) -> bytes:
+    """Return what tells one camera from another."""
+    numbers = camera.width, camera.height, camera.projection == "pinhole"
+    parts = camera.world_to_camera, camera.K, camera.lens, numbers
+    return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)
+
+
+def _normals_of_frames(surface: Surface, chosen: Int32s) -> Float32s:
+    frames = surface.posed_frames(chosen)
+    assert frames is not None
+    return frames.normals.values[frames.normals.rows]
+
+
+class TriangleGrid:
+    """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
+
+    def __init__(self, surface: Surface, placement: Placement) -> None:
+        self._boxes = _boxes(on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE)
+
+    def around(self, chosen: Int32s, reach: int) -> Int32s:
+        """Return the triangles that share coarse cells, or cells beside them, with ``chosen`` ones.
+
+        ``reach`` is the level of the coarsest cells that must be found beside them.
+        """
+        shift = max(_COARSE - reach, 0)
+        return self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+
+    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
+        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        boxes = [_coarse_boxes(codes, level) for level, codes in cells if codes.size]
+        return self._sharing(np.concatenate(boxes), 0, 0) if boxes else np.empty(0, np.int32)
+
+    def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
+        """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""
+        first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
+        first = np.maximum(first - beside, 0)
+        last = np.minimum(last + beside, (1 << (_COARSE - shift)) - 1)
+        marked = np.zeros(last - first + 1, np.bool_)
+        _mark(boxes, first, marked)
+        for axis in range(3 * beside):
+            wide = marked.copy()
+            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
+            wide[after] |= marked[before]
+            wide[before] |= marked[after]
+            marked = wide
+        return _reaching(self._boxes, shift, first, _counts(marked))
+
+
+def _coarse_boxes(codes: Int64s, level: int) -> Uint8s:
+    """Return the first and the last coarse cell that cells of a level reach along each axis (n, 6)."""
+    cells = decode_cells(codes)
+    if level >= _COARSE:
+        first = last = cells >> (level - _COARSE)
+    else:
+        first, last = cells << (_COARSE - level), ((cells + 1) << (_COARSE - level)) - 1
+    return np.concatenate([first, last], axis=1).astype(np.uint8)
+
+
+def _counts(marked: Bools) -> Int32s:
+    """Count the marked cells before each along all axes: a box then has a sum of eight of them."""
+    counts = np.zeros(tuple(n + 1 for n in marked.shape), np.int32)
+    inner = marked.cumsum(0, np.int32)
+    np.cumsum(inner, 1, out=inner)
+    np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
+    return counts
+
+
+@kernel
+def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
+    """Return the first and the last coarse cell that triangles reach along each axis (m, 6)."""
+    boxes = np.empty((triangles.shape[0], 6), np.uint8)
+    for triangle in range(triangles.shape[0]):
+        for axis in range(3):
+            a = grid[triangles[triangle, 0], axis]
+            b = grid[triangles[triangle, 1], axis]
+            c = grid[triangles[triangle, 2], axis]
+            boxes[triangle, axis] = min(a, min(b, c)) >> shift
+            boxes[triangle, 3 + axis] = max(a, max(b, c)) >> shift
+    return boxes
+
+
+@kernel
+def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
+    """Mark the coarse cells, from ``first`` on, that boxes reach."""
+    for n in range(boxes.shape[0]):
+        for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):
+            for y in range(np.int64(boxes[n, 1]) - first[1], np.int64(boxes[n, 4]) - first[1] + 1):
+                for z in range(np.int64(boxes[n, 2]) - first[2], np.int64(boxes[n, 5]) - first[2] + 1):
+                    marked[x, y, z] = True
+
+
+@kernel
+def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
+    """Return the triangles whose boxes reach a coarse cell that is marked, of those from ``first`` on."""
+    found = np.empty(boxes.shape[0], np.int32)
+    count = 0
+    for triangle in range(boxes.shape[0]):
+        x0, x1 = _within(boxes, triangle, 0, shift, first, counts.shape)
+        if x0 == x1:
+            continue
+        y0, y1 = _within(boxes, triangle, 1, shift, first, counts.shape)
+        z0, z1 = _within(boxes, triangle, 2, shift, first, counts.shape)
+        inside = (
+            counts[x1, y1, z1]
+            - counts[x0, y1, z1]
+            - counts[x1, y0, z1]
+            - counts[x1, y1, z0]
+            + counts[x0, y0, z1]
+            + counts[x0, y1, z0]
+            + counts[x1, y0, z0]
+            - counts[x0, y0, z0]
+        )
+        found[count] = triangle
+        count += inside > 0
+    return found[:count].copy()
+
+
+@inlined
+def _within(
+    boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
+) -> tuple[int, int]:
+    """Return the rows of counts between which a triangle lies; the same one twice outside."""
+    low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
+    end = shape[axis] - 1
+    return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)

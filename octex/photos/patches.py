@@ -1,0 +1,129 @@
+"""Patches: squares of pixels of a picture, each looked at where its middle sees the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import reduce
+
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.cameras.lens import is_bent, undistort
+from octex.jit import kernel
+from octex.painting.picture import Mips
+from octex.painting.project import Projected
+from octex.painting.sight import Shot
+
+#: So many points of all pictures are read together.
+_POINTS = 1 << 20
+#: Pixels of a patch, each way.
+PATCH = 4
+
+
+def patches_of(shot: Shot) -> tuple[int, int]:
+    """Return how many rows and columns of patches a picture has."""
+    width, height = shot.mips.sizes[0, 1:].tolist()
+    return -(-height // PATCH), -(-width // PATCH)
+
+
+def widths_of(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float32s:
+    """Return how wide patches of the finest picture are at points of the surface, at rest."""
+    widths = source.widths(triangles, barycentric)
+    return np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)
+
+
+def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s, Float64s]:
+    """Return which patches of some (rows, columns) see the surface in their middle, and what they see."""
+    chosen = np.flatnonzero(among)
+    y, x = np.divmod(chosen, among.shape[1])
+    places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
+    places = np.minimum(places, shot.mips.sizes[0, 1:] - 0.5)
+    if is_bent(shot.lens):
+        bent = np.linalg.solve(shot.K, np.column_stack([places, np.ones(len(places))]).T)[:2].T
+        slopes = np.empty_like(bent)
+        undistort(shot.lens, np.ascontiguousarray(bent), slopes)
+        places = slopes @ shot.camera.K[:2, :2].T + shot.camera.K[:2, 2]
+    high, wide = shot.seen.triangle.shape
+    inside = np.asarray(np.logical_and(places >= 0, places < [wide, high]).all(axis=1))
+    i, j = np.where(inside[:, None], places, 0.0).astype(np.int64).T
+    triangles = shot.seen.triangle[j, i]
+    found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
+    found = found[np.argsort(triangles[found], kind="stable")]
+    seen = triangles[found]
+    middles = np.column_stack([i[found], j[found]]) + 0.5
+    return chosen[found], seen, _barycentric_at(source, shot, seen, middles)
+
+
+def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
+    """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
+    view = shot.camera
+    corners = source.vertices[source.triangles[triangles]] @ view.world_to_camera[:3, :3].T
+    corners += view.world_to_camera[:3, 3]
+    if not view.is_pinhole:
+        corners[..., 2] = 1.0
+    rays = np.column_stack([pixels, np.ones(len(pixels))]) @ view.inverse_k.T
+    sides = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
+    parts = np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None]
+    parts = np.maximum(parts, 0.0)
+    totals = parts.sum(axis=1, keepdims=True)
+    found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
+    return found
+
+
+def batches(count: int, pictures: int) -> Iterator[slice]:
+    """Yield slices of points, so many that all pictures are read there together."""
+    step = max(_POINTS // pictures, 1)
+    for first in range(0, count, step):
+        yield slice(first, first + step)
+
+
+def beside(some: Bools) -> Bools:
+    """Say which patches are some, or next to them."""
+    return sums_around(some.astype(np.float32)) > 0
+
+
+def sums_around(values: Float32s, reach: int = 1) -> Float32s:
+    """Return the sums of 3 × 3 patches, or of others as far as ``reach``."""
+    rows, columns = values.shape
+    wide = np.pad(values, reach)
+    steps = range(2 * reach + 1)
+    sums = reduce(np.add, [wide[i : i + rows] for i in steps])
+    found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
+    return found
+
+
+def masked(mips: Mips, mask: Float32s) -> Mips:
+    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, between whose pixels it fades.
+
+    A mask's pixels cover the picture, the last ones perhaps more than that.
+    """
+    pixels = np.empty_like(mips.pixels)
+    _mask_mips(mips.pixels, mips.sizes, mask, pixels)
+    return mips._replace(pixels=pixels)
+
+
+@kernel
+def _mask_mips(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) -> None:
+    rows, columns = mask.shape
+    width, height = sizes[0, 1], sizes[0, 2]
+    step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
+    lefts, parts = np.empty(width, np.int64), np.empty(width, np.float32)
+    for level in range(len(sizes)):
+        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
+        for j in range(across):
+            x = min(max((j + 0.5) * width / (across * step) - 0.5, 0.0), columns - 1.0)
+            lefts[j] = int(x)
+            parts[j] = x - lefts[j]
+        for i in range(down):
+            y = min(max((i + 0.5) * height / (down * step) - 0.5, 0.0), rows - 1.0)
+            above = int(y)
+            below, low = min(above + 1, rows - 1), np.float32(y - above)
+            for j in range(across):
+                left, part = lefts[j], parts[j]
+                right = min(left + 1, columns - 1)
+                upper = mask[above, left] + (mask[above, right] - mask[above, left]) * part
+                lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
+                factor = upper + (lower - upper) * low
+                at = first + i * across + j
+                for component in range(4):
+                    found[at, component] = given[at, component] * factor
