@@ -241,7 +241,7 @@ def test_all_that_kernels_are_called_with_is_listed(called: set[str]) -> None:
 @needs_jit
 def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]) -> None:
     decorators = {"kernel", "inlined", "step", "part"}
-    decorators |= {"fused_part", "summing_kernel", "fused_kernel"}
+    decorators |= {"fused_part", "fused_inlined", "summing_kernel", "fused_kernel"}
     entries = {}
     for found in pkgutil.walk_packages(octex.__path__, "octex."):
         module = importlib.import_module(found.name)
