@@ -14,7 +14,6 @@ from octex.conversion.measure import ErrorColumns, encoded
 from octex.conversion.samples import Samples, sample_points
 from octex.field.field import Field
 from octex.field.lookups import Query, look_up
-from octex.field.splines import QUADRATIC
 from octex.jit import inlined, kernel
 from octex.texture.blend import stored
 from octex.texture.channel import Channel
@@ -34,7 +33,7 @@ class Looked(NamedTuple):
     def of(cls, tree: Octree, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat]) -> Looked:
         """Make a tree, and its channels of some formats, ready to be looked up by threads."""
         field = Field(tree)
-        field.prepare(QUADRATIC)
+        field.prepare()
         return cls(field, [channels[form.name].of(tree) for form in forms])
 
     def codes(self, samples: Samples, rows: Int64s, columns: ErrorColumns) -> Float32s:

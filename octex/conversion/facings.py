@@ -10,7 +10,8 @@ import numpy as np
 from octex.arrays import Bools, Int8s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.conversion import large
 from octex.conversion.coefficients import SPLIT_KIND
-from octex.field.field import Field, Listed
+from octex.field.blend import Listed
+from octex.field.field import Field
 from octex.jit import kernel, trailing_zeros
 from octex.parallel import ordered_map
 from octex.tree.layout import FACING_FLAGS, SPLIT

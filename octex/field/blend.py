@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -305,8 +306,42 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
             taps.slopes[at, axis] *= parts[at]
 
 
+class Listed(NamedTuple):
+    """The taps of points that weigh anything, in compressed sparse rows.
+
+    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
+    the kept nodes, then those of the split cells.
+    """
+
+    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
+    rows: Uint32s  # (taps,)
+    weights: Float32s  # (taps,)   none negative, 1 in sum for each point
+    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
+    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
+
+
+def listed(taps: Taps, scale: float) -> Listed:
+    """List taps, with slopes times ``scale``."""
+    n, room = taps.starts.size, int((taps.ends - taps.starts).sum()) + 1
+    starts, rows, weights = np.empty(n + 1, np.int64), np.empty(room, np.uint32), np.empty(room, np.float32)
+    slopes = np.empty((room if len(taps.slopes) else 0, 3), np.float32)
+    _list_taps(taps, scale, starts, rows, weights, slopes)
+    end = starts[-1]
+    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers.copy())
+
+
+def joined(lists: Sequence[Listed]) -> Listed:
+    """Join the taps of points, one list's after another's."""
+    if len(lists) == 1:
+        return lists[0]
+    counts = [np.zeros(1, np.int64), *(np.diff(each.starts) for each in lists)]
+    none = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.float32)
+    columns = zip((*none, none[1]), *(each[1:] for each in lists), strict=True)
+    return Listed(np.cumsum(np.concatenate(counts)), *map(np.concatenate, columns))
+
+
 @kernel
-def list_taps(
+def _list_taps(
     taps: Taps, scale: float, starts: Int64s, rows: Uint32s, weights: Float32s, slopes: Float32s
 ) -> None:
     """List the taps that weigh anything, with weights that sum to 1 and slopes times ``scale``."""

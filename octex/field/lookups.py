@@ -1,4 +1,4 @@
-"""Lookups: what is asked of points, by tiles, bricks or the walk; footprints at all levels."""
+"""Lookups: what is asked of points; footprints at all levels."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sum
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder, NotFiniteError, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
+from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Taps, place_points
-from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
+from octex.field.tiled import Additions, Search, Weighed, look_up_points
 from octex.field.values import Codes
 from octex.field.weights import Weighing
 from octex.field.windows import new_walk
 from octex.jit import direct, unlocked
-from octex.tree.order import order_of, put_rows
+from octex.tree.order import order_of
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
@@ -43,10 +43,8 @@ NO_ADDITIONS = Additions(
     _NO_SHARES,
     Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
 )
-#: What `look_up_tiled` returns where tiles have all points.
-_ALL_FOUND = 0, 0, -1
 #: What searches and channels hold is unlocked where they are made.
-_look_up_tiled = direct(look_up_tiled)
+_look_up_points = direct(look_up_points)
 
 
 #: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
@@ -118,7 +116,7 @@ def _positions(points: Floats) -> Positions:
 
 
 class PlainLookup:
-    """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
+    """Leaves of one channel looked up again and again: what points do not change is prepared."""
 
     def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
         self._before = placement.origin, placement.size, _NO_VECTORS, channel
@@ -128,27 +126,23 @@ class PlainLookup:
     def at(self, points: Floats) -> Float32s | None:
         """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
 
-        None where the leaves alone do not answer: `look_up` does, or finds what is wrong.
+        None where `look_up` must first build something, or finds what is wrong.
         """
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
-        lost = np.empty((2, n), np.int64)
         given = *_positions(points), *self._before, answer, _NO_GRADIENTS
-        found = _look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
-        return answer if found == _ALL_FOUND else None
+        stop, _ = _look_up_points(self._search, *given, NO_ADDITIONS, 0)
+        return answer if stop == n else None
 
 
 def plain_lookup(
     field: Field, placement: Placement, filter: str, channel: ChannelRows, alpha: ChannelRows | None
 ) -> PlainLookup | None:
-    """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
+    """Prepare plain lookups of a channel; None for one that is looked up otherwise."""
     task = Lookup(field, placement, Query(filter), [channel], alpha, [], [])
-    if not task.is_tiled:
+    if task._channel is None:
         return None
-    assert task._channel is not None
-    code = FILTERS.index(filter)
-    by = task.weighing(field)
-    search = Search(code, next(field.searched(code)), field.n_cells - 1, False, by)
+    search = Search(FILTERS.index(filter), field.cells, task.weighing(field))
     return PlainLookup(search, placement, task._channel)
 
 
@@ -188,32 +182,21 @@ class Lookup:
             if own.space is other.space is None and is_alike:  # else many pairs of types would be compiled
                 self._channel = Weighed(own.codes, other.codes, weighing is not None)
 
-    @property
-    def is_tiled(self) -> bool:
-        """Say whether leaves are looked up by tiles, from points to values at once."""
-        code = FILTERS.index(self._query.filter)
-        return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
-
     def is_sortable(self, count: int) -> bool:
         """Say whether so many points are looked up by bricks, a channel after the other."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
-        has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
+        has_bricks = self._field.cells.first < 0 and count >= _LEAST_SORTED
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
     def at(self, points: Floats) -> None:
         """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
-        if self.is_tiled:
-            self.tiled(points)
-        else:
-            self.untiled(points)
-
-    def untiled(self, points: Floats) -> None:
-        """Look up the leaves without tiles."""
-        if len(self._channels) == 1 and self.is_sortable(len(points)):
+        if self._channel is None:
+            self.leaves(points)
+        elif self.is_sortable(len(points)):
             self.sorted(points)
         else:
-            self.leaves(points)
+            self._look_up(self._field, points, NO_ADDITIONS, self._query.normals)
 
     def sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in the order of space."""
@@ -230,72 +213,21 @@ class Lookup:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
 
-    def tiled(self, points: Floats) -> None:
-        """Look up the leaves by tiles."""
-        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
-        if rim.size:
-            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
-
-    def _by_tiles(
-        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
-    ) -> Int64s:
-        """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
-
-        ``normals`` are those of the looks' owners, by default the query's.
-        """
-        if normals is None:
-            normals = self._query.normals
-        code, by = FILTERS.index(self._query.filter), self.weighing(here)
-        which: Int64s | None = None
-        rims: list[Int64s] = []
-        for number, tiles in enumerate(here.searched(code)):
-            search = Search(code, tiles, here.n_cells - 1, number > 0, by)
-            which, rim = self._search(search, points, which, additions, normals)
-            rims.append(rim)
-            if not which.size:
-                break
-        rim = np.concatenate(rims)
-        for tiles in here.finer if rim.size else ():
-            search = Search(code, tiles, here.n_cells - 1, False, by)
-            rim = np.concatenate(self._search(search, points, rim, additions, normals))
-        return rim
-
-    def _search(
-        self,
-        search: Search,
-        points: Floats,
-        which: Int64s | None,
-        additions: Additions,
-        normals: Float32s | None,
-    ) -> tuple[Int64s, Int64s]:
-        """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
+    def _look_up(self, here: Field, points: Floats, additions: Additions, normals: Float32s | None) -> None:
+        """Look one channel up in a level's field; ``normals`` are those of the owners of looks."""
         assert self._channel is not None
-        answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
-        some, own, facing = additions, answers, _NO_VECTORS if normals is None else unlocked(normals)
-        if which is not None:
-            points = np.take(points, which, axis=0)
-            if additions is not NO_ADDITIONS:
-                left = np.zeros(which.size if additions.left.size else 0, np.float32)
-                some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
-            else:
-                own = np.empty((which.size, answers.shape[1]), np.float32)
-                gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
-                facing = facing if normals is None else np.take(normals, which, axis=0)
-        lost = np.empty((2, len(points)), np.int64)
-        given = *_positions(points), *self._placement, facing, self._channel, own, gradients
-        n_empty, n_rim, fault = _look_up_tiled(search, *given, some, lost)
-        if fault >= 0:
-            raise NotFiniteError(fault)
-        empty, rim = lost[0, :n_empty], lost[1, :n_rim]
-        if which is None:
-            return empty, rim
-        if additions.left.size:
-            additions.left[which] = some.left
-        if additions is NO_ADDITIONS:
-            put_rows(own, which, answers)
-            if self._gradients:
-                self._gradients[0][which] = gradients
-        return which[empty], which[rim]
+        cells = here.cells_in(self._field)
+        search = Search(FILTERS.index(self._query.filter), cells, self.weighing(here))
+        gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
+        facing = _NO_VECTORS if normals is None else unlocked(normals)
+        given = *_positions(points), *self._placement, facing, self._channel, self._answers[0], gradients
+        done = 0
+        while done < len(points):
+            done, lacking = _look_up_points(search, *given, additions, done)
+            if lacking >= 0:
+                here.build(lacking)
+            elif done < len(points):
+                raise NotFiniteError(done)
 
     def weighing(self, here: Field) -> Weighing:
         """Return what weighs the taps of a level."""
@@ -309,7 +241,7 @@ class Lookup:
         """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
-        is_asked = self._query.normals is None and self._field.tiles is not None
+        is_asked = self._query.normals is None and self._field.cells.first >= 0
         for rows, taps in self.each_block(points):
             for number, used, codes in self.each_weighed(taps, is_asked, always=False):
                 results = self._answers[number][rows]
@@ -339,7 +271,7 @@ class Lookup:
     def footprints(self, points: Floats) -> None:
         """Look footprints up: add the looks at all levels up."""
         gradient = bool(self._gradients)
-        # By tiles, from points to sums at once.
+        # From points to sums at once.
         is_bare = self._channel is not None and not self._channel.has_alpha
         is_added = is_bare and self._query.filter == "quadratic" and not gradient
         for run, by_level in self.each_run(points):
@@ -354,12 +286,11 @@ class Lookup:
                     here, looks = self._field.level(level), by_level[level]
                     count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
-                    rim: Int64s | None = None
-                    if is_added and here.tiles_for(QUADRATIC) is not None:
+                    if is_added:
                         own = Additions(looks.owners, looks.shares, left[0], sums[0])
-                        rim = self._by_tiles(here, looks.points, own, normals)
-                    if rim is None or rim.size:
-                        self._add_by_taps(here, looks, rim, normals, sums, left)
+                        self._look_up(here, looks.points, own, normals)
+                    else:
+                        self._add_by_taps(here, looks, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
             bare = np.zeros(n_points, np.bool_)
             for number, channel in enumerate(self._channels):
@@ -373,26 +304,16 @@ class Lookup:
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
 
     def _add_by_taps(
-        self,
-        here: Field,
-        looks: Probes,
-        which: Int64s | None,
-        normals: Float32s | None,
-        sums: Sequence[Sums],
-        left: Left,
+        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums], left: Left
     ) -> None:
-        """Add looks at a level up, or some of them, in any tree."""
-        for begin in range(0, len(looks.points) if which is None else which.size, BLOCK):
+        """Add looks at a level up, of all channels."""
+        for begin in range(0, len(looks.points), BLOCK):
             run = slice(begin, begin + BLOCK)
-            rows = run if which is None else which[run]
-            owners, slopes = looks.owners[rows], looks.slopes[rows] if self._gradients else looks.slopes
+            owners, slopes = looks.owners[run], looks.slopes[run]
             facing = None if normals is None else normals[owners]
-            parts = left[0][rows] if left[0].size else left[0], left[1][rows] if left[1].size else left[1]
-            taps, _ = self.weighed_taps(here, looks.points[rows], facing, parts)
+            taps, _ = self.weighed_taps(here, looks.points[run], facing, (left[0][run], left[1][run]))
             for number, used, codes in self.each_weighed(taps, False, always=True):
-                add_up(used, codes, False, owners, looks.shares[rows], slopes, sums[number])
-            if which is not None and left[0].size:
-                left[0][rows] = parts[0]
+                add_up(used, codes, False, owners, looks.shares[run], slopes, sums[number])
 
     def _look_again(
         self,
