@@ -1,8 +1,8 @@
 """Compile ahead: while a command compiles what it needs first, helpers compile what it needs last.
 
 All keep what they compile in the same folders (`jit.cache`). `signatures.txt` lists what commands call
-kernels with, in the order of need; `tools/signatures.py` writes it. A helper passes over a line that no
-longer fits: the command compiles what it misses.
+kernels with, in the order of need; `tools/release/signatures.py` writes it. A helper passes over a line that
+no longer fits: the command compiles what it misses.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from hypothesis import settings
 import octex
 from octex import ahead, jit
 from octex.parallel import cpu_count
-from tests.command import colored_box
+from tests.make.command import colored_box
 
 # No deadlines: a first call compiles. Derandomized: a red test stays red.
 settings.register_profile("octex", deadline=None, derandomize=True, max_examples=10 if jit.DISABLED else 50)

@@ -32,7 +32,7 @@ from octex.source.surface import Surface  # noqa: E402
 from octex.texture import OctreeTexture  # noqa: E402
 from octex.viewer import write_page  # noqa: E402
 from octex.viewer.pack import pack  # noqa: E402
-from tests.browser import Probe, differences, file_url, opened, started  # noqa: E402
+from tests.make.browser import Probe, differences, file_url, opened, started  # noqa: E402
 
 MODELS = "BoomBoxWithAxes/BoomBoxWithAxes.gltf", "Avocado/Avocado.gltf", "Suzanne/Suzanne.gltf"
 MODELS = *MODELS, "spot-triangulated/spot.obj"

@@ -30,7 +30,7 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-#: Code that a wheel brings along (`tools/wheels.py`), which commands use (`octex.ahead`).
+#: Code that a wheel brings along (`tools/release/wheels.py`), which commands use (`octex.ahead`).
 SHIPPED = Path(__file__).parents[1] / "compiled"
 #: Objects after which Python collects garbage while numba compiles: by its usual 700 that takes a tenth of
 #: the time, and another thread could drop code that LLVM is reading.

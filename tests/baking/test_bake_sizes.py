@@ -1,0 +1,283 @@
+"""How large baked maps are, and how their images are stored."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+
+import octex
+from octex.baking import atlas
+from octex.baking.coordinates import leaf_of
+from octex.baking.layout import unit_area
+from octex.baking.texels import draw_texels
+from octex.cli import main as cli
+from octex.cli.common import bytes_text
+from octex.errors import ModelError
+from octex.source.materials import Input, Material, MaterialSource, Texture
+from octex.source.surface import Surface
+from octex.source.tangents import corner_frames
+from tests.baking.test_bake import cube_with_charts, psnr, two_squares, waves
+from tests.make.painted import square
+from tests.make.small_surfaces import whole
+
+DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
+
+
+@pytest.fixture(scope="module")
+def droid() -> tuple[octex.OctreeTexture, Surface]:
+    surface = octex.load_surface(DROID)
+    return octex.convert(surface, 8, channels=["base_color"]), surface
+
+
+def sizes_of(baked: Surface) -> list[int]:
+    """Return the sizes of the base colours' maps."""
+    assert isinstance(baked.source, MaterialSource)
+    textures = [each.inputs["base_color"].texture for each in baked.source.materials]
+    return [each.texels.shape[0] for each in textures if each is not None]
+
+
+@pytest.mark.parametrize("own_charts", [False, True])
+@pytest.mark.parametrize("size", [64, 512])
+def test_all_charts_of_the_droid_have_room_in_small_maps(
+    droid: tuple[octex.OctreeTexture, Surface], size: int, own_charts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texture, surface = droid
+    if own_charts:
+        monkeypatch.setitem(sys.modules, "xatlas", None)
+    baked = octex.bake(texture, surface, uv="atlas", texture_size=size)
+    assert sizes_of(baked) == [size]
+    points = baked.scatter(20_000, seed=1)
+    assert psnr(baked.evaluate(points), texture.sample(points, "base_color")) > {64: 19.0, 512: 34.0}[size]
+
+
+@pytest.mark.parametrize("size", [64, 128, 512, None])
+def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
+    droid: tuple[octex.OctreeTexture, Surface], size: int | None
+) -> None:
+    _, surface = droid
+    texture = octex.convert(surface, 9, channels=["base_color"])  # at 8 a hundredth of its texels overlap
+    kept = octex.bake(texture, surface, texture_size=size)
+    assert isinstance(surface.source, MaterialSource)
+    (own,) = surface.source.coordinates
+    assert kept.uv is not None
+    is_same = np.isclose(kept.uv.values[kept.uv.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
+    has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
+    assert (is_same == has_coordinates).mean() > 0.99
+
+
+def scattered_triangles(count: int) -> Surface:
+    """Return triangles that are a chart each."""
+    random = np.random.default_rng(0)
+    vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
+    return Surface.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
+
+
+@pytest.mark.parametrize(("count", "padding"), [(6, 8), (30, 4), (100, 2), (300, 1), (1200, 0)])
+def test_an_atlas_with_more_charts_has_less_padding(count: int, padding: int) -> None:
+    layout = atlas.atlas_layout(scattered_triangles(count), [256], None, 1e-4)
+    assert layout.padding == padding
+    assert unit_area(layout) >= 0.25
+    drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
+    shown = drawn.triangles >= 0
+    # Nothing of another chart lies within twice the padding of a texel.
+    for move in range(1, 2 * padding - 1):
+        for axis in (0, 1):
+            one, two = (np.moveaxis(each, axis, 0) for each in (shown, drawn.triangles))
+            both = one[move:] & one[:-move]
+            assert (two[move:] == two[:-move])[both].all()
+
+
+def test_maps_are_as_fine_as_the_leaves_on_their_triangles() -> None:
+    surface = two_squares()
+    texture = octex.convert(surface.with_sources({"base_color": waves}), 7)
+    fine = octex.fill(texture, surface, octex.Box((-1, -1, -1), (0.9, 2, 2)), (1.0, 0.0, 0.0), max_depth=9)
+    assert fine.tree.max_depth == 9
+    size = sizes_of(octex.bake(texture, surface))[0]
+    assert sizes_of(octex.bake(fine, surface)) == [4 * size, size]
+    spot = octex.fill(texture, surface, octex.Sphere((0.5, 0.5, 0.0), 0.02), (1.0, 0.0, 0.0), max_depth=9)
+    assert spot.tree.max_depth == 9
+    assert sizes_of(octex.bake(spot, surface)) == [size, size]
+
+
+def test_where_a_texture_is_not_its_finest_cells_count() -> None:
+    surface = two_squares()
+    texture = octex.convert(surface.with_sources({"base_color": waves}), 5)
+    away = Surface.from_arrays(surface.rest + 9.0, surface.triangles)
+    assert leaf_of(texture, surface) == leaf_of(texture, away) == texture.placement.size / 32
+
+
+def inputs_of(baked: Surface) -> dict[str, Input]:
+    assert isinstance(baked.source, MaterialSource)
+    return dict(baked.source.materials[0].inputs)
+
+
+VARIED: dict[str, Any] = {
+    "base_color": waves,
+    "alpha": lambda points: 0.2 + 0.6 * waves(points)[:, :1],
+    "occlusion": lambda points: waves(points)[:, :1],
+    "roughness": lambda points: waves(points)[:, 1:2],
+    "metallic": lambda points: waves(points)[:, 2:],
+    "emissive": waves,
+    "specular": waves,
+}
+PLAIN: dict[str, Any] = {
+    "base_color": (0.2, 0.5, 0.8), "alpha": 0.6, "occlusion": 1.0, "roughness": 0.6, "metallic": 0.2,
+    "emissive": (0.0, 0.2, 2.0), "specular": (0.02, 0.03, 0.04),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+@pytest.mark.parametrize("plain", [*PLAIN, "all"])
+def test_channels_that_do_not_vary_are_numbers(plain: str, bits: Any, tmp_path: Path) -> None:
+    names = list(PLAIN) if plain == "all" else [plain]
+    surface = cube_with_charts().with_sources({**VARIED, **{name: PLAIN[name] for name in names}})
+    texture = octex.convert(surface, 4)
+    baked = octex.bake(texture, surface, texture_size=64, bits=bits)
+    inputs = inputs_of(baked)
+    assert {name for name in PLAIN if inputs[name].texture is None} == set(names)
+    for name in names:
+        assert inputs[name].factor == pytest.approx(np.atleast_1d(PLAIN[name]), abs=3e-3)
+    paths = [tmp_path / "a.obj"] if "emissive" not in names else []
+    if bits != 32:
+        paths.append(tmp_path / "a.glb")
+    points = baked.scatter(500)
+    for path in paths:
+        octex.write_model(baked, path, images="exr" if bits == 32 else "png")
+        read = octex.load_surface(path)
+        for name in PLAIN:
+            if name in [form.name for form in read.channels]:
+                np.testing.assert_allclose(
+                    read.evaluate(points, name), baked.evaluate(points, name), atol=1e-2, err_msg=name
+                )
+
+
+def test_a_number_between_two_codes_needs_no_image() -> None:
+    surface = cube_with_charts().with_sources({**VARIED, "roughness": 0.7})
+    texture = octex.convert(surface, 4)
+    assert np.ptp(texture.channels["roughness"].values) == 1  # cells are rounded either way
+    given = inputs_of(octex.bake(texture, surface, texture_size=64))["roughness"]
+    assert given.texture is None
+    assert given.factor == pytest.approx((0.7,), abs=3e-3)
+
+
+def test_occlusion_that_is_not_1_stays_an_image() -> None:
+    surface = cube_with_charts().with_sources({"base_color": waves, "occlusion": 0.5})
+    given = inputs_of(octex.bake(octex.convert(surface, 4), surface, texture_size=64))["occlusion"]
+    assert given.texture is not None
+    assert abs(given.texture.texels[..., 0] / 65535 - 0.5).max() < 0.01
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
+    image = np.tile(np.array([tilt, 0.0, 1.0]) / np.hypot(tilt, 1.0), (4, 4, 1))
+    codes = np.rint((image + 1) * 32767.5).astype(np.uint16)
+    points, triangles = square(side=1.0, steps=2)
+    plain = Surface.from_arrays(points, triangles, uv=0.1 + 0.8 * (points[:, :2] + 0.5))
+    assert plain.uv is not None
+    texels = np.concatenate([codes, np.full((4, 4, 1), 65535, np.uint16)], axis=2)
+    frames = corner_frames(plain.rest, plain.triangles, None, None, plain.uv)
+    source = MaterialSource(
+        [Material({"normal": Input((1.0,) * 3, Texture(texels))})],
+        np.zeros(len(plain.triangles), np.int32), plain.rest, plain.triangles, coordinates=[plain.uv],
+        frames=frames,
+    )  # fmt: skip
+    surface = Surface(plain.vertices, plain.triangles, source, uv=plain.uv, frames=frames)
+    baked = octex.bake(octex.convert(surface, 5), surface, texture_size=64)
+    assert (inputs_of(baked)["normal"].texture is None) == (tilt == 0.0)
+    seen = baked.scatter(500)
+    expected = surface.evaluate(seen, "normal")
+    np.testing.assert_allclose(baked.evaluate(seen, "normal"), expected, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("images", "kinds"),
+    [
+        ("png", ["png", "png", "png"]),
+        ("webp", ["webp", "webp", "webp"]),
+        ("jpeg", ["jpeg", "png", "png"]),
+        ("jpeg-all", ["jpeg", "jpeg", "jpeg"]),
+    ],
+)
+@pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdc"])
+def test_jpeg_is_for_colours_unless_all_is_asked_for(
+    images: Any, kinds: list[str], ending: str, tmp_path: Path
+) -> None:
+    if ending == ".usdc":
+        pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
+        if images == "webp":
+            pytest.skip("USD holds no webp images")
+    surface = whole()
+    channels = ["base_color", "roughness", "normal"]
+    baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+    written = octex.write_model(baked, tmp_path / f"a{ending}", images=images)
+    assert sorted(written.files) == sorted(tmp_path.iterdir())
+    if ending != ".glb":
+        made = [path for path in written.files if path.suffix[1:] in {*kinds, "png"}]
+        assert [path.suffix[1:] for path in made] == kinds
+        assert written.image_bytes == sum(path.stat().st_size for path in made)
+        for path in made:
+            with PIL.Image.open(path) as image:
+                assert image.format == path.suffix[1:].upper()
+    else:
+        content = written.files[0].read_bytes()
+        document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+        assert [each["mimeType"] for each in document["images"]] == [f"image/{each}" for each in kinds]
+        views = [document["bufferViews"][each["bufferView"]]["byteLength"] for each in document["images"]]
+        assert written.image_bytes == sum(views)
+        required = ["EXT_texture_webp"] if images == "webp" else None
+        assert document.get("extensionsRequired") == required
+    points = baked.scatter(500)
+    read = octex.load_surface(tmp_path / f"a{ending}")
+    assert psnr(read.evaluate(points), baked.evaluate(points)) > (28.0 if "jpeg" in images else 60.0)
+    near = 0.3 if images == "jpeg-all" else 3e-3
+    np.testing.assert_allclose(
+        read.evaluate(points, "roughness"), baked.evaluate(points, "roughness"), atol=near
+    )
+
+
+def test_large_images_are_told_and_smaller_formats_offered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surface = cube_with_charts().with_sources({"base_color": waves})
+    octex.convert(surface, 4).save(tmp_path / "cube.octex")
+    model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
+    octex.write_model(model, tmp_path / "cube.obj")
+    given = ["bake", str(tmp_path / "cube.octex"), str(tmp_path / "cube.obj")]
+
+    def told(output: str, *options: str) -> str:
+        assert cli.main([*given, str(tmp_path / output), "--texture-size", "256", *options]) == 0
+        return capsys.readouterr().out
+
+    assert "--image-format" not in told("small.glb")
+    monkeypatch.setattr("octex.cli.bake._LARGE", 1000)
+    made = told("large.gltf")
+    sizes = [path.stat().st_size for path in sorted(tmp_path.glob("large*"))]
+    assert len(sizes) == 3
+    assert bytes_text(sum(sizes)) in made
+    size = bytes_text((tmp_path / "large-0.png").stat().st_size)
+    assert f"its images take {size}: --image-format webp makes them smaller without loss, jpeg" in made
+    assert "--image-format" not in told("webp.glb", "--image-format", "webp")
+    assert (tmp_path / "webp.glb").stat().st_size < sum(sizes)
+
+
+def test_a_material_whose_image_gltf_would_multiply_by_its_number_is_refused(tmp_path: Path) -> None:
+    plain = cube_with_charts()
+    assert plain.uv is not None
+    texture = Texture(np.full((4, 4, 4), 30000, np.uint16))
+    owners = np.zeros(len(plain.triangles), np.int32)
+    for inputs, words in (
+        ({"alpha": Input((1.0,), texture, (3,))}, "base_color and alpha in one image"),
+        ({"metallic": Input((1.0,), texture, (2,)), "roughness": Input((0.5,))}, "metallic and roughness in"),
+    ):
+        source = MaterialSource(
+            [Material(inputs, "blend")], owners, plain.rest, plain.triangles, coordinates=[plain.uv]
+        )
+        surface = Surface(plain.vertices, plain.triangles, source, uv=plain.uv)
+        with pytest.raises(ModelError, match=words):
+            octex.write_model(surface, tmp_path / "a.glb")

@@ -1,0 +1,164 @@
+"""Surfaces displaced by a channel of their texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.baking.tessellation import edges_of, tessellated
+from octex.cli.main import main
+from octex.errors import ArgumentError
+from tests.conftest import needs_jit
+from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
+
+OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+
+
+def ball(levels: int) -> octex.Surface:
+    """A sphere of radius 1."""
+    edges = edges_of(FACES)
+    parts = tessellated(FACES, np.full(len(edges[0]), levels), edges)
+    points = parts.spread(OCTAHEDRON[FACES])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return octex.Surface.from_arrays(points, parts.triangles, name="ball")
+
+
+def height(at: np.ndarray) -> np.ndarray:
+    return np.asarray(0.5 + 0.25 * np.sin(5 * at[:, 0]) * np.cos(4 * at[:, 1]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    edges = edges_of(FACES)
+    parts = tessellated(FACES, random.integers(0, 4, len(edges[0])), edges)
+    points = parts.spread(OCTAHEDRON[FACES])
+    areas = np.linalg.norm(
+        np.cross(*(points[parts.triangles[:, k]] - points[parts.triangles[:, 0]] for k in (1, 2))), axis=1
+    )
+    per_parent = np.bincount(parts.parents, areas)
+    np.testing.assert_allclose(per_parent, 3**0.5)
+    assert len(np.unique(parts.triangles)) == parts.vertices
+    ends, _ = edges_of(parts.triangles.astype(np.int64))
+    assert parts.vertices - len(ends) + len(parts.triangles) == 2  # closed: Euler
+    crossed = np.einsum("mkc,mcx->mkx", parts.shares, OCTAHEDRON[FACES][parts.parents])
+    np.testing.assert_allclose(crossed, points[parts.triangles], atol=1e-12)
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    ("scale", "degrees"), [(0.1, 1.0), (0.5, 1.0), (1.0, 1.0), (2.0, 1.1)]
+)  # slopes of up to 7, 32, 52 and 71 degrees
+def test_a_displaced_sphere_is_its_formula(scale: float, degrees: float) -> None:
+    surface = ball(6).with_sources({"occlusion": height})
+    texture = octex.convert(surface, 7, dtype="float32")
+    cell = texture.placement.size / 2**7
+    made = octex.displace(surface, texture, "occlusion", scale, middle=0.5)
+    assert np.linalg.norm(np.diff(made.rest[made.triangles[:, :2]], axis=1), axis=2).max() <= cell
+    assert np.linalg.norm(made.rest, axis=1) == pytest.approx(1, abs=1e-3)
+
+    def formula(at: np.ndarray) -> np.ndarray:
+        unit = at / np.linalg.norm(at, axis=1, keepdims=True)
+        return unit * (1 + scale * (height(unit) - 0.5))[:, None]
+
+    off = np.linalg.norm(made.vertices - formula(made.rest), axis=1)
+    assert off.max() < 0.1 * cell
+    up = made.rest / np.linalg.norm(made.rest, axis=1, keepdims=True)
+    right = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    ways = [formula(up + 1e-5 * way) - formula(up - 1e-5 * way) for way in (right, np.cross(up, right))]
+    normals = np.cross(*ways)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    frames = made.posed_frames()
+    assert frames is not None
+    cosines = np.einsum("mkc,mkc->mk", frames.normals.values[frames.normals.rows], normals[made.triangles])
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).max() < degrees
+    samples = made.scatter(1000)
+    np.testing.assert_allclose(made.evaluate(samples, "occlusion")[:, 0], height(samples.rest), atol=1e-6)
+
+
+@needs_jit
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel: str) -> None:
+    turned = SQUARE[:, [1, 2, 0]] + 3.0  # faces along x
+    given = {"base_color": (0.25, 0.25, 0.25), "roughness": 0.25}
+    surface = octex.Surface.from_arrays(turned, SQUARE_TRIANGLES, rest=SQUARE, uv=SQUARE[:, :2]).with_sources(
+        given
+    )
+    texture = octex.convert(surface, 4, dtype="float32")
+    made = octex.displace(surface, texture, channel, -2.0, middle=0.75)
+    np.testing.assert_allclose(made.rest[:, 2], 0, atol=1e-12)
+    # Twice a half along the normal, whichever way that is.
+    side = surface.scatter(1).normals[0]
+    np.testing.assert_allclose(made.vertices, made.rest[:, [1, 2, 0]] + 3.0 + side, atol=1e-5)
+    assert made.uv is not None
+    corners = made.uv.values[made.uv.rows]
+    np.testing.assert_allclose(corners[..., 0], made.rest[made.triangles][..., 0], atol=1e-6)
+    np.testing.assert_allclose(1 - corners[..., 1], made.rest[made.triangles][..., 1], atol=1e-6)
+
+
+@needs_jit
+def test_triangles_without_area_are_displaced_beside_others() -> None:
+    vertices = np.concatenate([SQUARE, [[2.0, 0, 0], [2, 0, 0], [2, 0, 0]]])
+    triangles = np.concatenate([SQUARE_TRIANGLES, [[4, 5, 6]]]).astype(np.int32)
+    surface = octex.Surface.from_arrays(vertices, triangles).with_sources({"roughness": 0.25})
+    made = octex.displace(surface, octex.convert(surface, 4), "roughness", 0.1)
+    frames = made.posed_frames()
+    assert frames is not None
+    assert np.isfinite(frames.normals.values).all() and np.isfinite(frames.tangents.values).all()
+    assert np.isfinite(made.vertices).all()
+
+
+@needs_jit
+def test_what_cannot_be_displaced_is_refused() -> None:
+    surface = ball(1).with_sources({"occlusion": height})
+    texture = octex.convert(surface, 3, dtype="float16")
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"channel": "height"}, "unknown channel of the texture 'height'; there are: occlusion|base_color"),
+        ({"scale": np.nan}, "scale must be from"),
+        ({"middle": np.inf}, "middle must be from"),
+        ({"cell": 0.0}, "cell must be finite and above zero"),
+        ({"cell": 1e-9}, "is too many triangles, 4\\^"),
+        ({"most_triangles": 5}, "is too many triangles, [0-9]+; give a larger cell"),
+        ({"scale": 1e30, "middle": -5.0}, "occlusion displaces to what is not finite, at"),
+    ]
+    for change, message in cases:
+        arguments = {"channel": "occlusion", "scale": 0.1} | change
+        with pytest.raises(ArgumentError, match=message):
+            octex.displace(surface, texture, **arguments)
+    with pytest.raises(ArgumentError, match="surface must be"):
+        octex.displace(texture, texture, "occlusion", 1.0)  # type: ignore[arg-type]
+
+
+@needs_jit
+def test_a_channel_that_is_not_finite_is_refused() -> None:
+    surface = ball(1).with_sources({"emissive": (1.0, 1.0, 1.0)})
+    texture = octex.convert(surface, 2, dtype="float32", channels=["emissive"])
+    values = texture.channels["emissive"].values.copy()
+    values[:] = np.inf
+    channel = texture.channels["emissive"]._replace(values=values)
+    broken = octex.OctreeTexture(texture.tree, {"emissive": channel}, texture.placement, texture.bounds)
+    with pytest.raises(ArgumentError, match="emissive displaces to what is not finite"):
+        octex.displace(surface, broken, "emissive", 0.1)
+
+
+@needs_jit
+def test_bake_displaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n"
+    )
+    model, texture = str(tmp_path / "a.obj"), str(tmp_path / "a.octex")
+    octex.convert(model, 4, sources={"base_color": (0.5, 0.5, 0.5)}).save(texture)
+    words = ["bake", texture, model, str(tmp_path / "a.ply"), "--quiet"]
+    assert main([*words, "--displace", "base_color"]) == 2
+    assert main([*words, "--scale", "1"]) == 2
+    assert "--scale has no meaning without --displace" in capsys.readouterr().err
+    assert main([*words, "--displace", "base_color", "--scale", "-0.5", "--middle", "0.25"]) == 0
+    made = octex.load_surface(tmp_path / "a.ply")
+    np.testing.assert_allclose(made.vertices[:, 2], -0.125, atol=2e-3)
+    assert len(made.triangles) > 200

@@ -1,0 +1,90 @@
+"""Lenses of every model: there, as they are written out, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from octex.errors import ArgumentError
+from octex.view.camera import Camera
+from octex.view.visibility import straight
+from tests.oracles.naive_lens import through
+
+LENSES: list[tuple[str, str, list[float]]] = [
+    ("FULL_OPENCV", "opencv", [-0.2, 0.05, 1e-3, -2e-3, 0.02, 0.1, 0.03, -0.01]),
+    ("FULL_OPENCV", "opencv", [0.4, 0.1, 0.0, 0.0, 0.01, 0.5, 0.2, 0.02]),
+    ("OPENCV_FISHEYE", "fisheye", [0.1, -0.05, 0.02, -0.01]),
+    ("OPENCV_FISHEYE", "fisheye", [0.0, 0.0, 0.0, 0.0]),
+    ("THIN_PRISM_FISHEYE", "fisheye", [0.1, -0.03, 1e-3, -2e-3, 0.02, -0.01, 3e-3, -2e-3]),
+    ("FOV", "fov", [0.9]),
+]
+
+
+def camera_of(model: str, lens: list[float], **options: Any) -> Camera:
+    return Camera.pinhole(
+        (640, 480), pose=np.eye(4), convention="opencv", focal=options.pop("focal", 400.0), distortion=lens,
+        distortion_model=model,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "model", "lens"), LENSES)
+def test_points_land_where_the_formulas_of_their_model_say(name: str, model: str, lens: list[float]) -> None:
+    camera = camera_of(model, lens)
+    points = np.random.default_rng(0).uniform([-0.8, -0.6, 1], [0.8, 0.6, 1], (200, 3))
+    pixels, _ = camera.project(points * 2.5)
+    written = [400 * through(name, lens, x, y) + [320, 240] for x, y, _ in points]
+    np.testing.assert_allclose(pixels, written, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(camera.project([[0.0, 0.0, 2.0]])[0], [[320, 240]])
+
+
+@pytest.mark.parametrize(("_name", "model", "lens"), LENSES)
+def test_rays_lead_back_to_their_pixels(_name: str, model: str, lens: list[float]) -> None:
+    camera = camera_of(model, lens)
+    pixels = np.random.default_rng(1).uniform([0, 0], [640, 480], (500, 2))
+    origins, directions = camera.rays(pixels)
+    seen, _ = camera.project(origins + 3 * directions)
+    assert np.abs(seen - pixels).max() < 1e-9
+
+
+def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising() -> None:
+    camera = camera_of("fisheye", [-0.3, 0.0, 0.0, 0.0])  # θ − 0.3 θ³ rises to θ = 1/√0.9
+    turn = np.tan(1 / np.sqrt(0.9))
+    near, far = camera.distort([[0.999 * turn, 0.0], [1.001 * turn, 0.0]])
+    assert np.isfinite(near).all()
+    assert np.isnan(far).all()
+
+
+def test_a_rational_lens_reaches_to_its_first_turn_or_pole() -> None:
+    radii = np.linspace(1e-3, 4, 40_000)
+    points = np.column_stack([radii, np.zeros_like(radii)])
+    for lens in ([0.0, 0, 0, 0, 0, -0.25, 0, 0], [-0.1, 0, 0, 0, 0.01, 0.2, -0.02, 0]):
+        found = camera_of("opencv", lens).distort(points)[:, 0]
+        k1, _, _, _, k3, k4, k5, _ = lens
+        s = radii**2
+        written = radii * (1 + k1 * s + k3 * s**3) / (1 + k4 * s + k5 * s**2)
+        falls = np.flatnonzero(np.diff(written) <= 0)
+        first = falls[0] if falls.size else radii.size - 1
+        assert abs(np.isfinite(found).sum() - 1 - first) <= 2
+
+
+def test_a_fisheye_without_numbers_still_bends() -> None:
+    camera = camera_of("fisheye", [0.0] * 4)
+    assert camera.is_distorted
+    assert not camera.undistorted.is_distorted
+    wide = straight(camera_of("fisheye", [0.0] * 4, focal=250.0))
+    assert wide.width > 640
+
+
+@pytest.mark.parametrize(("model", "lens"), [("fisheye", [0.1, 0.2]), ("fov", [0.1, 0.2]), ("opencv", [0.1])])
+def test_distortions_of_another_count_are_refused(model: str, lens: list[float]) -> None:
+    with pytest.raises(ArgumentError, match="distortion must"):
+        camera_of(model, lens)
+
+
+def test_models_that_are_none_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="unknown distortion_model 'equirectangular'; there are: opencv"):
+        camera_of("equirectangular", [0.0] * 4)
+    with pytest.raises(ArgumentError, match="an orthographic camera must have no distortion"):
+        Camera(4, 4, np.eye(3), np.eye(4), "orthographic", (0.1, 0.0, 0.0, 0.0))

@@ -1,0 +1,471 @@
+"""octree-convert as a stranger meets it: usage, help, and as a process."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import io
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import octex
+from octex.cli.arguments import DTYPES, FILTERS, picture_size
+from octex.cli.convert import COMMAND, main
+from octex.cli.convert_options import CONVERT
+from octex.cli.models import DEFAULT_FILTER
+from octex.cli.parser import Parser
+from octex.errors import ExitCode
+from tests.conftest import needs_jit
+from tests.make.command import python, refusal, result
+from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
+
+HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
+
+
+# --- usage
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("", "INPUT is missing; see octree-convert --help"),
+        ("a.glb", "OUTPUT is missing; see octree-convert --help"),
+        (
+            "a.glb b.octex c",
+            "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
+        ),
+        ("a.glb b.octex --dept 3", "--dept is no option: do you mean --depth; see octree-convert --help"),
+        ("a.glb b.octex --depth x", "--depth: 'x' is no whole number; see octree-convert --help"),
+        ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
+        ("a.glb b.octex --cell x", "--cell: 'x' is no number; see octree-convert --help"),
+        (
+            "a.glb b.octex --cell 0",
+            "--cell: 0 is not a finite number above zero; see octree-convert --help",
+        ),
+        ("a.glb b.octex --threads 0", "--threads: 0 is not above zero; see octree-convert --help"),
+        (
+            "a.glb b.octex --threads x",
+            "--threads: 'x' is no whole number; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --depth 0 --cell 1",
+            "--depth and --cell both say how fine the cells are; give one of them",
+        ),
+        ("--info a.octex b.octex", "INPUT has no meaning with --info; see octree-convert --help"),
+        ("--info a.octex --depth 0", "--depth has no meaning with --info; see octree-convert --help"),
+        ("--info a.octex --quiet", "--quiet has no meaning with --info; see octree-convert --help"),
+        (
+            "--info a.octex --validate a.octex",
+            "--validate has no meaning with --info; see octree-convert --help",
+        ),
+        ("--validate a.octex --force", "--force has no meaning with --validate; see octree-convert --help"),
+        ("--warm-up --json", "--json has no meaning with --warm-up; see octree-convert --help"),
+        ("--diff a.octex", "--diff: expected 2 arguments; see octree-convert --help"),
+        ("--diff a.octex b.octex c", "INPUT has no meaning with --diff; see octree-convert --help"),
+        ("--diff a b --depth 3", "--depth has no meaning with --diff; see octree-convert --help"),
+        ("a.glb b.octex --points 9", "--points has no meaning with a conversion; see octree-convert --help"),
+        (
+            "a.glb b.octex --channels base_color,,",
+            "--channels: 'base_color,,' has an empty name; write base_color,normal; "
+            "see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --channels a,b,a",
+            "--channels: a is there twice; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --dtype int8",
+            "--dtype: 'int8' is none of uint8, uint16, float16, float32; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --dtype normal=uint16,alpha",
+            "--dtype: 'alpha' is not NAME=TYPE, like normal=uint16; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --dtype normal=uint16,normal=uint8",
+            "--dtype: normal is there twice; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --filter cubic",
+            "--filter: 'cubic' is none of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
+            "see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --source roughness",
+            "--source: 'roughness' is not CHANNEL=FILE, like roughness=rough.png; see octree-convert --help",
+        ),
+        (
+            "a.glb b.octex --source alpha=1 --source alpha=0",
+            "--source gives alpha twice",
+        ),
+        (
+            "a.glb b.octex --channels normal --source alpha=1",
+            "--source gives alpha, but --channels leaves it out",
+        ),
+        (
+            "--diff a.glb b.obj",
+            "a.glb and b.obj: neither is an .octex file; convert one of them first",
+        ),
+        *[
+            (
+                f"--diff a.octex b.octex --{word}",
+                f"--{word.split()[0]} needs a model, but a.octex and b.octex are textures",
+            )
+            for word in (
+                "points 10",
+                "rest a.obj",
+                "filter sat",
+                "source alpha=1",
+                "transfer a.obj",
+                "also a.obj",
+            )
+        ],
+        ("--warm-up --threads 2", "--threads has no meaning with --warm-up; see octree-convert --help"),
+    ],
+)
+def test_bad_usage_is_refused_by_name(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refusal(capsys, *arguments.split()) == message
+
+
+def test_all_help_shows_the_table_of_exit_codes_and_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help-all"]) == 0
+    text = capsys.readouterr().out
+    for code in ExitCode:
+        assert f"{code:3}  {code.meaning}" in text
+    for each in CONVERT.options:
+        assert f"  {each.word}" in text
+
+
+def test_help_is_a_screen_with_the_usual_options_and_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.count("\n") <= 45
+    assert text.count(f"\n  {COMMAND} ") == 2
+    listed = {line.split()[0] for line in text.splitlines() if line.startswith("  --")}
+    assert listed == {*CONVERT.usual, "--help-all"}
+
+
+def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
+    from octex.channels import ONE
+    from octex.source.images.filters import FILTERS as KNOWN
+
+    assert tuple(ONE) == DTYPES
+    assert KNOWN == FILTERS
+    assert KNOWN[-1] == DEFAULT_FILTER
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("roughness=0.5", ("roughness", 0.5)),
+        ("base_color = 0.2,0.4, 0.6", ("base_color", (0.2, 0.4, 0.6))),
+        ("alpha=a b.png", ("alpha", Path("a b.png"))),
+        ("alpha=folder=x/0.5.png", ("alpha", Path("folder=x/0.5.png"))),
+    ],
+)
+def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
+    assert Parser(COMMAND, CONVERT).parse_args(["--source", text]).source == [meaning]
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("uint16", "uint16"),
+        ("normal=uint16, emissive=float16", {"normal": "uint16", "emissive": "float16"}),
+    ],
+)
+def test_a_type_is_for_all_or_for_some(text: str, meaning: object) -> None:
+    assert Parser(COMMAND, CONVERT).parse_args(["--dtype", text]).dtype == meaning
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"octree-convert {octex.__version__}\n"
+
+
+def test_help_and_refusals_import_nothing_heavy() -> None:
+    code = f"""
+import sys
+from octex.cli.convert import main
+assert main(["--help"]) == 0
+assert main(["model.glb", "nowhere/model.octex"]) == 2
+print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+    done = python(code)
+    assert done.stderr.splitlines()[-1] == "[]"
+
+
+@pytest.fixture(scope="module")
+def warmed() -> tuple[str, set[Any]]:
+    """What warming up says, and the kernels that Python calls meanwhile."""
+    from octex.field import lookups
+    from octex.jit.decorators import Kernel
+
+    called, said = set[Any](), io.StringIO()
+    call = Kernel.__call__
+
+    def recorded(kernel: Any, *arguments: Any) -> Any:
+        called.add(kernel.py_func)
+        return call(kernel, *arguments)
+
+    with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
+        changed.setattr(Kernel, "__call__", recorded)
+        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without that
+        assert main(["--warm-up"]) == ExitCode.DONE
+    return said.getvalue(), called
+
+
+def test_warming_up_says_how_long_it_took(
+    warmed: tuple[str, set[Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", warmed[0])
+    monkeypatch.setattr("octex.cli.warm_up.warm_up", lambda _progress: None)
+    assert result(capsys, "--warm-up", "--quiet") == ""
+
+
+@needs_jit
+def test_warming_up_calls_every_kernel_that_is_called_from_python(warmed: tuple[str, set[Any]]) -> None:
+    decorators = {"kernel", "inlined", "step", "part"}
+    decorators |= {"fused_part", "summing_kernel", "fused_kernel"}
+    entries = {}
+    for found in pkgutil.walk_packages(octex.__path__, "octex."):
+        module = importlib.import_module(found.name)
+        for node in ast.walk(ast.parse(inspect.getsource(module))):
+            if isinstance(node, ast.FunctionDef) and not decorators & {
+                getattr(decorator, "id", "") for decorator in node.decorator_list
+            }:
+                names = [inner for inner in ast.walk(node) if isinstance(inner, ast.Name)]
+                words = {name.id for name in names} - {
+                    name.id for name in names if isinstance(name.ctx, ast.Store)
+                }
+                kernels = [getattr(getattr(module, word, None), "py_func", None) for word in words]
+                entries |= {each: f"{each.__module__}.{each.__name__}" for each in kernels if each}
+    assert len(entries) > 20
+    assert sorted(name for kernel, name in entries.items() if kernel not in warmed[1]) == []
+
+
+# --- the order of arguments
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "a.glb b.octex --depth 5 --separate",
+        "a.glb --depth 5 b.octex --separate",
+        "--depth 5 a.glb --separate b.octex",
+        "--separate a.glb b.octex --depth=5",
+        "--separate 3 a.glb b.octex --depth 5",
+        "a.glb --separate 3 b.octex --depth 5",
+        "--separate --depth 5 -- a.glb b.octex",
+        "a.glb --separate=3 --depth 5 -- b.octex",
+    ],
+)
+def test_options_may_stand_anywhere(arguments: str) -> None:
+    given = vars(Parser(COMMAND, CONVERT).parsed(arguments.split()))
+    stated = {name: value for name, value in given.items() if value not in (None, False)}
+    paths = {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex")}
+    assert stated == {**paths, "depth": 5, "separate": 3.0}
+
+
+def test_sizes_have_a_comma_or_an_x() -> None:
+    assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
+
+
+def test_options_of_two_values_and_those_given_twice_may_stand_anywhere() -> None:
+    words = "--source alpha=1 --diff a b --source roughness=0 --json"
+    options = Parser(COMMAND, CONVERT).parsed(words.split())
+    assert options.diff == [Path("a"), Path("b")]
+    assert [name for name, _ in options.source] == ["alpha", "roughness"]
+    assert (options.json, options.INPUT) == (True, None)
+
+
+def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
+    words = "--crop -1,0,0,1,1,1 a.octex --project-axis -y -- -b.octex"
+    options = Parser(COMMAND, CONVERT).parsed(words.split())
+    assert options.crop == (-1, 0, 0, 1, 1, 1)
+    assert options.project_axis == "-y"
+    assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
+
+
+def test_a_model_is_converted_with_options_between_its_files(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, "--depth", 3, tmp_path / "a.octex", "--quiet")
+    assert octex.open(tmp_path / "a.octex").tree.max_depth == 3
+
+
+# --- warnings
+
+
+def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nf 1 3 4\n")
+    result(capsys, model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
+    for given in ([], ["--source", "base_color=1,0,0"]):
+        code = main([str(model), str(tmp_path / "a.octex"), "--depth", "3", "--force", *given])
+        said = capsys.readouterr().err.splitlines()
+        assert code == ExitCode.DONE
+        assert (
+            said.count(
+                "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
+                "put it beside the model"
+            )
+            == 1
+        )
+    main([str(model), str(tmp_path / "b.octex"), "--depth", "3", "--quiet"])
+    assert capsys.readouterr().err == ""
+
+
+# --- as a process
+
+PROCESS = "import sys; from octex.cli.convert import main; sys.exit(main())"
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and devices of POSIX")
+
+
+@posix
+def test_a_full_disk_leaves_the_old_file_whole(model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+    filling = """
+import resource, sys
+from octex.cli import convert
+
+class Filling(convert.Reporter):
+    def __call__(self, stage, done, total):
+        if stage == "write":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+convert.Reporter = Filling
+sys.exit(convert.main())
+"""
+    done = python(filling, str(model), str(out), "--depth", "3", "--force")
+    assert done.returncode == ExitCode.REFUSED, done.stderr
+    assert done.stderr.startswith(
+        f"octree-convert: error: {out}: cannot be written: File too large; make room"
+    )
+    assert done.stderr.count("\n") == 1
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+@posix
+def test_interruption_ends_with_130_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+    interrupting = """
+import os, signal, sys
+from octex.cli import convert
+
+# A job in the background inherits that it is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Interrupting(convert.Reporter):
+    def __call__(self, stage, done, total):
+        super().__call__(stage, done, total)
+        if stage == "convert":
+            os.kill(os.getpid(), signal.SIGINT)
+
+convert.Reporter = Interrupting
+sys.exit(convert.main())
+"""
+    done = python(interrupting, str(model), str(tmp_path / "box.octex"), "--depth", "3")
+    assert done.returncode == ExitCode.INTERRUPTED
+    assert done.stderr.splitlines()[-1] == "octree-convert: interrupted"
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_command_that_is_told_to_end_ends_with_143_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+    ending = """
+import os, signal, sys
+from octex import files
+from octex.cli import convert
+
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+files._nameless_file = lambda folder: None
+sync = os.fsync
+
+def end(file):
+    os.kill(os.getpid(), signal.SIGTERM)
+    sync(file)
+
+os.fsync = end
+sys.exit(convert.main())
+"""
+    done = python(ending, str(model), str(tmp_path / "box.octex"), "--depth", "3")
+    assert done.returncode == ExitCode.TERMINATED
+    assert done.stderr.splitlines()[-1] == "octree-convert: told to end"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system does not count threads there")
+@pytest.mark.parametrize("count", [1, 2])
+def test_no_more_threads_are_started_than_asked_for(tmp_path: Path, count: int) -> None:
+    watching = """
+import re, sys, threading
+from pathlib import Path
+from octex.cli.convert import main
+
+most, ended = 0, threading.Event()
+
+def watch():
+    global most
+    while not ended.wait(0.001):
+        most = max(most, int(re.search("Threads:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]))
+
+watcher = threading.Thread(target=watch)
+watcher.start()
+code = main()
+ended.set()
+watcher.join()
+print(most - 2)  # but for this one and the watcher
+sys.exit(code)
+"""
+    model = textured_square(tmp_path / "a.glb", png(random_image(64, 64)))
+    arguments = [str(model), str(tmp_path / "a.octex"), "--threads", str(count), "--depth", "4", "--quiet"]
+    done = python(watching, *arguments)
+    assert done.returncode == ExitCode.DONE, done.stderr
+    assert int(done.stdout) <= count
+
+
+@posix
+def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as broken:
+        arguments = [sys.executable, "-c", PROCESS, "--info", str(made)]
+        done = subprocess.run(arguments, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=600)
+    assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
+    if Path("/dev/full").exists():
+        with Path("/dev/full").open("wb") as full:
+            done = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True, timeout=600)
+        assert done.returncode == ExitCode.REFUSED
+        assert done.stderr == (
+            "octree-convert: error: standard output cannot be written: No space left on device\n"
+        )
+
+
+@posix
+def test_a_link_that_leads_to_itself_is_no_output(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, other = tmp_path / "loop.octex", tmp_path / "other.octex"
+    loop.symlink_to(loop)
+    for force in ([], ["--force"]):
+        said = refusal(capsys, model, loop, "--depth", "3", *force)
+        assert f"{loop}: is a link that leads to itself" in said
+    other.symlink_to(tmp_path / "target.octex")  # one that leads to nothing yet is a name as any
+    result(capsys, model, other, "--depth", "3", "--quiet")
+    assert other.is_symlink() and (tmp_path / "target.octex").is_file()
+    texture = octex.open(other)
+    for write in (texture.save, lambda path: octex.write_cameras(path, {})):
+        with pytest.raises(octex.OctexError, match="is not a file that can be replaced"):
+            write(loop)
+    assert loop.is_symlink()

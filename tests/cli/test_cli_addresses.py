@@ -1,0 +1,107 @@
+"""Commands read textures at addresses, as they read those in files; what they write lies here."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex.cli.addresses import Address, texture_file
+from octex.cli.bake import main as bake
+from octex.cli.convert import main
+from octex.cli.paint import main as paint
+from octex.errors import ExitCode
+from tests.make.command import refusal, result
+from tests.make.fixtures import png, random_image, textured_square
+
+fsspec = pytest.importorskip("fsspec", reason="needs the extra octex[remote]")
+
+THERE = "memory://octex/a.octex"
+
+
+@pytest.fixture(scope="module")
+def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model; beside it, and elsewhere, its texture."""
+    path = tmp_path_factory.mktemp("square") / "square.glb"
+    textured_square(path, png(random_image(8, 8)))
+    octex.convert(path, depth=4).save(path.with_suffix(".octex"))
+    octex.open(path.with_suffix(".octex")).save(path.with_suffix(".octz"))
+    for ending in (".octex", ".octz"):
+        content = path.with_suffix(ending).read_bytes()
+        fsspec.filesystem("memory").pipe(f"/octex/a{ending}", content)
+    return path
+
+
+@pytest.mark.usefixtures("small_previews")
+def test_commands_read_a_texture_at_an_address_as_in_a_file(
+    capsys: pytest.CaptureFixture[str], square: Path, tmp_path: Path
+) -> None:
+    here = square.with_suffix(".octex")
+    assert result(capsys, "--info", THERE) == result(capsys, "--info", here)
+    assert result(capsys, "--validate", THERE) == "valid\n"
+    told = json.loads(result(capsys, "--validate", "memory://octex/a.octz", "--json"))
+    assert told == {"file": "memory://octex/a.octz", "valid": True, "broken": None}
+    assert "base_color" in result(capsys, "--diff", THERE, square, "--preview", tmp_path / "diff.png")
+    for number, words in enumerate((["--depth", 3], ["--mix", f"{THERE}=0.5", "--depth", 4])):
+        made = [tmp_path / f"{number}{name}.octex" for name in "ab"]
+        for path, given in zip(made, (THERE, here), strict=True):
+            result(capsys, given, path, *words, "--quiet")
+        assert made[0].read_bytes() == made[1].read_bytes()
+    result(capsys, THERE, tmp_path / "a.octz", "--preview", tmp_path / "a.png", "--quiet")
+    assert (tmp_path / "a.octz").read_bytes() == square.with_suffix(".octz").read_bytes()
+    result(capsys, THERE, tmp_path / "baked.glb", "--mesh", square, "--quiet")
+    result(capsys, THERE, tmp_path / "page.html", "--mesh", square, "--quiet")
+    assert bake([THERE, str(square), str(tmp_path / "b.glb"), "--quiet"], "octex bake") == ExitCode.DONE
+    view = [THERE, "--view", tmp_path / "view.png", "--camera-out", tmp_path / "view.json", "--size", "32,32"]
+    assert paint([str(word) for word in (square, *view, "--quiet")], "octex paint") == ExitCode.DONE
+    assert (tmp_path / "baked.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+
+
+def test_what_is_no_texture_or_is_written_has_no_address(
+    capsys: pytest.CaptureFixture[str], square: Path, tmp_path: Path
+) -> None:
+    for words, said in (
+        (("https://a.b/c.glb", "d.octex"), r"https://a.b/c.glb is an address; only textures, NAME.octex and"),
+        ((THERE, "s3://a/b.octex"), "s3://a/b.octex is an address, and octex writes files of this machine"),
+        (
+            (square, tmp_path / "a.octex", "--rest", "https://a.b/c.glb"),
+            "https://a.b/c.glb is an address, and",
+        ),
+        *(
+            (
+                (square, tmp_path / "a.octex", "--preview", "a.png", word, f"{name}{there}"),
+                f"{word}: {there} is",
+            )
+            for word, name in (("--light", ""), ("--source", "base_color="))
+            for there in ("https://a.b/sky.hdr",)
+        ),
+    ):
+        assert main([str(word) for word in words]) == ExitCode.REFUSED
+        assert said in capsys.readouterr().err
+    words = [str(square), THERE, "view.png", "--out", THERE, "--force", "--camera", "camera.json"]
+    assert paint(words, "octex paint") == ExitCode.REFUSED
+    assert f"{THERE} is an address, and octex writes" in capsys.readouterr().err
+    for given in ("https://a.b/camera.json", "https://a.b/camera.json#left"):
+        assert paint([str(square), "view.png", "--camera", given], "octex paint") == ExitCode.REFUSED
+        assert f"--camera: {given} is an address, and this file is read here" in capsys.readouterr().err
+    none = "memory://octex/none.octex"
+    for words in (("--info", none), ("--validate", none), (none, tmp_path / "b.octex", "--depth", 2)):
+        assert refusal(capsys, *words).startswith(f"{none}: cannot be read: there is no such file")
+    fsspec.filesystem("memory").pipe("/octex/cut.octex", square.with_suffix(".octex").read_bytes()[:-1])
+    assert main(["--validate", "memory://octex/cut.octex"]) == ExitCode.INVALID
+    assert capsys.readouterr().out.startswith("memory://octex/cut.octex: ")
+
+
+def test_addresses_have_the_ending_of_the_file_that_they_name(tmp_path: Path) -> None:
+    for text, name in (
+        ("https://a.b/c/d.octex?key=a/b.c#e", "d.octex"),
+        ("simplecache::s3://a/d.OCTZ", "d.OCTZ"),
+        ("zip://d.octex::https://a.b/c.zip", "d.octex"),
+    ):
+        address = texture_file(text)
+        assert isinstance(address, Address)
+        assert (str(address), address.name) == (text, name)
+        assert address.suffix.lower() in (".octex", ".octz")
+    assert texture_file(str(tmp_path)) == tmp_path

@@ -1,0 +1,381 @@
+"""Conversions at the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.cli.common import bytes_text
+from octex.cli.convert import COMMAND, main
+from octex.cli.convert_options import CONVERT
+from octex.cli.parser import Parser
+from octex.errors import ExitCode
+from tests.make.command import refusal, result
+from tests.make.fixtures import png, random_image, textured_square
+
+
+def test_a_model_becomes_an_octree_texture(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    summary = result(capsys, model, out, "--depth", 4)
+    assert out.read_bytes() == made.read_bytes()
+    texture = octex.open(out)
+    cells = rf"{texture.tree.n_leaves:,} leaves, depth 4 \(cells of [\d.]+\)"
+    size = bytes_text(out.stat().st_size)
+    assert re.fullmatch(rf"{re.escape(str(out))}: {cells}, {re.escape(size)}, [\d.]+ s\n", summary)
+
+
+def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(model), str(tmp_path / "box.octex"), "--depth", "3"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+    assert lines
+    assert all(re.fullmatch(r"octree-convert: \w+: done in \d+\.\d s", line) for line in lines)
+    assert [lines[0].split()[1], lines[-1].split()[1]] == ["read:", "write:"]
+
+
+def test_a_machine_reads_one_json_object_and_quiet_is_silent(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    assert main([str(model), str(out), "--depth", "3", "--json", "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    made = json.loads(captured.out)
+    texture = octex.open(out)
+    assert made.pop("seconds") > 0
+    assert made == {
+        "output": str(out),
+        "leaves": texture.tree.n_leaves,
+        "nodes": texture.tree.n_nodes,
+        "depth": 3,
+        "cell": texture.placement.size / 8,
+        "bytes": out.stat().st_size,
+    }
+    assert main([str(model), str(out), "--depth", "3", "--quiet", "--force"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_cells_can_be_asked_for_by_their_size(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, tmp_path / "box.octex", "--cell", 0.25)
+    texture = octex.open(tmp_path / "box.octex")
+    assert texture.placement.size / 2**texture.tree.max_depth == 0.25
+
+
+def test_the_result_does_not_depend_on_the_threads(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for threads in (1, 3):
+        out = tmp_path / f"{threads}.octex"
+        result(capsys, model, out, "--depth", 4, "--threads", threads)
+        assert out.read_bytes() == made.read_bytes()
+
+
+def test_a_texture_can_be_made_in_files(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, model, tmp_path / "a.octex", "--depth", 4, "--memory", "9kB")
+    assert (tmp_path / "a.octex").read_bytes() == made.read_bytes()
+    refused = refusal(capsys, model, tmp_path / "b.ply", "--memory", "9kB")
+    assert refused.endswith("b.ply: a texture is converted to NAME.octex")
+
+
+def test_a_rest_mesh_places_the_texture(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import trimesh
+
+    posed = trimesh.load(model, force="mesh")
+    posed.apply_scale(3)
+    posed.export(tmp_path / "posed.glb")
+    out = tmp_path / "box.octex"
+    result(capsys, tmp_path / "posed.glb", out, "--rest", model, "--depth", 3)
+    np.testing.assert_allclose(octex.open(out).bounds, octex.load_surface(model).bounds)
+    trimesh.creation.icosahedron().export(tmp_path / "other.glb")
+    assert "other.glb" in refusal(capsys, model, tmp_path / "x.octex", "--rest", tmp_path / "other.glb")
+    assert not (tmp_path / "x.octex").exists()
+
+
+def test_points_are_the_same_from_the_model_and_from_its_texture(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = result(capsys, model, tmp_path / "a.ply", "--depth", 4)
+    result(capsys, made, tmp_path / "b.PLY")
+    assert f"{octex.open(made).tree.n_leaves:,} leaves" in out
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.PLY").read_bytes()
+
+
+def test_a_texture_can_be_made_coarser_but_not_finer(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "coarse.octex"
+    for depth in (0, 2):
+        result(capsys, made, out, "--depth", depth, "--force")
+        texture = octex.open(out)
+        texture.validate()
+        assert texture.tree.max_depth == depth
+        level = octex.open(made).level(depth)
+        np.testing.assert_array_equal(
+            texture.channels["base_color"].values, level.channels["base_color"].values
+        )
+    result(capsys, made, tmp_path / "coarse.ply", "--depth", 2)
+    assert refusal(capsys, made, tmp_path / "x.octex", "--depth", 5) == (
+        f"{made}: has depth 4; --depth 5 is finer and needs the model"
+    )
+    assert refusal(capsys, made, tmp_path / "x.octex") == (
+        f"{made}: is an octree texture already; --depth makes it coarser, --channels smaller; "
+        "see octree-convert --help"
+    )
+    for option in (
+        ["--cell", "0.1"],
+        ["--rest", str(made.with_suffix(".glb"))],
+        ["--source", "alpha=1"],
+        ["--filter", "sat"],
+        ["--frame", "front", "--preview", str(tmp_path / "x.png")],
+    ):
+        assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
+            f"{made}: {option[0]} needs the model, and this is a texture made from one"
+        )
+    assert not (tmp_path / "x.octex").exists()
+
+
+# --- channels
+
+
+@pytest.fixture(scope="module")
+def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A textured square with metallic and roughness."""
+    path = tmp_path_factory.mktemp("square") / "square.glb"
+    return textured_square(path, png(random_image(8, 8)), pbr={"metallicFactor": 0.4, "roughnessFactor": 0.6})
+
+
+def test_channels_and_their_types_can_be_chosen(
+    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, square, tmp_path / "all.octex", "--depth", 3)
+    assert set(octex.open(tmp_path / "all.octex").channels) >= {"base_color", "metallic", "roughness"}
+    out = tmp_path / "some.octex"
+    result(capsys, square, out, "--depth", 3, "--channels", "roughness,base_color", "--dtype", "uint16")
+    texture = octex.open(out)
+    assert {name: each.format.dtype for name, each in texture.channels.items()} == {
+        "base_color": "uint16",
+        "roughness": "uint16",
+    }
+    result(capsys, square, out, "--depth", 3, "--dtype", "roughness=float16", "--force")
+    types = {name: each.format.dtype for name, each in octex.open(out).channels.items()}
+    assert types["roughness"] == "float16"
+    assert types["base_color"] == "uint8"
+    expected = octex.convert(square, 3, dtype={"roughness": "float16"})
+    expected.save(tmp_path / "library.octex")
+    assert out.read_bytes() == (tmp_path / "library.octex").read_bytes()
+
+
+def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(
+    square: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    for arguments in (["--channels", "normal"], ["--dtype", "normal=uint16"]):
+        message = refusal(capsys, square, out, "--depth", 3, *arguments)
+        assert "normal" in message
+        assert "base_color" in message
+    message = refusal(capsys, made, out, "--channels", "normal")
+    assert message == f"unknown channel of {made}: 'normal'; there are: base_color"
+    assert not out.exists()
+
+
+def test_channels_can_come_from_elsewhere(
+    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = tmp_path / "rough.png"
+    image.write_bytes(png(np.full((2, 2, 1), 51, np.uint8)))
+    out = tmp_path / "out.octex"
+    arguments = [
+        "--source",
+        f"roughness={image}",
+        "--source",
+        "base_color=1,0.5,0",
+        "--source",
+        "metallic=0.2",
+    ]
+    result(capsys, square, out, "--depth", 3, *arguments)
+    texture = octex.open(out)
+    values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic"])
+    assert values["roughness"][0] == pytest.approx(0.2)
+    assert values["metallic"][0] == pytest.approx(0.2)
+    assert values["base_color"][0] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
+    assert "rough.png" in texture.metadata["source_roughness"]
+    # Of the model, only its shape.
+    result(capsys, square, out, "--depth", 3, "--channels", "alpha", "--source", "alpha=0.5", "--force")
+    assert list(octex.open(out).channels) == ["alpha"]
+    assert "missing.png" in refusal(
+        capsys, square, tmp_path / "x.octex", "--source", f"alpha={tmp_path / 'missing.png'}"
+    )
+    assert "--preview is also an input" in refusal(
+        capsys, square, tmp_path / "x.octex", "--preview", image, "--source", f"alpha={image}", "--force"
+    )
+
+
+def test_the_image_filter_can_be_chosen(
+    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = []
+    for name in ("nearest", "ewa"):
+        result(capsys, square, tmp_path / f"{name}.octex", "--depth", 2, "--filter", name)
+        texture = octex.open(tmp_path / f"{name}.octex")
+        values.append(texture.channels["base_color"].values)
+        assert texture.metadata["filter"] == name
+    assert not np.array_equal(*values)
+
+
+def test_a_texture_can_be_reduced_to_some_channels(
+    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, part = tmp_path / "whole.octex", tmp_path / "part.octex"
+    result(capsys, square, whole, "--depth", 3)
+    result(capsys, whole, part, "--channels", "roughness,base_color")
+    texture = octex.open(part)
+    texture.validate()
+    assert list(texture.channels) == ["roughness", "base_color"]
+    cast = {"operation": "cast", "channels": {"roughness": "uint8", "base_color": "uint8"}}
+    assert texture.metadata == {**octex.open(whole).metadata, "processed": json.dumps([cast])}
+    np.testing.assert_array_equal(
+        texture.channels["roughness"].values, octex.open(whole).channels["roughness"].values
+    )
+
+
+def test_the_preview_shows_what_was_converted(
+    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[list[str]] = []
+    monkeypatch.setattr(
+        "octex.preview.write_preview",
+        lambda _path, surface, _texture, **_: shown.append([form.name for form in surface.channels]),
+    )
+    arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
+    result(capsys, square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
+    assert shown == [["alpha", "roughness"]]
+
+
+# --- previews
+
+
+def test_a_preview_is_drawn_of_models_and_of_textures(
+    model: Path,
+    made: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn: list[tuple[str, bool]] = []
+
+    def write_preview(path: Path, surface: Any, texture: Any, **_: Any) -> None:
+        drawn.append((path.name, surface is not None))
+        assert texture.tree.max_depth == 3
+
+    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    out = result(capsys, model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
+    assert out.splitlines()[1] == f"{tmp_path / 'a.png'}: a picture of it"
+    out = result(capsys, made, tmp_path / "b.ply", "--depth", 3, "--preview", tmp_path / "b.png", "--json")
+    assert json.loads(out)["preview"] == str(tmp_path / "b.png")
+    assert drawn == [("a.png", True), ("b.png", False)]
+    assert "writes .png here" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "c.gif")
+    (tmp_path / "a.png").touch()
+    assert "--force" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "a.png")
+
+
+def test_the_help_names_the_librarys_default_depth() -> None:
+    from octex.conversion.convert import DEFAULT_DEPTH
+
+    assert f"(default {DEFAULT_DEPTH})" in " ".join(Parser(COMMAND, CONVERT).help_text().split())
+
+
+# --- bad input: one line, nothing written
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("missing.glb", None),
+        ("empty.glb", b""),
+        ("broken.gltf", b"{"),
+        ("words.txt", b"words"),
+        ("missing.octex", None),
+        ("empty.octex", b""),
+        ("words.octex", b"words and words and words"),
+    ],
+)
+def test_bad_input_is_refused_by_name_and_nothing_is_written(
+    name: str, content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "folder.glb").mkdir()
+    before = sorted(tmp_path.iterdir())
+    assert main([str(tmp_path / name), str(tmp_path / "out.ply")]) == ExitCode.REFUSED
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert name in captured.err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_folder_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "folder.glb").mkdir()
+    assert "folder.glb" in refusal(capsys, tmp_path / "folder.glb", tmp_path / "out.octex")
+
+
+def test_a_depth_out_of_range_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for depth in (-1, 22):
+        expected = f"--depth must be a whole number from 0 to 21, not {depth}"
+        assert refusal(capsys, tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
+
+
+def test_nothing_is_overwritten_without_force(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+    assert refusal(capsys, model, out, "--depth", 3) == f"{out}: exists already; --force overwrites it"
+    assert out.read_bytes() == b"old"
+    result(capsys, model, out, "--depth", 3, "--force")
+    octex.open(out).validate()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "octree-convert: interrupted"),
+        (MemoryError(), 2, "octree-convert: error: out of memory; a smaller depth needs less"),
+        (RuntimeError("odd"), 70, "octree-convert: this is a defect of octex: RuntimeError: odd; run with"),
+    ],
+)
+def test_whatever_happens_while_writing_the_old_file_stays(
+    error: BaseException,
+    code: int,
+    line: str,
+    model: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+
+    def fail(_descriptor: int) -> None:
+        raise error
+
+    monkeypatch.setattr(os, "fsync", fail)
+    assert main([str(model), str(out), "--depth", "3", "--force"]) == code
+    assert capsys.readouterr().err.splitlines()[-1].startswith(line)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]

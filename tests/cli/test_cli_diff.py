@@ -1,0 +1,197 @@
+"""Differences at the command line."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import octex
+from octex.cli import diff
+from octex.cli.convert import main
+from octex.compare import difference
+from octex.errors import ExitCode
+from octex.preview import write_difference
+from octex.source.surface import Surface
+from tests.conftest import needs_jit
+from tests.make.command import colored_box, refusal, result
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box, its textures of depths 4 and 3, and one of another half box with roughness."""
+    folder = tmp_path_factory.mktemp("diff")
+    model = colored_box(folder)
+    for depth in (3, 4):
+        octex.convert(model, depth).save(folder / f"{depth}.octex")
+    surface = octex.load_surface(model)
+    half = Surface(surface.vertices, surface.triangles[:6], surface.source, name="half")
+    octex.convert(half.with_sources({"roughness": 0.5}), 4).save(folder / "half.octex")
+    return folder
+
+
+def test_two_textures_are_compared_in_a_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = folder / "4.octex", folder / "3.octex"
+    lines = result(capsys, "--diff", first, second).splitlines()
+    a, b = octex.open(first), octex.open(second)
+    found = difference(a, b)
+    assert lines[0] == f"A  {first}: an octree texture of depth 4, {a.tree.n_leaves:,} leaves"
+    assert lines[1] == f"B  {second}: an octree texture of depth 3, {b.tree.n_leaves:,} leaves"
+    assert lines[2] == f"at the centres of {found.points:,} leaves, those of both, by area"
+    header = "channel measure rms PSNR p99 maximum where A there B there"
+    assert " ".join(lines[4].split()) == header
+    row = found["base_color"]
+    for text in ("base_color", "sRGB codes", f"{row.rms:.3f}"[:3], f"{row.psnr:.2f} dB"):
+        assert text in lines[5]
+    assert len(lines) == 6
+
+
+def test_the_same_texture_twice_is_exact(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = result(capsys, "--diff", folder / "4.octex", folder / "4.octex")
+    assert " 0  exact " in text
+
+
+def test_a_texture_and_its_model_are_compared_at_points(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, texture = folder / "box.glb", folder / "4.octex"
+    lines = result(capsys, "--diff", model, texture, "--points", 5000, "--filter", "ewa").splitlines()
+    assert lines[0] == f"A  {model}: a model of 12 triangles"
+    cell = octex.open(texture).placement.size / 16
+    assert lines[2] == f"at 5,000 points, uniform by area, the model averaged over {cell:.4g}"
+    found = difference(octex.load_surface(model), octex.open(texture), points=5000)
+    report = json.loads(result(capsys, "--diff", model, texture, "--points", 5000, "--json"))
+    assert report["a"] == str(model)
+    assert report["points"] == 5000
+    assert report["width"] == cell
+    assert report["channels"]["base_color"]["rms"] == found["base_color"].rms
+    assert report["channels"]["base_color"]["where"] == list(found["base_color"].where)
+    assert report["uncovered"] == {"a": 0.0, "b": None}
+
+
+def test_what_cannot_be_compared_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = result(capsys, "--diff", folder / "half.octex", folder / "4.octex").splitlines()
+    assert "only A has the channel roughness" in lines
+    assert any(line.endswith("% of B's surface is not in A; it is left out") for line in lines)
+    assert any(line.startswith("A has an area of ") for line in lines)
+    report = json.loads(result(capsys, "--diff", folder / "half.octex", folder / "4.octex", "--json"))
+    assert report["unmatched"] == {"a": ["roughness"], "b": []}
+    message = refusal(capsys, "--diff", folder / "half.octex", folder / "4.octex", "--channels", "roughness")
+    assert message == "unknown channel in both 'roughness'; there are: base_color"
+
+
+def test_a_model_is_completed_as_for_a_conversion(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--source", "roughness=0.5", "--channels", "roughness", "--points", "2000", "--json"]
+    report = json.loads(result(capsys, "--diff", folder / "half.octex", folder / "box.glb", *arguments))
+    assert list(report["channels"]) == ["roughness"]
+    assert report["channels"]["roughness"]["maximum"] < 1 / 255
+    assert 0.2 < report["uncovered"]["b"] < 0.6
+
+
+def test_nothing_differs_in_json_as_null(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = json.loads(result(capsys, "--diff", folder / "4.octex", folder / "4.octex", "--json"))
+    assert report["channels"]["base_color"]["psnr"] is None
+    assert report["channels"]["base_color"]["rms"] == 0
+
+
+def test_directions_have_a_row_for_the_angle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surface = Surface.from_arrays(
+        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0.3]]), np.array([[0, 1, 2]]), uv=np.eye(3)[:, :2]
+    )
+    image = np.full((4, 4, 3), 128, np.uint8)
+    image[..., 2] = 255
+    octex.convert(surface.with_sources({"normal": image}), 2).save(tmp_path / "a.octex")
+    image[:2, :, 0] = 200
+    octex.convert(surface.with_sources({"normal": image}), 2).save(tmp_path / "b.octex")
+    lines = result(
+        capsys, "--diff", tmp_path / "a.octex", tmp_path / "b.octex", "--channels", "normal"
+    ).splitlines()
+    assert lines[5].split()[:2] == ["normal", "components"]
+    assert lines[6].split()[0] == "degrees"
+    report = json.loads(result(capsys, "--diff", tmp_path / "a.octex", tmp_path / "b.octex", "--json"))
+    assert report["channels"]["normal"]["angle"]["measure"] == "degrees"
+    assert "angle" not in report["channels"]["normal"]["angle"]
+
+
+def test_a_picture_is_drawn_and_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = partial(write_difference, size=(90, 40), supersample=1)
+    monkeypatch.setattr("octex.preview.write_difference", small)
+    path = tmp_path / "diff.png"
+    again = ["--diff", folder / "4.octex", folder / "3.octex", "--preview", path]
+    assert result(capsys, *again).endswith(f"\n{path}: a picture of it\n")
+    with Image.open(path) as picture:
+        assert picture.size == (90, 40)
+    assert refusal(capsys, *again) == f"{path}: exists already; --force overwrites it"
+    assert result(capsys, *again, "--force", "--quiet") == ""
+    assert refusal(capsys, *again[:3], "--preview", tmp_path / "a.gif").endswith("octex writes .png here")
+
+
+@needs_jit
+def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    colors = np.array([[1.0, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
+    model, texture, path = tmp_path / "clear.ply", tmp_path / "clear.octex", tmp_path / "diff.png"
+    codes = np.rint(255 * colors).astype(np.uint8)
+    faces = ["3 0 1 2", "3 0 2 3"]
+    rows = [" ".join(map(str, [*place, *color])) for place, color in zip(points, codes, strict=True)]
+    kinds = ["float x", "float y", "float z"] + [
+        f"uchar {name}" for name in ("red", "green", "blue", "alpha")
+    ]
+    header = ["ply", "format ascii 1.0", "element vertex 4", *(f"property {kind}" for kind in kinds)]
+    header += ["element face 2", "property list uchar int vertex_indices", "end_header"]
+    model.write_text("\n".join([*header, *rows, *faces, ""]))
+    octex.convert(model, 4).save(texture)
+    assert "alpha" in octex.open(texture).channels
+    small = partial(write_difference, size=(300, 110), supersample=1)
+    monkeypatch.setattr("octex.preview.write_difference", small)
+    few = ["--diff", texture, model, "--points", 2000]
+    whole = json.loads(result(capsys, *few, "--json"))["channels"]
+    shown = ["--channels", "base_color", "--preview", path]
+    assert json.loads(result(capsys, *few, *shown, "--json"))["channels"] == {
+        "base_color": whole["base_color"]
+    }
+    left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
+    assert np.abs(left - right).mean() < 2
+    # an opaque model beside a texture with alpha
+    opaque = tmp_path / "opaque.ply"
+    opaque.write_text(model.read_text().replace("property uchar alpha", "property uchar other"))
+    few[2] = opaque
+    assert list(json.loads(result(capsys, *few, *shown, "--force", "--json"))["channels"]) == ["base_color"]
+    left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
+    assert np.abs(left - right).mean() < 12  # colours that the texture weighs by alpha
+
+
+def test_progress_goes_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--diff", str(folder / "4.octex"), str(folder / "3.octex")]) == ExitCode.DONE
+    lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+    assert [line.split(":")[1] for line in lines] == [" read", " compare"]
+
+
+def test_missing_files_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("missing.octex", "missing.glb"):
+        assert name in refusal(capsys, "--diff", folder / "4.octex", folder / name)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (0.5, "0.5"), (1 / 3, "0.3333"), (12.345, "12.3"), (-0.25, "-0.25")]
+)
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert diff.number(value) == text
+
+
+def test_a_texture_that_is_broken_inside_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray((folder / "4.octex").read_bytes())
+    data[4096] ^= 0xFF  # the masks of the first nodes follow the header
+    broken = tmp_path / "broken.octex"
+    broken.write_bytes(data)
+    assert "broken.octex: " in refusal(capsys, "--diff", broken, folder / "4.octex", "--quiet")

@@ -1,0 +1,63 @@
+"""A look at textures at the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex.cli.convert import main
+from octex.errors import ExitCode
+from tests.make.command import refusal, result
+
+
+def test_info_is_text_for_people_and_json_for_machines(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texture = octex.open(made)
+    assert json.loads(result(capsys, "--info", made, "--json")) == texture.info()
+    text = result(capsys, "--info", made)
+    assert re.search(r"^depth +4, finest cells of edge [\d.]+$", text, re.MULTILINE)
+    assert re.search(rf"^ +all +{texture.tree.n_leaves:,} +{texture.tree.n_nodes:,}$", text, re.MULTILINE)
+    assert re.search(r"^channels +base_color  3 x uint8    srgb$", text, re.MULTILINE)
+    assert re.search(rf"^total +{made.stat().st_size:,} ", text, re.MULTILINE)
+    assert re.search(r"^source +box\.glb$", text, re.MULTILINE)
+
+
+def test_validate_proves_a_texture_or_names_what_is_broken(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert result(capsys, "--validate", made) == "valid\n"
+    assert result(capsys, "--validate", made, "--quiet") == ""
+    assert json.loads(result(capsys, "--validate", made, "--json")) == {
+        "file": str(made),
+        "valid": True,
+        "broken": None,
+    }
+    damaged = bytearray(made.read_bytes())
+    damaged[4096] ^= 0xFF  # the node masks of the root
+    (tmp_path / "damaged.octex").write_bytes(damaged)
+    (tmp_path / "short.octex").write_bytes(made.read_bytes()[:5000])
+    for name in ("damaged.octex", "short.octex"):
+        assert main(["--validate", str(tmp_path / name)]) == ExitCode.INVALID
+        captured = capsys.readouterr()
+        assert captured.err == ""
+        assert captured.out.count("\n") == 1
+        assert name in captured.out
+        assert main(["--validate", str(tmp_path / name), "--json"]) == ExitCode.INVALID
+        report = json.loads(capsys.readouterr().out)
+        assert not report["valid"]
+        assert name in report["broken"]
+    assert main(["--validate", str(tmp_path / "short.octex"), "--quiet"]) == ExitCode.INVALID
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_file_that_cannot_be_read_is_not_a_broken_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for word in ("--validate", "--info"):
+        assert "missing.octex" in refusal(capsys, word, tmp_path / "missing.octex")
+        assert str(tmp_path) in refusal(capsys, word, tmp_path)

@@ -1,0 +1,1112 @@
+"""Painting at the command line."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+import octex
+from octex.cli.arguments import BALANCES, BLENDS, HOLES, PICTURES, camera
+from octex.cli.convert import main as convert
+from octex.cli.models import DEFAULT_CHANNEL
+from octex.cli.paint import COMMAND, main
+from octex.cli.paint_options import PAINT
+from octex.cli.parser import Parser
+from octex.errors import ExitCode
+from tests.conftest import needs_jit
+from tests.make.command import colored_box, python
+from tests.make.same import assert_equal
+
+SIZE = 40
+SQUARE = (16, 16, 23, 23)  # in the picture's middle, on the box: left, top, right, bottom, all inside
+ROOT = Path(octex.__file__).parent.parent
+
+
+def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run octree-paint, which must succeed; return what it prints on stdout."""
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    assert code == ExitCode.DONE, captured.err
+    return captured.out
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run octree-paint, which must refuse; return what its last line says."""
+    assert main([str(argument) for argument in arguments]) == ExitCode.REFUSED
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    line = captured.err.splitlines()[-1]
+    assert line.startswith(f"{COMMAND}: error: ")
+    return line.removeprefix(f"{COMMAND}: error: ")
+
+
+class Scene:
+    """A box with its texture, a camera before it and pictures for that."""
+
+    def __init__(self, folder: Path) -> None:
+        self.model = colored_box(folder)
+        self.surface = octex.load_surface(self.model)
+        self.texture = folder / "box.octex"
+        octex.convert(self.model, 4).save(self.texture)
+        self.camera = octex.Camera.fitted(self.surface.vertices, (0.4, 0.3, 1), size=(SIZE, SIZE))
+        self.cameras = folder / "cameras.json"
+        octex.write_cameras(self.cameras, {"square.png": self.camera, "blue.png": self.camera})
+        self.square = folder / "square.png"
+        paint = np.zeros((SIZE, SIZE, 4), np.uint8)
+        paint[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1] = [255, 0, 0, 255]
+        Image.fromarray(paint).save(self.square)
+        self.blue = folder / "blue.png"
+        Image.fromarray(np.full((SIZE, SIZE, 3), [0, 0, 255], np.uint8)).save(self.blue)
+
+    @property
+    def shot(self) -> list[object]:
+        """Arguments to paint the square."""
+        return [self.model, self.texture, self.square, "--camera", f"{self.cameras}#square.png"]
+
+    def places(self, beside: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """Return rest positions that the camera sees, and whether they are so many pixels in the square."""
+        samples = self.surface.scatter(4000)
+        toward = self.camera.position - samples.points
+        seen = np.einsum("nk,nk->n", toward, samples.normals) > 0.5 * np.linalg.norm(toward, axis=1)
+        pixels, _ = self.camera.project(samples.points[seen])
+        low, high = np.array(SQUARE[:2]) + beside, np.array(SQUARE[2:]) + 1 - beside
+        return samples.rest[seen], ((pixels >= low) & (pixels <= high)).all(axis=1)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return Scene(tmp_path_factory.mktemp("scene"))
+
+
+# --- painting
+
+
+def test_textures_and_layers_whose_content_is_broken_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = bytearray(scene.texture.read_bytes())
+    flags = octex.open(scene.texture).tree.arrays.flags.tobytes()
+    at = bytes(content).index(flags, 4096)
+    content[at : at + len(flags)] = bytes(0xC0 for _ in flags)  # all split and kept, and facing nowhere
+    broken, out = tmp_path / "broken.octex", tmp_path / "out.octex"
+    broken.write_bytes(content)
+    shot = [scene.model, broken, *scene.shot[2:]]
+    assert complaint(capsys, *shot, "--out", out).startswith(f"{broken}: split table")
+    layer = [scene.model, scene.texture, "--layer", broken]
+    assert complaint(capsys, *layer, "--out", out).startswith(f"{broken}: split table")
+    assert not out.exists()
+
+
+@needs_jit
+def test_paint_is_where_the_camera_sees_it_and_nowhere_else(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    text = result(capsys, *scene.shot, "--out", out)
+    assert text.startswith(f"{out}: 1 picture painted, {octex.open(out).tree.n_leaves:,} leaves, depth ")
+    before, after = octex.open(scene.texture), octex.open(out)
+    after.validate()
+    points, inside = scene.places(1.5)
+    assert inside.sum() > 10
+    np.testing.assert_allclose(after.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
+    points, near = scene.places(-8.0)  # cells beside the paint are as wide as some pixels
+    np.testing.assert_allclose(after.sample(points[~near]), before.sample(points[~near]), atol=1e-5)
+
+
+@needs_jit
+def test_a_picture_that_was_drawn_is_edited_and_painted_back(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
+    options = ["--camera", scene.cameras, "--camera", f"{scene.cameras}#square.png", "--threads", 1]
+    text = result(capsys, scene.model, scene.texture, "--view", view, "--camera-out", file, *options)
+    assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
+    assert text.splitlines()[1] == f"{file}: its camera"
+    picture = np.array(Image.open(view))
+    assert picture.shape == (SIZE, SIZE, 4)
+    assert set(np.unique(picture[:, :, 3])) == {0, 255}
+    back = [scene.model, scene.texture, view, "--camera", file]
+    result(capsys, *back, "--out", out, "--whole")
+    before, points = octex.open(scene.texture), scene.places(0.0)[0]
+    np.testing.assert_allclose(octex.open(out).sample(points), before.sample(points), atol=0.15)
+    assert np.abs(octex.open(out).sample(points) - before.sample(points)).mean() < 0.01
+    picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
+    Image.fromarray(picture).save(view)
+    result(capsys, *back, "--out", out, "--force", "--whole")
+    points, inside = scene.places(1.5)
+    red = octex.open(out).sample(points)
+    np.testing.assert_allclose(red[inside], [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
+    points, near = scene.places(-3.0)
+    assert np.abs(octex.open(out).sample(points) - before.sample(points))[~near].mean() < 0.01
+
+
+@needs_jit
+def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_painted_back(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
+    result(capsys, *scene.shot, "--blend", "erase", "--max-depth", "12", "--out", erased)
+    before = octex.open(erased)
+    look = [scene.model, erased, "--view", view, "--camera", scene.cameras]
+    result(capsys, *look)
+    picture = np.array(Image.open(view)).astype(int)
+    left, top, right, bottom = SQUARE
+    assert not picture[top + 2 : bottom - 1, left + 2 : right - 1].any()
+    result(capsys, scene.model, scene.texture, *look[2:], "--force")
+    whole = np.array(Image.open(view)).astype(int)
+    beside = np.ones((SIZE, SIZE), bool)
+    beside[top - 2 : bottom + 3, left - 2 : right + 3] = False
+    assert np.abs(picture - whole)[beside].max() <= 1
+    part = (picture[..., 3] > 100) & (picture[..., 3] < 255)
+    assert part.any()
+    assert np.abs(picture - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
+    result(capsys, *look, "--force")
+    points, inside = scene.places(1.5)
+    assert (before.sample(points, "alpha")[inside] == 0).all()
+    back = [
+        scene.model,
+        erased,
+        view,
+        "--camera",
+        scene.cameras,
+        "--max-depth",
+        "12",
+        "--out",
+        out,
+        "--force",
+    ]
+    for blend in ("over", "replace"):
+        result(capsys, *back, "--blend", blend)
+        after = octex.open(out)
+        assert (after.sample(points, "alpha")[inside] < 0.01).all()
+        if blend == "replace":
+            np.testing.assert_allclose(
+                after.sample(points, "alpha"), before.sample(points, "alpha"), atol=0.005
+            )
+
+
+@needs_jit
+def test_a_layer_kept_and_merged_later_is_the_same_paint(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layer = tmp_path / "layer.octex"
+    text = result(
+        capsys, *scene.shot, "--out", tmp_path / "a.octex", "--layer-out", layer, "--opacity", 0.5, "--quiet"
+    )
+    assert text == ""
+    merge = [scene.model, scene.texture, "--layer", layer, "--opacity", 0.5]
+    text = result(capsys, *merge, "--out", tmp_path / "b.octex")
+    assert ": 1 layer painted, " in text
+    assert_equal(octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex"))
+    picture = octex.Projection(scene.square, scene.camera, opacity=0.5)
+    texture = octex.open(scene.texture)
+    assert_equal(octex.paint(texture, scene.surface, picture), octex.open(tmp_path / "a.octex"))
+    result(capsys, *merge, "--layer", layer, "--blend", "multiply", "--out", tmp_path / "c.octex")
+    for _ in range(2):
+        texture = octex.merge(texture, octex.open(layer), scene.surface, opacity=0.5, blend="multiply")
+    assert_equal(texture, octex.open(tmp_path / "c.octex"))
+    told = json.loads(octex.open(tmp_path / "c.octex").metadata["paint"])
+    digest = hashlib.sha256(layer.read_bytes()).hexdigest()
+    entry = {"image": "layer.octex", "sha256": digest, "blend": "multiply", "opacity": 0.5}
+    assert told == [{**entry, "channel": "base_color"}] * 2
+
+
+@needs_jit
+def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texture, out = tmp_path / "box.octex", tmp_path / "out.octex"
+    texture.write_bytes(scene.texture.read_bytes())
+    arguments = [scene.model, texture, *scene.shot[2:]]
+    result(capsys, *arguments, "--out", out)
+    opened = octex.open(texture)
+    opened.save(texture.with_suffix(".octz"))
+    archived = [scene.model, texture.with_suffix(".octz"), *scene.shot[2:]]
+    result(capsys, *archived, "--out", tmp_path / "archived.octex")
+    assert (tmp_path / "archived.octex").read_bytes() == out.read_bytes()
+    result(capsys, *arguments, "--out", texture, "--force")
+    assert texture.read_bytes() == out.read_bytes()
+    assert_equal(opened, octex.open(scene.texture))  # what is mapped is the old file
+
+
+def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = scene.texture.read_bytes()
+    message = complaint(capsys, *scene.shot, "--out", scene.texture)
+    assert message == f"{scene.texture}: exists already; --force overwrites it"
+    out = tmp_path / "out.octex"
+    message = complaint(capsys, *scene.shot, "--out", out, "--layer-out", scene.texture, "--force")
+    assert message == f"{scene.texture}: --layer-out is also an input; give it another name"
+    assert scene.texture.read_bytes() == before
+
+
+@needs_jit
+def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.octex"
+    result(capsys, *scene.shot, "--out", out, "--blend", "erase", "--opacity", 0.5, "--quiet")
+    before, after = octex.open(scene.texture), octex.open(out)
+    after.validate()
+    assert list(before.channels) == ["base_color"]
+    assert list(after.channels) == ["base_color", "alpha"]
+    points, inside = scene.places(1.5)
+    np.testing.assert_allclose(after.sample(points[inside], "alpha"), 0.5, atol=0.02)
+    points, near = scene.places(-8.0)
+    np.testing.assert_allclose(after.sample(points[~near], "alpha"), 1.0, atol=1e-6)
+    away = scene.surface.scatter(1000)
+    hidden = away.rest[away.normals[:, 2] < -0.5]
+    np.testing.assert_allclose(after.sample(hidden, "alpha"), 1.0, atol=1e-6)
+    np.testing.assert_allclose(after.sample(hidden), before.sample(hidden), atol=1e-5)
+    told = json.loads(after.metadata["paint"])
+    assert [(entry["blend"], entry["opacity"]) for entry in told] == [("erase", 0.5)]
+
+
+@needs_jit
+def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first.octex", tmp_path / "second.octex"
+    result(capsys, *scene.shot, "--out", first, "--quiet")
+    arguments = [scene.model, first, scene.square, scene.blue, "--camera", scene.cameras]
+    code = main([str(each) for each in [*arguments, "--out", second, "--opacity", 0.5, "--json", "--quiet"]])
+    assert code == ExitCode.DONE
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    made, texture = json.loads(captured.out), octex.open(second)
+    assert made.pop("seconds") > 0
+    assert made == {
+        "output": str(second),
+        "leaves": texture.tree.n_leaves,
+        "nodes": texture.tree.n_nodes,
+        "depth": texture.tree.max_depth,
+        "painted": ["square.png", "blue.png"],
+        "skipped": [],
+        "bytes": second.stat().st_size,
+    }
+    told = [(path, 1.0) for path in [scene.square]] + [(path, 0.5) for path in [scene.square, scene.blue]]
+    assert json.loads(texture.metadata["paint"]) == [
+        {
+            "image": path.name,
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "blend": "over",
+            "opacity": strength,
+            "channel": "base_color",
+        }
+        for path, strength in told
+    ]
+    assert texture.metadata["convert"] == octex.open(scene.texture).metadata["convert"]
+
+
+@needs_jit
+def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    away = replace(
+        scene.camera, world_to_camera=np.diag([1.0, -1.0, -1.0, 1.0]) @ scene.camera.world_to_camera
+    )
+    octex.write_cameras(tmp_path / "away.json", {"square.png": away})
+    black, clear = tmp_path / "black.png", tmp_path / "clear.png"
+    Image.new("L", (SIZE, SIZE), 0).save(black)
+    Image.new("RGBA", (SIZE, SIZE), (255, 0, 0, 0)).save(clear)
+    files = sorted(tmp_path.iterdir())
+    looks_away = [*scene.shot[:3], "--camera", tmp_path / "away.json"]
+    for texture in (scene.texture, tmp_path / "new.octex"):
+        for arguments in (
+            looks_away,
+            [*scene.shot, "--mask", black],
+            [*scene.shot[:2], clear, *scene.shot[3:]],
+            [*scene.shot, "--opacity", 0],
+        ):
+            given = [arguments[0], texture, *arguments[2:], "--out", tmp_path / "out.octex", "--quiet"]
+            assert main([str(each) for each in given]) == ExitCode.NOTHING_PAINTED == 3
+            captured = capsys.readouterr()
+            assert captured.out == ""
+            assert captured.err.count("\n") == 1
+            assert captured.err.startswith(
+                f"{COMMAND}: nothing was painted, and {tmp_path / 'out.octex'} is not written: "
+            )
+    given = [*looks_away, "--out", tmp_path / "o.octex", "--layer-out", tmp_path / "l.octex"]
+    assert main([str(each) for each in given]) == 3
+    assert sorted(tmp_path.iterdir()) == files
+
+
+# --- new textures
+
+
+@needs_jit
+def test_a_texture_that_is_not_there_is_begun(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    assert main([str(each) for each in [scene.model, out, *scene.shot[2:], "--out", out]]) == ExitCode.DONE
+    assert f"{out} does not exist yet: painting begins a new texture" in capsys.readouterr().err
+    made = octex.open(out)
+    made.validate()
+    picture = octex.Projection(scene.square, scene.camera)
+    assert_equal(made, octex.paint(None, scene.surface, picture))
+    points, inside = scene.places(1.5)
+    np.testing.assert_allclose(made.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
+    assert made.metadata["source"] == "box.glb"
+    assert set(made.metadata) == {"source", "sha256", "octex", "paint"}
+
+
+@needs_jit
+@pytest.mark.parametrize("depth", [[], ["--max-depth", 3]])
+def test_a_new_texture_may_have_a_background(
+    depth: list[object], scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, new = tmp_path / "out.octex", tmp_path / "new.octex"
+    arguments = [scene.model, new, *scene.shot[2:], "--out", out, *depth]
+    result(capsys, *arguments, "--background", "#204060", "--quiet")
+    made = octex.open(out)
+    made.validate()
+    assert not depth or made.tree.max_depth == 3
+    away = scene.surface.scatter(2000)
+    away_points = away.rest[away.normals[:, 2] < -0.5]
+    from octex.channels import decode
+
+    color = decode(np.array([0x20, 0x40, 0x60], np.uint8), "srgb")
+    np.testing.assert_allclose(made.sample(away_points), np.tile(color, (len(away_points), 1)), atol=1e-3)
+    rough = [*arguments, "--channel", "roughness", "--force"]
+    result(capsys, *rough, "--background", "51", "--quiet")
+    assert octex.open(out).sample(away_points, "roughness") == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_background_is_one_of_the_channels_values(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = [scene.model, tmp_path / "new.octex", *scene.shot[2:], "--out", tmp_path / "out.octex"]
+    given = [*new, "--background", "1,2,3", "--channel"]
+    assert "give a grey" in complaint(capsys, *given, "roughness")
+    assert "normal has directions" in complaint(capsys, *given, "normal")
+
+
+# --- pictures and frames
+
+
+@needs_jit
+def test_pictures_are_matched_to_frames_by_their_file_names(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    arguments = [scene.model, scene.texture, "--camera", scene.cameras, "--out", out, "--force"]
+    made = json.loads(result(capsys, *arguments, scene.blue, scene.square, "--json", "--quiet"))
+    assert made["painted"] == ["blue.png", "square.png"]
+
+
+def test_pictures_without_a_frame_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    arguments = [scene.model, scene.texture, "--camera", scene.cameras, "--out", out]
+    (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
+    assert complaint(capsys, *arguments, tmp_path / "other.png", scene.blue) == (
+        f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
+        "there are: 'square.png', 'blue.png'"
+    )
+    message = complaint(capsys, *scene.shot, scene.blue, "--out", out)
+    assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
+    message = complaint(capsys, *arguments)
+    assert message == f"{scene.cameras}: does not say where the pictures of its cameras are; give IMAGEs"
+
+
+@needs_jit
+def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, names = transforms(scene, tmp_path)
+    (tmp_path / "images").mkdir()
+    (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
+    arguments = [scene.model, scene.texture, "--camera", file, "--out", tmp_path / "out.octex"]
+    assert main([str(each) for each in [*arguments, "--json"]]) == ExitCode.DONE
+    captured = capsys.readouterr()
+    listing = ", ".join(map(repr, names[1:6]))
+    assert f"{COMMAND}: skipped 7 of 8 pictures: {listing} and 2 more\n" in captured.err
+    made = json.loads(captured.out)
+    assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
+
+
+def test_a_file_none_of_whose_pictures_is_there_is_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, names = transforms(scene, tmp_path)
+    arguments = [scene.model, scene.texture, "--camera", file, "--out", tmp_path / "out.octex"]
+    listing = ", ".join(map(repr, names[:5]))
+    assert complaint(capsys, *arguments) == (
+        f"{file}: none of the 8 pictures that it names is there: {listing} and 3 more; give IMAGEs"
+    )
+
+
+def transforms(scene: Scene, folder: Path) -> tuple[Path, list[str]]:
+    """Write a transforms.json that names eight pictures; return it and their names."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
+    names = ["images/blue.png", *(f"images/{number}.png" for number in range(7))]
+    document: dict[str, Any] = {
+        "fl_x": float(scene.camera.K[0, 0]),
+        "frames": [{"file_path": name, "transform_matrix": pose} for name in names],
+    }
+    file = folder / "transforms.json"
+    file.write_text(json.dumps(document))
+    return file, names
+
+
+def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, camera = tmp_path / "out.octex", ["--camera", f"{scene.cameras}#square.png"]
+    small, words, missing = tmp_path / "small.png", tmp_path / "words.png", tmp_path / "missing.png"
+    Image.new("RGB", (8, 5)).save(small)
+    words.write_text("words")
+    paint = [scene.model, scene.texture]
+    frame = f"frame 'square.png' of {scene.cameras}"
+    assert complaint(capsys, *paint, small, *camera, "--out", out) == (
+        f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the picture has 8×5, another shape; give the "
+        "picture that the camera was made for"
+    )
+    message = complaint(capsys, *paint, words, *camera, "--out", out)
+    assert message.startswith("words.png cannot be read as an image (")
+    assert message.endswith(f"(for {frame})")
+    message = complaint(capsys, *paint, missing, *camera, "--out", out)
+    assert message == f"{missing} cannot be read: No such file or directory (for {frame})"
+    message = complaint(capsys, *scene.shot, "--mask", small, "--out", out)
+    assert message.startswith(f"{small} has 8×5 pixels, its camera {SIZE}×{SIZE}")
+    message = complaint(capsys, *scene.shot[:4], f"{scene.cameras}#nobody", "--out", out)
+    assert message == f"{scene.cameras}: there is no frame 'nobody'; there are: 'square.png', 'blue.png'"
+    message = complaint(capsys, *scene.shot[:4], tmp_path / "none.json", "--out", out)
+    assert message.startswith(f"{tmp_path / 'none.json'}: cannot be read")
+    assert not out.exists()
+
+
+@needs_jit
+def test_masks_are_one_for_all_or_one_each(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.octex"
+    black, white = tmp_path / "black.png", tmp_path / "white.png"
+    Image.new("L", (SIZE, SIZE), 0).save(black)
+    Image.new("L", (SIZE, SIZE), 255).save(white)
+    both = [scene.model, scene.texture, scene.square, scene.blue, "--camera", scene.cameras, "--out", out]
+    result(capsys, *both, "--mask", white, "--mask", black, "--quiet")
+    picture = octex.Projection(scene.square, scene.camera, white)
+    assert_equal(
+        octex.open(out),
+        octex.paint(
+            octex.open(scene.texture),
+            scene.surface,
+            [picture, octex.Projection(scene.blue, scene.camera, black)],
+        ),
+    )
+    assert main([str(each) for each in [*both, "--mask", black, "--force"]]) == ExitCode.NOTHING_PAINTED
+
+
+def test_masks_of_another_number_than_the_pictures_are_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = [scene.model, scene.texture, scene.square, scene.blue, "--camera", scene.cameras]
+    message = complaint(capsys, *both, "--out", tmp_path / "out.octex", *["--mask", scene.square] * 3)
+    assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one for each IMAGE"
+
+
+@needs_jit
+def test_the_options_of_painting_reach_the_library(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: dict[str, Any] = {}
+    project = octex.project
+
+    def projected(*arguments: Any, **options: Any) -> octex.OctreeTexture:
+        seen.update(options)
+        return project(*arguments, **options)
+
+    monkeypatch.setattr(octex, "project", projected)
+    more = "--max-depth 3 --max-angle 60 --edge-feather 1.5 --balance gain --pictures average --back-faces"
+    more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
+    result(capsys, *scene.shot, "--out", tmp_path / "out.octex", *more.split(), "--channel", "base_color")
+    for name in ("like", "executor", "progress"):
+        assert seen.pop(name) is not None
+    assert seen == {
+        "channel": "base_color",
+        "max_depth": 3,
+        "max_angle": 60.0,
+        "edge_feather": 1.5,
+        "pictures": "average",
+        "balance": "gain",
+        "reference": None,
+        "back_faces": True,
+        "memory": 1000,
+        "folder": tmp_path,
+        "resume": tmp_path / "kept",
+        "fit": False,
+    }
+
+
+@needs_jit
+def test_a_preview_is_drawn_of_what_was_painted(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawn: list[tuple[list[str] | None, list[str]]] = []
+    views: list[Any] = []
+
+    def write_preview(_path: Path, surface: Any, texture: Any, *, view: Any, **_: Any) -> None:
+        names = None if surface is None else [form.name for form in surface.channels]
+        drawn.append((names, list(texture.channels)))
+        views.append(view)
+
+    monkeypatch.setattr("octex.preview.write_preview", write_preview)
+    preview = tmp_path / "preview.png"
+    text = result(capsys, *scene.shot, "--out", tmp_path / "a.octex", "--preview", preview)
+    assert text.splitlines()[1] == f"{preview}: a picture of it"
+    new = [scene.model, tmp_path / "new.octex", *scene.shot[2:], "--preview", preview]
+    result(capsys, *new, "--out", tmp_path / "b.octex", "--channel", "occlusion")
+    assert drawn == [(["base_color"], ["base_color"]), (None, ["occlusion"])]
+    result(capsys, *scene.shot, "--out", tmp_path / "c.octex", "--preview", preview, "--up", "0,0,1")
+    rows = -scene.camera.world_to_camera[:3, :3]
+    np.testing.assert_allclose([views[0].direction, views[0].up], [rows[2], rows[1]], atol=1e-9)
+    assert (views[2].direction, views[2].up) == (None, (0.0, 0.0, 1.0))
+
+
+# --- pictures to paint on
+
+
+def test_the_view_is_of_the_channel_alone(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bright, view, file = tmp_path / "bright.octex", tmp_path / "view.png", tmp_path / "camera.json"
+    sources = {"base_color": (0.2, 0.4, 0.6), "emissive": 1.0, "alpha": 0.5, "roughness": 0.2}
+    octex.convert(scene.model, 3, sources=sources).save(bright)
+    arguments = [scene.model, bright, "--view", view, "--camera-out", file, "--force"]
+    made = json.loads(result(capsys, *arguments, "--size", "30,20", "--json", "--quiet"))
+    assert made.pop("seconds") > 0
+    size = view.stat().st_size
+    assert made == {"output": str(view), "size": [30, 20], "bytes": size, "camera": str(file)}
+    picture = np.array(Image.open(view))
+    assert picture.shape == (20, 30, 4)
+    seen = picture[picture[:, :, 3] == 128]  # of the texture; colours are not multiplied by it
+    assert 40 < len(seen) < 600
+    assert np.abs(seen[:, :3].astype(int) - [124, 170, 203]).max() <= 1
+    assert set(np.unique(picture[:, :, 3])) == {0, 128}
+    assert not picture[picture[:, :, 3] == 0].any()
+    frame = octex.read_cameras(file)[0]
+    assert (frame.name, frame.size) == ("view.png", (30, 20))
+    expected = octex.Camera.fitted(scene.surface.vertices, (0.4, 0.3, 1), size=(30, 20))
+    np.testing.assert_array_equal(frame.camera().matrix, expected.matrix)
+    result(capsys, *arguments, "--size", "30,20", "--channel", "roughness", "--quiet")
+    picture = np.array(Image.open(view))
+    assert set(picture[picture[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
+    assert "'normal'" in complaint(capsys, *arguments, "--channel", "normal")
+
+
+def test_without_a_texture_the_view_shows_the_form_in_grey(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, new = tmp_path / "view.png", tmp_path / "new.octex"
+    given = [scene.model, new, "--view", view, "--camera", f"{scene.cameras}#blue.png"]
+    assert main([str(each) for each in given]) == ExitCode.DONE
+    assert f"{new} does not exist yet: the model is drawn grey" in capsys.readouterr().err
+    picture = np.array(Image.open(view)).reshape(-1, 4)
+    seen = picture[picture[:, 3] == 255]
+    assert (seen[:, :1] == seen[:, :3]).all()
+    assert len(np.unique(seen[:, 0])) >= 3
+    assert seen[:, 0].min() > 100
+
+
+def test_a_view_has_no_lens_distortion(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bent = replace(scene.camera, distortion=(-0.1, 0.01, 0.0, 0.0))
+    octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
+    given = [scene.model, scene.texture, "--camera", tmp_path / "bent.json", "--view", tmp_path / "a.png"]
+    given += ["--camera-out", tmp_path / "straight.json"]
+    assert main([str(each) for each in given]) == ExitCode.DONE
+    assert (
+        f"{COMMAND}: the camera's lens distorts; the picture is drawn without that" in capsys.readouterr().err
+    )
+    frame = octex.read_cameras(tmp_path / "straight.json")[0]
+    assert frame.name == "a.png"
+    assert frame.camera().distortion == (0.0, 0.0, 0.0, 0.0)
+    result(capsys, scene.model, scene.texture, "--camera", scene.cameras, "--view", tmp_path / "square.png")
+    assert np.array_equal(Image.open(tmp_path / "a.png"), Image.open(tmp_path / "square.png"))
+
+
+def test_a_view_needs_a_camera_that_can_be_found_again(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view = [scene.model, scene.texture, "--view", tmp_path / "view.png"]
+    assert complaint(capsys, *view) == (
+        "--view without --camera needs --camera-out: without its camera a picture cannot be painted back"
+    )
+    assert complaint(capsys, *view, "--camera", scene.cameras) == (
+        f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'"
+    )
+    message = complaint(capsys, *view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
+    assert message == (
+        f"--size has not the shape of frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
+    )
+    message = complaint(capsys, *view, "--camera-out", tmp_path / "camera.txt")
+    assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- an empty layer
+
+
+@needs_jit
+def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, layer, file = tmp_path / "view.png", tmp_path / "layer.png", tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", view, "--camera", f"{scene.cameras}#square.png"]
+    said = result(capsys, *look, "--empty-layer", layer, "--camera-out", file)
+    assert said.splitlines()[1:] == [f"{layer}: an empty layer of its size", f"{file}: its camera"]
+    picture = np.array(Image.open(layer))
+    assert picture.shape == (SIZE, SIZE, 4)
+    assert not picture.any()
+    back = [scene.model, scene.texture, layer, "--camera", file, "--quiet", "--out"]
+    assert main([str(each) for each in (*back, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
+    capsys.readouterr()
+    # In the view's own colours: as a layer that is paint, and it is multiplied with what is there.
+    place = np.s_[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1]
+    picture[place] = np.array(Image.open(view))[place]
+    Image.fromarray(picture).save(layer)
+    same = tmp_path / "same.png"
+    same.write_bytes(layer.read_bytes())
+    outs = [tmp_path / "as_layer.octex", tmp_path / "by_hand.octex"]
+    result(capsys, *back, outs[0], "--blend", "multiply")
+    by_hand = [same, "--camera", f"{scene.cameras}#square.png", "--blend", "multiply", "--quiet"]
+    result(capsys, scene.model, scene.texture, *by_hand, "--out", outs[1])
+    painted, expected = (octex.open(out) for out in outs)
+    np.testing.assert_array_equal(
+        painted.channels["base_color"].values, expected.channels["base_color"].values
+    )
+    points, inside = scene.places(1.5)
+    before = octex.open(scene.texture).sample(points[inside])
+    np.testing.assert_allclose(painted.sample(points[inside]), before**2, atol=0.05)
+
+
+# --- from where
+
+
+@needs_jit
+def test_a_view_is_from_the_side_and_as_near_as_wanted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", tmp_path / "view.png", "--camera-out", file, "--force"]
+    result(capsys, *look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
+    made = octex.read_cameras(file)[0].camera()
+    whole = octex.Camera.fitted(scene.surface.vertices, (-1, 0.5, 0), size=(32, 24), up=(0, 0, 1))
+    np.testing.assert_array_equal(made.world_to_camera, whole.world_to_camera)
+    points = scene.surface.vertices
+    middle = np.array([16.0, 12.0])
+    expected = middle + 2 * (whole.project(points)[0] - middle)
+    np.testing.assert_allclose(made.project(points)[0], expected, atol=1e-9)
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png")
+    np.testing.assert_array_equal(octex.read_cameras(file)[0].camera().K, scene.camera.K)
+    flat = np.array(Image.open(tmp_path / "view.png"))
+    result(capsys, *look, "--camera", scene.cameras, "--frame", "blue.png", "--shaded")
+    shaded = np.array(Image.open(tmp_path / "view.png"))
+    assert (shaded[..., 3] == flat[..., 3]).all()
+    assert (shaded <= flat).all()
+    assert shaded.mean() < flat.mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--view v.png --camera c.json --direction 0,0,1",
+            "--direction and --camera both say where the camera is; give one of them",
+        ),
+        (
+            "--view v.png --camera-out c.json --frame x --up 0,0,1",
+            "--up and --frame both say where the camera is; give one of them",
+        ),
+        ("--view v.png --camera-out c.json --direction 0,0,0", "--direction must not be 0,0,0"),
+        ("--camera c --out o.octex --zoom 2", "--zoom has no meaning without a picture to draw"),
+        (
+            "--camera c --out o.octex --shaded",
+            "--shaded has no meaning with painting",
+        ),
+        (
+            "--camera c --out o.octex --empty-layer l.png",
+            "--empty-layer has no meaning with painting",
+        ),
+        (
+            "--view v.png --camera-out c.json --empty-layer v.png",
+            "--empty-layer has the name of --view, v.png, by which its camera is found; give it another",
+        ),
+    ],
+)
+def test_where_a_picture_is_drawn_from_is_said_once(
+    options: str, message: str, tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", str(tmp_path / "v.png"))
+    assert complaint(capsys, scene.model, scene.texture, *words.split()).startswith(message)
+
+
+def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document: dict[str, Any] = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
+    model = tmp_path / "scene.gltf"
+    model.write_text(json.dumps(document))
+    texture, picture = tmp_path / "a.octex", tmp_path / "a.png"
+    for name in ("load_surface", "open", "convert"):
+        monkeypatch.setattr(octex, name, lambda *_, **__: pytest.fail("it was begun"))
+    message = f"{model}: there is no frame 'back'; there are: 'front'"
+    look = ["--frame", "back"]
+    assert complaint(capsys, model, "--view", picture, *look, "--camera-out", tmp_path / "c.json") == message
+    shot = [model, picture, "--camera", model, "--out", texture, "--preview", tmp_path / "p.png"]
+    assert complaint(capsys, *shot, *look) == message
+    assert convert([str(each) for each in (model, texture, "--preview", picture, *look)]) == ExitCode.REFUSED
+    assert capsys.readouterr().err.endswith(f"error: {message}\n")
+
+
+# --- only what was drawn
+
+
+@needs_jit
+def test_of_a_view_only_what_was_drawn_on_it_is_painted(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file = tmp_path / "view.png", tmp_path / "camera.json"
+    look = [scene.model, scene.texture, "--view", view, "--camera-out", file, "--size", "64,64", "--quiet"]
+    result(capsys, *look)
+    shot = [scene.model, scene.texture, view, "--camera", file, "--quiet", "--out"]
+    assert main([str(each) for each in (*shot, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
+    assert capsys.readouterr().err.endswith(", or nothing was drawn on the view (--whole paints all of it)\n")
+    before = tmp_path / "before.png"
+    before.write_bytes(view.read_bytes())
+    picture = np.array(Image.open(view))
+    picture[28:36, 28:36, :3] = [255, 0, 0]
+    Image.fromarray(picture).save(view)
+    texture = octex.open(scene.texture)
+    outs = {name: tmp_path / f"{name}.octex" for name in ("drawn", "by_hand", "whole")}
+    result(capsys, *shot, outs["drawn"])
+    file.write_text(re.sub(r', "view": "[^"]*"', "", file.read_text()))  # as an older octex wrote it
+    result(capsys, *shot, outs["by_hand"], "--since", before)
+    result(capsys, *shot, outs["whole"])
+    assert outs["by_hand"].read_bytes() == outs["drawn"].read_bytes()
+    drawn, whole = octex.open(outs["drawn"]), octex.open(outs["whole"])
+    assert texture.tree.n_leaves < drawn.tree.n_leaves < whole.tree.n_leaves / 4
+    points = scene.surface.scatter(2000, seed=1)
+    camera = octex.read_cameras(file)[0].camera()
+    pixels, _ = camera.project(points.points)
+    distance = np.abs(pixels - 32).max(axis=1)
+    far = distance > 9
+    np.testing.assert_allclose(drawn.sample(points.rest[far]), texture.sample(points.rest[far]), atol=1e-3)
+    seen = np.einsum("nk,nk->n", camera.position - points.points, points.normals) > 1.0
+    red = drawn.sample(points.rest[(distance < 2) & seen])
+    assert len(red)
+    np.testing.assert_allclose(red, np.broadcast_to([1.0, 0.0, 0.0], red.shape), atol=0.02)
+
+
+@needs_jit
+def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file = tmp_path / "view.png", tmp_path / "camera.json"
+    result(capsys, scene.model, scene.texture, "--view", view, "--camera-out", file, "--size", "48,48")
+    out = tmp_path / "whole.octex"
+    result(capsys, scene.model, scene.texture, view, "--camera", file, "--out", out, "--whole")
+    assert octex.open(out).tree.n_leaves > octex.open(scene.texture).tree.n_leaves
+    new = tmp_path / "new.octex"
+    said = result(capsys, scene.model, view, "--camera", file, "--out", new)
+    assert said.startswith(f"{new}: 1 picture painted, ")
+
+
+@needs_jit
+def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
+    drawn = [scene.model, scene.texture, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
+    result(capsys, *drawn, "--view", view, "--camera-out", file)
+    assert octex.read_cameras(file)[0].size == (3 * SIZE, 3 * SIZE)
+    outs = []
+    for cameras in (scene.cameras, file):  # that of a third of the size, and the view's own
+        outs.append(tmp_path / f"{cameras.stem}.octex")
+        result(capsys, scene.model, view, "--camera", cameras, "--out", outs[-1])
+    points = scene.places(0.0)[0]
+    a, b = (octex.open(out).sample(points) for out in outs)
+    np.testing.assert_allclose(a, b, atol=1e-6)
+    with Image.open(view) as picture:
+        picture.resize((2 * SIZE, 2 * SIZE)).save(view)
+    back = [scene.model, scene.texture, view, "--camera", file, "--out", out]
+    assert complaint(capsys, *back).endswith(
+        "so what has changed cannot be told; scale the picture, or give --whole"
+    )
+    result(capsys, *back, "--whole")
+
+
+def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "camera.json"
+    octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
+    shot = [scene.model, scene.texture, scene.blue, "--camera", file, "--out", tmp_path / "out.octex"]
+    assert complaint(capsys, *shot).startswith(f"the view in {file}")
+    text = file.read_text()
+    file.write_text(re.sub('"view": "', '"view": "é', text))
+    assert "view is no picture in base64" in complaint(capsys, *shot)
+    with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
+        octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
+
+
+@needs_jit
+def test_a_picture_may_name_its_frame(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, other = tmp_path / "out.octex", tmp_path / "other.octex"
+    picture = tmp_path / "my=picture.png"
+    picture.write_bytes(scene.square.read_bytes())
+    shot = [scene.model, scene.texture, "--camera", scene.cameras, "--quiet", "--out"]
+    result(capsys, *shot, out, f"{picture}=square.png")
+    result(capsys, *shot, other, scene.square)
+    assert np.array_equal(octex.open(out).tree.arrays.flags, octex.open(other).tree.arrays.flags)
+    refused = complaint(capsys, *shot, tmp_path / "no.octex", f"{picture}=x.png")
+    assert refused.startswith(f"{scene.cameras}: there is no frame 'x.png'; there are: ")
+
+
+@needs_jit
+def test_paint_that_more_than_doubles_a_texture_is_announced(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [scene.model, scene.texture, scene.blue, "--camera", scene.cameras]
+    assert main([str(each) for each in (*arguments, "--out", tmp_path / "a.octex", "--max-depth", 7)]) == 0
+    leaves = octex.open(scene.texture).tree.n_leaves
+    assert f"leaves, the texture {leaves:,}; --max-depth 4 paints with" in capsys.readouterr().err
+    assert main([str(each) for each in (*arguments, "--out", tmp_path / "b.octex", "--max-depth", 4)]) == 0
+    assert "--max-depth" not in capsys.readouterr().err
+
+
+# --- usage
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("", "MODEL is missing; see octree-paint --help"),
+        ("m.glb", "--camera is missing; see octree-paint --help"),
+        ("m.glb t.octex", "--camera is missing; see octree-paint --help"),
+        ("m.glb t.octex a.png --camera c", "--out is missing; see octree-paint --help"),
+        ("m.glb t.octex --layer l.octex", "--out is missing; see octree-paint --help"),
+        ("m.glb t.octex --view v.png a.png", "IMAGE has no meaning with --view; see octree-paint --help"),
+        *[
+            (f"m.glb t.octex --layer l.octex --out o.octex {words}", f"{word} has no meaning with --layer")
+            for words, word in [
+                ("a.png", "IMAGE"),
+                ("--balance full", "--balance"),
+                ("--camera c", "--camera"),
+                ("--mask m.png", "--mask"),
+                ("--channel alpha", "--channel"),
+                ("--layer-out x.octex", "--layer-out"),
+                ("--max-depth 3", "--max-depth"),
+                ("--size 3,3", "--size"),
+            ]
+        ],
+        *[
+            (f"m.glb t.octex --view v.png {words}", f"{words.split()[0]} has no meaning with --view")
+            for words in ("--out o.octex", "--layer l.octex", "--blend over", "--opacity 0")
+        ],
+        ("m.glb t.octex --camera c --out o.octex --size 3,3", "--size has no meaning with painting"),
+        ("m.glb t.octex --camera-out c.json", "--camera-out has no meaning with painting"),
+        (
+            "m.glb --camera c --out o.octex --blend erase",
+            "there is no TEXTURE; there is nothing to erase",
+        ),
+        (
+            "m.glb t.octex --camera c --out o.octex --blend erase",
+            "t.octex: does not exist; there is nothing to erase",
+        ),
+        (
+            "m.glb t.octz --camera c --out o.octex --blend erase",
+            "t.octz: does not exist; there is nothing to erase",
+        ),
+        ("m.glb t.octex --blend burn", "--blend: 'burn' is none of over, multiply, "),
+        ("m.glb t.octex --opacity 2", "--opacity: 2 is not from 0 to 1; see octree-paint --help"),
+        ("m.glb t.octex --opacity x", "--opacity: 'x' is no number; see octree-paint --help"),
+        ("m.glb t.octex --opacity nan", "--opacity: nan is not from 0 to 1"),
+        ("m.glb t.octex --max-angle 181", "--max-angle: 181 is not from 0 to 180"),
+        ("m.glb t.octex --edge-feather 1e7", "--edge-feather: 1e7 is not from 0 to 1000000"),
+        ("m.glb t.octex --size 3", "--size: '3' is not WIDTH,HEIGHT, like 1024,768"),
+        ("m.glb t.octex --size 3,0", "--size: 3,0 is not from 1 to 16384 pixels each way"),
+        ("m.glb t.octex --background red", "--background: 'red' is not R,G,B from 0 to 255, nor"),
+        ("m.glb t.octex --background 1,2", "--background: '1,2' is not R,G,B from 0 to 255, nor"),
+        ("m.glb t.octex --background 1,2,256", "--background: 1,2,256 is not from 0 to 255"),
+        ("m.glb t.octex --camera c#", "--camera: 'c#' names no camera; write FILE#NAME, or FILE"),
+        (
+            "m.glb t.octex --camera c --out o.octex --max-depth 22",
+            "--max-depth must be a whole number from 0 to 21, not 22",
+        ),
+        (
+            "m.glb t.octex --camera c --out o.ply",
+            "o.ply: --out has the ending '.ply'; octex writes .octex here",
+        ),
+    ],
+)
+def test_bad_usage_is_refused_by_name(
+    arguments: str,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert complaint(capsys, *arguments.split()).startswith(message)
+
+
+def test_a_background_is_for_a_new_texture(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = complaint(capsys, *scene.shot, "--out", tmp_path / "out.octex", "--background", "0")
+    assert message == f"{scene.texture}: exists already; --background is for a new texture"
+
+
+@needs_jit
+def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shot = [scene.model, tmp_path / "new.octex", *scene.shot[2:]]
+    new = [*shot, "--out", tmp_path / "out.octex"]
+    picture = octex.Projection(scene.square, scene.camera)
+    for words, options in (
+        (["--coverage"], {"coverage": True}),
+        (["--holes", "leave", "--force"], {"holes": "leave"}),
+    ):
+        result(capsys, *new, *words)
+        made = octex.open(tmp_path / "out.octex")
+        assert_equal(made, octex.paint(None, scene.surface, picture, **options))
+    for given, reason in (
+        (scene.shot, f"{scene.texture} has colours"),
+        ([*shot, "--background", "0"], "--background leaves none"),
+    ):
+        message = complaint(capsys, *given, "--out", tmp_path / "b.octex", "--holes", "smooth")
+        assert message == f"{reason}; --holes is for a new texture"
+
+
+def test_a_layer_that_is_none_is_refused_by_name(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [scene.model, scene.texture, "--out", tmp_path / "out.octex", "--layer"]
+    (tmp_path / "box.octex").write_bytes(scene.texture.read_bytes())
+    assert complaint(capsys, *arguments, tmp_path / "box.octex").startswith(f"{tmp_path / 'box.octex'}: ")
+    assert "missing.octex" in complaint(capsys, *arguments, tmp_path / "missing.octex")
+
+
+def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
+    (tmp_path / "a#b.json").touch()
+    plain = f"{tmp_path}/a#b.json"
+    assert camera(plain) == (Path(plain), None)
+    assert camera(f"{plain}#c#d") == (Path(plain), "c#d")
+    assert camera("missing.json#a#b") == (Path("missing.json"), "a#b")
+    assert camera("#a") == (Path("#a"), None)
+
+
+def test_the_help_lists_every_option_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help-all"]) == 0
+    text = capsys.readouterr().out
+    for code in ExitCode:
+        assert f"{code:3}  {code.meaning}" in text
+    for each in (*PAINT.files, *PAINT.options):
+        assert f"  {each.word}" in text
+
+
+def test_the_help_names_the_librarys_defaults() -> None:
+    from octex.painting import balance, holes, paint, pictures
+
+    assert pictures.BLENDS == BLENDS
+    assert paint.PICTURES == PICTURES
+    assert balance.BALANCES == BALANCES
+    assert holes.HOLES == HOLES
+    text = " ".join(Parser(COMMAND, PAINT).help_text().split())
+    defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
+    assert defaults["channel"] == DEFAULT_CHANNEL
+    angles = f"{paint.TAKEN_ANGLE:g}; {paint.DRAWN_ANGLE:g} for a view drawn by octex"
+    assert f"tilted more than DEGREES from the camera (default {angles})" in text
+    assert f"edges in depth (default {defaults['edge_feather']:g})" in text
+    assert "at most level 14" in text
+    assert inspect.signature(paint.paint).parameters["max_depth"].default is None
+
+
+def test_the_help_and_a_refusal_import_nothing_heavy() -> None:
+    heavy = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.painting")
+    code = f"""
+import sys
+from octex.cli.paint import main
+codes = [main(["--help"]), main(["--version"]), main(["a.glb", "b.octex"])]
+print(codes, sorted(set({heavy!r}) & set(sys.modules)))
+"""
+    done = python(code)
+    assert done.stdout.splitlines()[-1] == "[0, 0, <ExitCode.REFUSED: 2>] []"
+    assert done.stderr == f"{COMMAND}: error: --camera is missing; see octree-paint --help\n"
+
+
+# --- as a process
+
+
+@needs_jit
+def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> None:
+    droid, texture = ROOT / "samples" / "droid.glb", tmp_path / "droid.octex"
+    octex.convert(droid, 7, channels=["base_color"]).save(texture)
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "tools/paint_projection.py", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=600, cwd=ROOT, check=True)
+
+    view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
+    run(droid, texture, "--view", view, "--camera-out", file, "--size", "256,256")
+    picture = np.array(Image.open(view))
+    row, column = 118, 128  # on the head
+    picture[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
+    Image.fromarray(picture).save(view)
+    done = run(droid, texture, view, "--camera", file, "--out", out)
+    assert done.stdout.startswith(f"{out}: 1 picture painted, ")
+    run(droid, out, "--view", tmp_path / "after.png", "--camera", f"{file}#view.png")
+    after = np.array(Image.open(tmp_path / "after.png"))
+    assert np.array_equal(after[:, :, 3], picture[:, :, 3])
+    seen = picture[:, :, 3] > 0
+    moved = np.abs(after[:, :, :3].astype(int) - picture[:, :, :3]).max(axis=2)
+    assert np.median(moved[seen]) <= 6
+    patch = after[row - 5 : row + 6, column - 5 : column + 6]
+    red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
+    assert red > 240
+    assert max(green, blue) < 20
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "m.glb t.octex a.png b.png --camera c.json --out n.octex --mask m.png --balance full",
+        "--camera c.json m.glb --balance full t.octex a.png --mask m.png b.png --out n.octex",
+        "m.glb --mask m.png t.octex --out n.octex a.png --camera c.json --balance full b.png",
+        "--balance=full --out=n.octex --mask m.png --camera=c.json -- m.glb t.octex a.png b.png",
+    ],
+)
+def test_options_may_stand_anywhere(arguments: str) -> None:
+    stated = {
+        name: value for name, value in vars(Parser(COMMAND, PAINT).parsed(arguments.split())).items() if value
+    }
+    assert stated == {
+        "MODEL": Path("m.glb"),
+        "TEXTURE": Path("t.octex"),
+        "IMAGE": [Path("a.png"), Path("b.png")],
+        "camera": (Path("c.json"), None),
+        "out": Path("n.octex"),
+        "mask": [Path("m.png")],
+        "balance": "full",
+    }

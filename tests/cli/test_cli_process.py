@@ -1,0 +1,123 @@
+"""octree-convert on textures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from tests.conftest import needs_jit
+from tests.make.command import refusal, result
+from tests.make.same import assert_same
+
+
+@pytest.fixture(scope="module")
+def other(made: Path) -> Path:
+    path = made.with_name("other.octex")
+    octex.map(octex.open(made), lambda values: 1 - values).save(path)
+    return path
+
+
+@needs_jit
+def test_every_option_is_the_operation_of_that_name(
+    made: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texture, second = octex.open(made), octex.open(other)
+    low, high = texture.bounds
+    middle = (low + high) / 2
+    box = ",".join(repr(float(each)) for each in [*low, *middle])
+    for number, (words, wanted) in enumerate(
+        [
+            (["--crop=" + box], octex.crop(texture, low, middle)),
+            (["--depth", "3"], octex.resize(texture, 3)),
+            (["--combine", other], octex.combine(texture, second)),
+            (["--mix", f"{other}=0.3"], octex.mix(texture, second, 0.3)),
+            (["--blur", "0.2"], octex.blur(texture, 0.2)),
+            (["--levels", "0.1,0.9,1.5"], octex.levels(texture, "base_color", 0.1, 0.9, 1.5)),
+            (["--levels", "0.1,0.9"], octex.levels(texture, "base_color", 0.1, 0.9)),
+            (["--dtype", "base_color=uint16", "--threads", "1"], octex.cast(texture, "uint16")),
+        ]
+    ):
+        out = tmp_path / f"{number}.octex"
+        result(capsys, made, out, *words)
+        found = octex.open(out)
+        found.validate()
+        assert_same(found, wanted)
+
+
+def test_options_work_in_one_order_however_they_are_given(
+    made: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "all.octex"
+    words = ["--dtype", "float16", "--levels", "0,0.9", "--blur", "0.1", "--mix", f"{other}=0.5"]
+    result(capsys, made, out, *words, "--depth", 3)
+    done = json.loads(octex.open(out).metadata["processed"])
+    assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
+
+
+def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    adaptive, out = tmp_path / "adaptive.octex", tmp_path / "out.octex"
+    octex.convert(model, 4, detail=lambda points: np.where(points[:, 0] > points[:, 0].mean(), 4, 2)).save(
+        adaptive
+    )
+    texture = octex.open(adaptive)
+    assert texture.tree.cells_by_depth()[2][0]
+    for depth in (4, 3):
+        result(capsys, adaptive, out, "--depth", depth, "--force")
+        assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
+
+
+@needs_jit
+def test_points_can_be_written_of_what_was_done(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result(capsys, made, tmp_path / "points.ply", "--levels", "0,0.5", "--preview", tmp_path / "a.png")
+    assert (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    "words", ["--crop 0,0,0,1,1,1", "--combine b.octex", "--mix b.octex=0.3", "--blur 1", "--levels 0,1"]
+)
+def test_models_are_converted_first(
+    words: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    option = words.split()[0]
+    assert refusal(capsys, model, tmp_path / "x.octex", *words.split()) == (
+        f"{model}: {option} is for .octex textures; convert the model first"
+    )
+    assert "has no meaning with --info" in refusal(capsys, "--info", model, *words.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--crop 0,0,0,1,1", "--crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1"),
+        ("--crop 0,0,0,1,1,nan", "--crop: 0,0,0,1,1,nan has numbers that are not finite"),
+        ("--levels 0.5", "--levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
+        ("--levels 0.5,0.4", "--levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
+        ("--levels a,b", "--levels: 'a,b' is not numbers with commas between"),
+        ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
+        ("--mix b.octex=2", "--mix: 2 is not from 0 to 1"),
+        ("--blur 0", "--blur: 0 is not a finite number above zero"),
+        ("--combine none.octex", "none.octex"),
+        ("--channels paint", "unknown channel of "),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(
+    words: str, message: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert message in refusal(capsys, made, tmp_path / "x.octex", *words.split())
+    assert not (tmp_path / "x.octex").exists()
+
+
+def test_what_is_read_is_not_overwritten(made: Path, other: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = other.read_bytes()
+    for words in (["--combine", other], ["--mix", f"{other}=0.5"]):
+        assert "OUTPUT is also an input" in refusal(capsys, made, other, *words, "--force")
+    assert other.read_bytes() == before
+    np.testing.assert_array_equal(octex.open(other).tree.arrays.groups, octex.open(made).tree.arrays.groups)

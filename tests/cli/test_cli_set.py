@@ -1,0 +1,144 @@
+"""Parts with textures of their own at the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from octex.cli.convert import main
+from octex.errors import ExitCode
+from octex.formats.ply import write_points
+from tests.make.command import refusal, result
+
+_CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+_FACES = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two boxes, one in the other's corner, in two colours."""
+    path = tmp_path_factory.mktemp("model") / "pair.obj"
+    lines = []
+    for number, (low, side, color) in enumerate([(0.0, 1.0, "1 0 0"), (0.6, 0.7, "0 0 1")]):
+        lines += [f"v {low + side * x} {low + side * y} {low + side * z} {color}" for x, y, z in _CORNERS]
+        lines += ["f " + " ".join(str(int(each) + 8 * number) for each in face.split()) for face in _FACES]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(model: Path) -> Path:
+    folder = model.with_name("made")
+    assert main([str(model), str(folder), "--parts", "--depth", "3", "--quiet"]) == ExitCode.DONE
+    return folder
+
+
+def test_parts_become_a_folder_of_textures(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "out"
+    options = ("--parts", "--cell", 0.25, "--channels", "base_color", "--dtype", "uint16", "--no-fit")
+    text = result(capsys, model, folder, *options, "--threads", 1)
+    assert re.fullmatch(rf"{re.escape(str(folder))}: 2 parts, [\d,]+ leaves, [\d.]+ kB, [\d.]+ s\n", text)
+    found = octex.TextureSet.open(folder)
+    wanted = octex.convert_set(model, cell=0.25, channels=["base_color"], dtype="uint16", fit=False)
+    assert found.info() == wanted.info()
+    told = json.loads(result(capsys, model, folder, *options, "--force", "--json"))
+    assert told.pop("seconds") >= 0
+    assert told == {
+        "output": str(folder),
+        "parts": 2,
+        "leaves": sum(texture.tree.n_leaves for texture in wanted.values()),
+        "bytes": wanted.info()["bytes"],
+    }
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_info_lists_parts_cells_and_bytes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = octex.TextureSet.open(made)
+    assert json.loads(result(capsys, "--info", made, "--json")) == found.info()
+    lines = result(capsys, "--info", made).splitlines()
+    assert lines[0].split() == ["part", "depth", "finest", "cell", "leaves", "nodes", "bytes"]
+    for line, (name, part) in zip(lines[1:3], found.info()["parts"].items(), strict=True):
+        words = line.replace(",", "").split()
+        assert words[:2] == [name, "3"]
+        assert float(words[2]) == pytest.approx(part["finest_cell"], rel=1e-5)
+        assert [int(word) for word in words[3:]] == [part["leaves"], part["nodes"], part["bytes"]["total"]]
+    assert lines[3].split()[0] == "all"
+    assert int(lines[3].replace(",", "").split()[-1]) == found.info()["bytes"]
+    assert len(lines) == 4
+
+
+def test_validate_proves_all_parts_or_names_what_is_broken(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert result(capsys, "--validate", made) == "valid\n"
+    octex.TextureSet.open(made).save(tmp_path / "copy")
+    path = tmp_path / "copy" / "part-1.octex"
+    damaged = bytearray(path.read_bytes())
+    damaged[4096] ^= 0xFF  # the node masks of the root
+    path.write_bytes(damaged)
+    assert main(["--validate", str(tmp_path / "copy")]) == ExitCode.INVALID
+    assert capsys.readouterr().out.startswith("part 'part-1': ")
+    path.unlink()
+    assert main(["--validate", str(tmp_path / "copy"), "--json"]) == ExitCode.INVALID
+    assert "the file of part 'part-1' is missing" in json.loads(capsys.readouterr().out)["broken"]
+    assert "set.json: No such file" in refusal(capsys, "--validate", tmp_path)
+    assert "is not the folder of a texture set" in refusal(capsys, "--info", tmp_path)
+
+
+def test_what_cannot_be_written_is_refused_before_any_work(
+    model: Path,
+    made: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(octex, "load_surface", None)
+    (tmp_path / "file").write_text("mine")
+    before = sorted(made.iterdir())
+    cases = [
+        (made, "holds a texture set already; --force replaces it"),
+        (tmp_path / "file", "is a file; --parts writes a folder, give OUTPUT another name"),
+        *(
+            (tmp_path / f"a.{ending}", "--parts writes a folder; give OUTPUT no ending")
+            for ending in ("octex", "octz", "ply", "npz", "html")
+        ),
+        (tmp_path / "no" / "folder", "there is no folder"),
+    ]
+    for folder, message in cases:
+        assert message in refusal(capsys, model, folder, "--parts")
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert "cannot be written" in refusal(capsys, model, tmp_path / "new", "--parts")
+    assert sorted(made.iterdir()) == before
+
+
+def test_options_that_do_not_go_with_parts_are_refused(
+    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    for words in (("--separate",), ("--preview", "a.png"), ("--memory", "1GB")):
+        message = refusal(capsys, model, out, "--parts", *words)
+        assert f"{words[0]} has no meaning with --parts" in message
+    texture = made / "part-0.octex"
+    assert "--parts needs the model, and this is a texture" in refusal(capsys, texture, out, "--parts")
+    write_points(octex.open(texture), tmp_path / "dots.ply")
+    assert "--parts needs a surface" in refusal(capsys, tmp_path / "dots.ply", out, "--parts")
+    assert "--depth must be a whole number from 0 to 21" in refusal(
+        capsys, model, out, "--parts", "--depth", 22
+    )
+    assert "--parts has no meaning with --info" in refusal(capsys, "--info", made, "--parts")
+    assert "--crop is for .octex textures" in refusal(capsys, model, out, "--parts", "--crop", "0,0,0,1,1,1")
+    assert not out.exists()
+
+
+def test_lookups_by_part_do_not_bleed(model: Path, made: Path) -> None:
+    surface = octex.load_surface(model)
+    samples = surface.scatter(500)
+    found = octex.TextureSet.open(made).sample(samples.rest, surface.parts[samples.triangles])
+    assert np.abs(found - surface.evaluate(samples)).max() < 0.02

@@ -1,0 +1,179 @@
+"""The cells that a surface meets, and the pieces in them, against rational arithmetic."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.conversion.cells import SPREAD
+from octex.conversion.pieces import Blocks, Pieces, bin_triangles, block_levels, cut, most_pieces
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode_cells
+from tests.conftest import needs_jit
+from tests.oracles import naive_cells
+
+Corner = tuple[int, int, int]
+
+
+def cut_all(triangles: list[list[Corner]], depth: int, keys_only: int = 0) -> Pieces:
+    grid = np.array(triangles, np.int32).reshape(-1, 3)
+    indices = np.arange(len(grid), dtype=np.int32).reshape(-1, 3)
+    blocks = bin_triangles(grid, indices, depth)
+    return cut_blocks(grid, indices, blocks, 0, len(blocks.codes), depth, keys_only)
+
+
+def cut_blocks(
+    grid: npt.NDArray[np.int32],
+    triangles: npt.NDArray[np.int32],
+    blocks: Blocks,
+    first: int,
+    last: int,
+    depth: int,
+    keys_only: int = 0,
+) -> Pieces:
+    most = int(most_pieces(grid, triangles, blocks, depth)[first:last].sum())
+    return cut(grid, triangles, blocks, first, last, depth, most, keys_only, SPREAD)
+
+
+def check(triangles: list[list[Corner]], depth: int) -> None:
+    pieces = cut_all(triangles, depth)
+    expected = naive_cells.sums_of(triangles, 1 << (GRID_BITS - depth))
+    cells = [tuple(cell) for cell in decode_cells(pieces.codes).tolist()]
+    assert set(cells) == set(expected)
+    assert (np.diff(pieces.codes) > 0).all()
+    areas = np.bincount(pieces.entries, pieces.areas, minlength=1)
+    entry = 0
+    for cell, flags in zip(cells, pieces.flags.tolist(), strict=True):
+        facings = [facing for facing in range(6) if flags >> facing & 1]
+        assert facings == sorted(expected[cell])
+        for facing in facings:
+            assert areas[entry] == pytest.approx(expected[cell][facing], rel=1e-9, abs=1e-9)
+            entry += 1
+    keys = cut_all(triangles, depth, keys_only=1)
+    assert np.array_equal(keys.codes, pieces.codes)
+    assert np.array_equal(keys.flags, pieces.flags)
+
+
+def corners(low: int, high: int, step: int) -> st.SearchStrategy[Corner]:
+    """Corners on a coarse lattice, so that edges, planes and corners of cells are met exactly, and off it."""
+    on_lattice = st.integers(low // step, high // step).map(lambda i: i * step)
+    near = st.builds(lambda i, d: min(max(i + d, low), high), on_lattice, st.integers(-1, 1))
+    coordinate = st.one_of(on_lattice, near, st.integers(low, high))
+    return st.tuples(coordinate, coordinate, coordinate)
+
+
+CELL = 1 << (GRID_BITS - 4)
+
+
+@given(st.lists(corners(0, 4 * CELL - 1, CELL // 2), min_size=3, max_size=3))
+def test_a_triangle_meets_exactly_the_cells_of_rational_arithmetic(triangle: list[Corner]) -> None:
+    check([triangle], 4)
+
+
+@given(st.lists(corners(7 << 25, (7 << 25) + (1 << 12), 1 << 8), min_size=3, max_size=3))
+def test_the_deepest_level_is_as_exact(triangle: list[Corner]) -> None:
+    check([triangle], 21)
+
+
+@given(st.lists(st.lists(corners(3 * CELL, 7 * CELL, CELL), min_size=3, max_size=3), min_size=2, max_size=4))
+def test_triangles_that_share_cells_add_up_by_facing(triangles: list[list[Corner]]) -> None:
+    check(triangles, 5)
+
+
+def test_blocks_do_not_show_in_large_triangles() -> None:
+    top = (1 << GRID_BITS) - 1
+    check([[(5, 9, 3), (top, top // 3, top // 5), (top // 7, top, top - 11)]], 6)
+
+
+def test_a_triangle_in_a_cell_plane_belongs_to_the_cell_above_it() -> None:
+    low, high = 2 * CELL, 3 * CELL
+    pieces = cut_all([[(low, low, high), (high - 1, low, high), (low, high - 1, high)]], 4)
+    assert decode_cells(pieces.codes).tolist() == [[2, 2, 3]]
+
+
+def test_degenerate_triangles_meet_nothing() -> None:
+    pieces = cut_all([[(5, 5, 5), (9, 9, 9), (13, 13, 13)], [(7, 7, 7)] * 3], 4)
+    assert pieces.codes.size == 0
+
+
+def test_a_contact_takes_its_value_from_the_triangle() -> None:
+    # The corner (0, 0) of the triangle touches the cell at the origin's corner only.
+    pieces = cut_all([[(CELL, CELL, CELL), (2 * CELL, CELL, 2 * CELL), (CELL, 2 * CELL, 2 * CELL)]], 4)
+    assert (pieces.areas > 0).all()
+    assert (pieces.barycentric >= 0).all()
+    assert np.allclose(pieces.barycentric.sum(axis=1), 1)
+
+
+def test_centroids_lie_where_the_piece_is() -> None:
+    triangle = [(0, 3 * CELL // 2, 7), (3 * CELL, 0, CELL), (CELL // 3, 3 * CELL, 2 * CELL + 5)]
+    pieces = cut_all([triangle], 4)
+    expected = naive_cells.cells_of(triangle, CELL)
+    order = {tuple(cell): i for i, cell in enumerate(decode_cells(pieces.codes).tolist())}
+    points = pieces.barycentric @ np.array(triangle, np.float64)
+    rows = {int(entry): row for row, entry in enumerate(pieces.entries)}
+    for cell, (area, center) in expected.items():
+        if area > 1e-6:
+            assert center is not None
+            assert np.allclose(points[rows[order[cell]]], np.array(center, float), atol=1e-6 * CELL)
+
+
+@pytest.mark.parametrize("depth", range(22))
+def test_blocks_come_down_in_steps_of_five(depth: int) -> None:
+    levels = block_levels(depth)
+    steps = np.diff(levels)
+    assert levels[0] == 0
+    assert levels[-1] == max(depth - 5, 0)
+    assert (steps <= 5).all()
+    assert (steps[1:] == 5).all()
+
+
+@needs_jit
+def test_pieces_tile_a_closed_surface() -> None:
+    grid, triangles = bumpy_sphere(60, 40)
+    blocks = bin_triangles(grid, triangles, 9)
+    pieces = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 9)
+    corners = grid[triangles].astype(np.float64) / 2.0 ** (GRID_BITS - 9)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert np.allclose(np.bincount(pieces.triangles, pieces.areas, len(triangles)), areas, rtol=1e-9)
+
+
+@needs_jit
+def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
+    grid, triangles = bumpy_sphere(60, 40)
+    blocks = bin_triangles(grid, triangles, 8)
+    whole = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 8)
+    middle = len(blocks.codes) // 3
+    first = cut_blocks(grid, triangles, blocks, 0, middle, 8)
+    second = cut_blocks(grid, triangles, blocks, middle, len(blocks.codes), 8)
+    for name in ("codes", "flags", "areas", "barycentric", "triangles"):
+        assert np.array_equal(
+            np.concatenate([getattr(first, name), getattr(second, name)]), getattr(whole, name)
+        )
+
+
+def bumpy_sphere(around: int, along: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """A closed surface on the grid: no two vertices at the poles, no seam."""
+    theta = 2 * np.pi * np.arange(around) / around
+    phi = np.pi * (np.arange(along) + 1) / (along + 1)
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    r = 0.4 + 0.05 * np.sin(5 * t) * np.sin(4 * p)
+    points = np.stack([r * np.cos(t) * np.sin(p), r * np.sin(t) * np.sin(p), r * np.cos(p)], axis=-1) + 0.5
+    vertices = np.vstack([points.reshape(-1, 3), [[0.5, 0.5, 0.9], [0.5, 0.5, 0.1]]])
+    i, j = np.meshgrid(np.arange(around), np.arange(along - 1), indexing="ij")
+    a, b = (i * along + j).ravel(), (i * along + j + 1).ravel()
+    c, d = ((i + 1) % around * along + j).ravel(), ((i + 1) % around * along + j + 1).ravel()
+    ring = np.arange(around)
+    north = np.stack([np.full(around, around * along), ring * along, (ring + 1) % around * along], axis=1)
+    south = np.stack(
+        [
+            np.full(around, around * along + 1),
+            (ring + 1) % around * along + along - 1,
+            ring * along + along - 1,
+        ],
+        axis=1,
+    )
+    triangles = np.vstack([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1), north, south])
+    return np.rint(vertices * 2**GRID_BITS).astype(np.int32), triangles.astype(np.int32)

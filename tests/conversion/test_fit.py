@@ -1,0 +1,496 @@
+"""Leaf values fitted to the source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.arrays import bit_counts
+from octex.channels import (
+    ALPHA,
+    BASE_COLOR,
+    METALLIC,
+    NORMAL,
+    ONE,
+    ROUGHNESS,
+    ChannelFormat,
+    decode,
+    encode,
+    linear_to_srgb,
+)
+from octex.conversion import fit
+from octex.conversion.levels import CellLevels, assemble, cell_levels
+from octex.conversion.numbering import Leaves, members_of
+from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, sample_points
+from octex.conversion.solve import SHRINK
+from octex.errors import ArgumentError
+from octex.field.field import Field
+from octex.jit import add_to_rows, kernel, weighted_rows
+from octex.parallel import silent
+from octex.source.base import Combined
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from tests.conftest import needs_jit
+from tests.make.small_surfaces import FACES, LIGHT, TETRAHEDRON, FaceSource, tetrahedron, whole
+from tests.oracles import naive_fit
+
+SQUARE = np.array([[0.0, 0, 0], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.1]])
+HALVES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+def painted(image: npt.NDArray[np.uint8]) -> Surface:
+    """A slanted square that shows an image."""
+    return Surface.from_arrays(SQUARE, HALVES, uv=SQUARE[:, :2], image=image, wrap="clamp")
+
+
+def waves(texels: int) -> npt.NDArray[np.uint8]:
+    """A smooth image of two colours."""
+    x, y = np.meshgrid(np.arange(texels), np.arange(texels))
+    bright = 0.5 + 0.4 * np.sin(x / 3.0) * np.cos(y / 4.0)
+    return (255 * np.stack([bright, 1 - bright, 0 * bright + 0.5], axis=-1)).astype(np.uint8)
+
+
+def error(texture: OctreeTexture, surface: Surface, filter: str = "quadratic") -> float:
+    """The root of the mean square error at points of the surface, in sRGB codes."""
+    points = surface.scatter(20_000, seed=1)
+    found = linear_to_srgb(np.clip(texture.sample(points.rest, filter=filter), 0, 1))
+    return 255 * float(np.sqrt(np.mean((found - linear_to_srgb(surface.evaluate(points))) ** 2)))
+
+
+def pair(surface: Surface, depth: int, **options: object) -> tuple[OctreeTexture, OctreeTexture]:
+    """The same conversion without the fit and with it."""
+    return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))  # type: ignore[return-value,arg-type]
+
+
+def filled(surface: Surface, depth: int, executor: Executor) -> tuple[CellLevels, Placement]:
+    placement = Placement.around(surface.bounds, depth)
+    return cell_levels(
+        surface, surface.channels, placement, depth, executor, silent, has_samples=True
+    ), placement
+
+
+class Pattern(FaceSource):
+    """One number that varies over each triangle, between 0 and 1 and reaching both."""
+
+    def __init__(self) -> None:
+        form = ChannelFormat("height", 1, "data", "float32")
+        super().__init__((form,), np.zeros((len(FACES), 1)))
+
+    def evaluate(
+        self,
+        triangles: npt.NDArray[np.int32],
+        barycentric: npt.NDArray[np.float64],
+        widths: npt.NDArray[np.float32],
+    ) -> npt.NDArray[np.float32]:
+        values = super().evaluate(triangles, barycentric, widths)
+        values[:, 0] = np.clip(0.5 + np.sin(9 * barycentric[:, 1]), 0, 1)
+        return values
+
+
+@pytest.mark.parametrize("dtype", ["float32", "uint16"])
+def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
+    form = ChannelFormat("height", 1, "data", dtype)
+    source = Pattern()
+    source._channels = (form,)
+    surface = Surface(TETRAHEDRON, FACES, source)
+    with ThreadPoolExecutor(1) as pool:
+        full, placement = filled(surface, 4, pool)
+        samples = full.samples
+        assert samples is not None
+        tree, channels = assemble(surface.channels, full)
+        found = fit.fitted(
+            tree, channels, samples=samples, placement=placement, executor=pool, progress=silent
+        )
+    chosen = np.arange(len(samples.shares))
+    taps = Field(tree).taps(sample_points(samples, chosen, placement), placement)
+    first = tree.n_cells - tree.n_leaves
+    lookups = np.zeros((len(chosen), tree.n_leaves))
+    np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)
+    means, values = (
+        decode(each["height"].values[first:], "data").astype(float) for each in (channels, found)
+    )
+    low, high = (0.0, 1.0) if dtype == "uint16" else (-np.inf, np.inf)
+    weights = samples.shares / SHARE_STEPS
+    problem = lookups, weights, samples.values.astype(float), means, float(SHRINK)
+    best = naive_fit.fitted(*problem, low, high)
+    before, after, least = (naive_fit.objective(*problem, each) for each in (means, values, best))
+    assert least < after < least + 0.12 * (before - least)
+    if dtype == "uint16":  # without bounds some values hardly matter
+        assert np.sqrt(np.mean((values - best) ** 2)) < 0.35 * np.sqrt(np.mean((means - best) ** 2))
+
+
+@needs_jit
+@pytest.mark.parametrize("texels", [16, 64])
+def test_a_fitted_field_is_nearer_to_a_smooth_map(texels: int) -> None:
+    surface = painted(waves(texels))
+    means, fitted = pair(surface, 6)
+    fitted.validate()
+    assert error(fitted, surface) < 0.56 * error(means, surface)  # by 5 dB
+    assert error(fitted, surface) < 0.63 * error(means, surface, "linear")  # by 4 dB
+
+
+@needs_jit
+def test_what_a_leaf_is_rounded_by_its_neighbours_make_good() -> None:
+    colors = np.array([[0.1] * 3, [0.11] * 3, [0.112] * 3, [0.1025] * 3])
+    surface = Surface.from_arrays(SQUARE, HALVES, colors=colors)
+    means, fitted = pair(surface, 6)
+    assert error(fitted, surface) < 0.56 * error(means, surface) < 0.25
+
+
+@needs_jit
+def test_a_hard_edge_is_sharper_and_stays_in_range() -> None:
+    checkers = (np.indices((16, 16)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    surface = painted(np.repeat(np.repeat(checkers, 4, axis=0), 4, axis=1))
+    means, fitted = pair(surface, 7)
+    assert error(fitted, surface) < 0.71 * error(means, surface)
+    assert error(fitted, surface) < 0.71 * error(means, surface, "linear")
+
+
+@pytest.mark.parametrize("dtype", ONE)
+def test_values_stay_inside_the_range_of_every_type(dtype: str) -> None:
+    forms = (
+        BASE_COLOR._replace(dtype=dtype, space="linear" if dtype.startswith("float") else "srgb"),
+        METALLIC._replace(dtype=dtype),
+        NORMAL._replace(dtype=dtype),
+    )
+    rows = [[0, 0, 0, 0, 1, 0, 0], [1, 1, 1, 1, -1, 0, 0], [0, 1, 0, 1, 0, 0, 1], [1, 0, 1, 0, 0, 0, -1]]
+    texture = octex.convert(Surface(TETRAHEDRON, FACES, FaceSource(forms, rows)), depth=4)
+    texture.validate()
+    for form in forms:
+        values = decode(texture.channels[form.name].values, form.space)
+        assert np.isfinite(values).all()
+        assert values.min() >= (-1 if form.space == "direction" else 0) - 1e-6
+        assert form.space == "linear" or values.max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32"])
+def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_not(dtype: str) -> None:
+    checkers = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    surface = painted(np.repeat(np.repeat(checkers, 2, axis=0), 2, axis=1))
+    texture = octex.convert(surface, 4, dtype=dtype)
+    values = texture.channels["base_color"].values
+    assert values.max() <= 1 + 1e-6
+    whole = octex.cast(texture, "uint8")
+    assert np.array_equal(whole.channels["base_color"].values, encode(values, "uint8", "srgb"))
+    bright = FaceSource((LIGHT._replace(dtype=dtype),), [[9.0] * 3, [0.0] * 3, [1.5] * 3, [0.0] * 3])
+    light = octex.convert(Surface(TETRAHEDRON, FACES, bright), 3).channels["emissive"]
+    assert light.values.max() > 9
+    with pytest.raises(ArgumentError, match="channel 'emissive' goes above 1, which uint8 cannot hold"):
+        octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
+
+
+def test_nodes_and_their_sides_keep_the_means_of_the_source() -> None:
+    sides = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]], np.int32)
+    source = FaceSource((BASE_COLOR,), [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]])
+    means, fitted = pair(Surface(SQUARE, sides, source), 4)
+    leaves = means.tree.leaf_cells()
+    nodes = np.setdiff1d(np.arange(means.tree.n_cells), leaves)
+    ours, theirs = fitted.channels["base_color"], means.channels["base_color"]
+    assert np.array_equal(ours.values[nodes], theirs.values[nodes])
+    owners = np.repeat(means.tree.split.cells, bit_counts(means.tree.split.facings))
+    of_nodes = np.isin(owners, nodes)
+    assert of_nodes.any()
+    assert np.array_equal(ours.split_values[of_nodes], theirs.split_values[of_nodes])
+    assert not np.array_equal(ours.split_values[~of_nodes], theirs.split_values[~of_nodes])
+    for one, other in zip(fitted.tree.arrays, means.tree.arrays, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("dtype", ONE)
+def test_constants_stay_exact(dtype: str) -> None:
+    # None of these is a stored number of 8 bits.
+    rows = np.tile([0.2158, 0.0123, 0.7771, 0.3333, 0.6, 0.48, 0.64], (4, 1))
+    source = FaceSource((BASE_COLOR, METALLIC, NORMAL), rows)
+    means, fitted = pair(Surface(TETRAHEDRON, FACES, source), 4, dtype=dtype)
+    for name, channel in fitted.channels.items():
+        if dtype == "uint8":
+            assert np.array_equal(channel.values, means.channels[name].values)
+        else:
+            apart = decode(channel.values, channel.format.space) - decode(
+                means.channels[name].values, channel.format.space
+            )
+            assert np.abs(apart).max() < 5e-4
+
+
+@pytest.mark.parametrize("depth", [0, 1])
+def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
+    means, fitted = pair(tetrahedron(), depth)
+    fitted.validate()
+    ours, theirs = (texture.channels["base_color"].values.astype(int) for texture in (fitted, means))
+    assert depth or np.abs(ours - theirs).max() < 128
+
+
+def tiles(across: int, first: int = 0) -> Surface:
+    """A slanted square of small squares; up to column ``first`` it is two large triangles."""
+    corners = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / across
+    x, y = (each.ravel() / across for each in np.meshgrid(np.arange(first, across), np.arange(across)))
+    small = (np.stack([x, y], axis=1)[:, None] + corners).reshape(-1, 2)
+    flat = np.concatenate([corners * [first, across], small]) if first else small
+    vertices = np.column_stack([flat, 0.2 * flat[:, 0] + 0.1 * flat[:, 1]])
+    triangles = 4 * np.arange(len(flat) // 4)[:, None, None] + HALVES
+    return Surface.from_arrays(vertices, triangles.reshape(-1, 3).astype(np.int32))
+
+
+@pytest.mark.parametrize("depth", range(6))
+@pytest.mark.parametrize("channel", ["base_color", "roughness"])
+@pytest.mark.parametrize(("across", "first"), [(24, 12), (24, 0), (96, 0)])
+def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_than_means(
+    across: int, first: int, channel: str, depth: int
+) -> None:
+    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
+        return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
+
+    surface = tiles(across, first).with_sources({channel: halves})
+    points = surface.scatter(20_000, seed=1)
+    curve = linear_to_srgb if channel == "base_color" else np.asarray
+    truth = curve(halves(points.rest))
+    errors = []
+    for is_fitted in (False, True):
+        texture = octex.convert(surface, depth, channels=[channel], fit=is_fitted)
+        found = curve(np.clip(texture.sample(points.rest, channel), 0, 1))
+        errors.append(np.sqrt(np.mean((found.reshape(truth.shape) - truth) ** 2)))
+    plain, fitted = errors
+    assert fitted < (1.02 if depth < 3 else 1.0) * plain
+
+
+def test_a_cell_met_without_area_is_fitted_like_others() -> None:
+    # The lower faces lie in cell planes: cells on the other side are only touched.
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+    surface = Surface.from_arrays(corners, triangles, colors=corners)
+    texture = octex.convert(surface, cell=3 / 20)
+    texture.validate()
+    points = surface.scatter(500)
+    assert np.abs(texture.sample(points.rest) - surface.evaluate(points)).max() < 0.25
+
+
+def test_alpha_steers_what_other_channels_are_fitted_to() -> None:
+    # What lies under the half that nothing covers does not matter to the other.
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    sources = [
+        FaceSource((BASE_COLOR, ALPHA, ROUGHNESS), [[0.2, 0.4, 0.6, 1, 0.5], [*hidden, 0, 0.5]])
+        for hidden in ([0, 0, 0], [1, 1, 1])
+    ]
+    found = []
+    for source in sources:
+        surface = Surface(SQUARE, triangles, source)
+        texture = octex.convert(surface, 4)
+        texture.validate()
+        points = surface.scatter(300)
+        covered = points.triangles == 0
+        found.append(texture.sample(points.rest)[covered])
+    assert np.abs(found[0] - found[1]).max() < 0.06
+
+
+def test_bricks_meet_without_seams(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface = painted(waves(16))
+    whole = octex.convert(surface, 5)
+    monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
+    bricks = octex.convert(surface, 5)
+    ours, theirs = (texture.channels["base_color"].values.astype(int) for texture in (bricks, whole))
+    apart = np.abs(ours - theirs)
+    assert apart.max() > 0  # there are several
+    assert apart.mean() < 0.5
+    assert error(bricks, surface) < 1.25 * error(whole, surface)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_result_does_not_depend_on_threads(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
+    expected = octex.convert(whole(), 4)
+    with ThreadPoolExecutor(threads) as pool:
+        texture = octex.convert(whole(), 4, executor=pool)
+    for name, channel in texture.channels.items():
+        assert np.array_equal(channel.values, expected.channels[name].values), name
+
+
+def merged(tree: Octree, channels: Mapping[str, Channel]) -> tuple[Octree, dict[str, Channel]]:
+    """Merge the finest leaves in one half of the root into their parents, which keep their means."""
+    depth = tree.max_depth
+    codes, above = tree.level_codes(depth), tree.level_codes(depth - 1)
+    merges = above & 1 << 3 * (depth - 2) == 0  # the lower half of x
+    stays = ~merges[np.searchsorted(above, codes >> 3)]
+    all_codes = np.concatenate([above[merges], codes[stays]])
+    depths = np.repeat([depth - 1, depth], [merges.sum(), stays.sum()])
+    order = np.argsort(all_codes << np.where(depths == depth, 0, 3))
+    made = Octree.from_leaves(all_codes[order], depths[order])
+    kept = np.concatenate(
+        [np.arange(tree.arrays.level_cells[depth]), tree.n_cells - len(codes) + np.flatnonzero(stays)]
+    )
+    return made, {
+        name: channel._replace(values=channel.values[kept], split_values=channel.split_values[:0])
+        for name, channel in channels.items()
+    }
+
+
+@needs_jit
+def test_trees_of_any_depths_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "BRICK_SAMPLES", 500)
+    surface = painted(waves(16))
+    with ThreadPoolExecutor(2) as pool:
+        full, placement = filled(surface, 6, pool)
+        assert full.samples is not None
+        tree, channels = merged(*assemble(surface.channels, full))
+        leaves = Leaves.of(tree, full.samples)
+        assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
+        assert leaves.firsts[-1] == len(full.samples.shares)
+        found = fit.fitted(
+            tree, channels, samples=full.samples, placement=placement, executor=pool, progress=silent
+        )
+    textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
+    assert error(textures[1], surface) < 0.5 * error(textures[0], surface)
+
+
+def test_a_leaf_is_fitted_to_some_of_its_samples_evenly_chosen() -> None:
+    members, strides = members_of(np.array([0, 5, 105]), np.array([0, 1]), 10)
+    assert members.tolist() == [0, 1, 2, 3, 4, *range(5, 105, 10)]
+    assert strides.tolist() == [1] * 5 + [10] * 10
+
+
+def test_components_that_weigh_alike_are_solved_together_and_alpha_first() -> None:
+    forms = (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, ChannelFormat("height", 1, "data", "uint16"), LIGHT)
+    groups = fit._groups((*forms, ChannelFormat("four", 4, "data")))
+    assert [(group.format.name, group.columns) for group in groups] == [
+        ("alpha", [3]),
+        ("base_color", [0, 1, 2]),
+        ("metallic", [4, 5]),
+        ("height", [6]),
+        ("emissive", [7, 8, 9]),
+        ("four", [10, 11, 12]),
+        ("four", [13]),
+    ]
+
+
+# --- samples
+
+
+def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
+    surface = tetrahedron()
+    with ThreadPoolExecutor(1) as pool:
+        full, placement = filled(surface, 4, pool)
+    samples = full.samples
+    assert samples is not None
+    flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
+    counts = np.diff(samples.firsts)
+    facings = bit_counts(flags)
+    assert (counts >= facings).all()
+    assert (counts <= 2 * facings).all()
+    shares = np.add.reduceat(samples.shares.astype(int), samples.firsts[:-1])
+    assert (np.abs(shares - SHARE_STEPS) <= counts).all()
+    chosen = np.arange(len(samples.shares))
+    points = sample_points(samples, chosen, placement)
+    cells = np.repeat(decode_cells(samples.codes), counts, axis=0)
+    assert np.array_equal(np.floor(placement.to_texture_space(points) * 16), cells)
+    assert np.array_equal(sample_points(samples, chosen[::-1].copy(), placement), points[::-1])
+    # They lie on the faces, and hold what the faces show there.
+    apart = np.stack([_distances(points, TETRAHEDRON[face]) for face in FACES])
+    assert apart.min(axis=0).max() < placement.size / 16 / PLACE_STEPS
+    weights = np.linalg.solve(
+        np.vstack([TETRAHEDRON.T, np.ones(4)]), np.vstack([points.T, np.ones(len(points))])
+    )
+    colors = np.array([[0.9, 0.1, 0.2], [0.1, 0.8, 0.3], [0.2, 0.3, 0.7], [0.5, 0.5, 0.1]])
+    assert np.abs(weights.T @ colors - samples.values).max() < 2e-3
+
+
+def _distances(points: npt.NDArray[np.float64], face: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    normal = np.cross(face[1] - face[0], face[2] - face[0])
+    return np.asarray(np.abs((points - face[0]) @ normal) / np.linalg.norm(normal))
+
+
+def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> None:
+    surface = Surface.from_arrays(SQUARE, HALVES, colors=SQUARE)
+    with ThreadPoolExecutor(1) as pool:
+        full, _ = filled(surface, 4, pool)
+    samples = full.samples
+    assert samples is not None
+    counts = np.diff(samples.firsts)
+    i, j, _ = decode_cells(samples.codes).T
+    assert (counts[i == j] == 2).any()  # on the diagonal
+    assert (counts[np.abs(i - j) > 1] == 1).all()
+    shares = samples.shares[np.repeat(counts == 2, counts)].reshape(-1, 2).astype(int)
+    assert (np.abs(shares.sum(axis=1) - SHARE_STEPS) <= 1).all()
+    assert shares.min() >= 0.09 * SHARE_STEPS
+
+
+def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_has() -> None:
+    surface = tiles(40)
+    rows = np.random.default_rng(2).random((len(surface.triangles), 2))
+    source = FaceSource((ROUGHNESS._replace(dtype="float32"), ALPHA._replace(dtype="float32")), rows)
+    surface = Surface(surface.rest, surface.triangles, source)
+    with ThreadPoolExecutor(1) as pool:
+        full, placement = filled(surface, 3, pool)
+    samples = full.samples
+    assert samples is not None
+    firsts = samples.firsts[:-1]
+    roughness, alpha = samples.values.T
+    shares = samples.shares.astype(float)
+
+    def mean(values: npt.NDArray[np.float64], weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.asarray(np.add.reduceat(values * weights, firsts) / np.add.reduceat(weights, firsts))
+
+    means = [np.concatenate([part.values[n] for part in full.levels[3]])[:, 0] for n in (0, 1)]
+    assert np.abs(mean(alpha, shares) - means[1]).max() < 0.02
+    assert np.abs(mean(roughness, shares * alpha) - means[0]).max() < 0.02
+    points = sample_points(samples, np.arange(len(shares)), placement)
+    middles = np.stack([mean(points[:, axis], shares) for axis in range(3)], axis=1)
+    scattered = surface.scatter(200_000, seed=0).rest
+    cells = np.floor(placement.to_texture_space(scattered) * 8).astype(np.int64)
+    for cell, middle in zip(decode_cells(samples.codes), middles, strict=True):
+        inside = (cells == cell).all(axis=1)
+        if inside.sum() > 1000:
+            assert np.abs(scattered[inside].mean(axis=0) - middle).max() < 0.03 * placement.size / 8
+
+
+def test_samples_of_fine_types_are_fine() -> None:
+    for dtype, kept in (("uint8", np.float16), ("float16", np.float16), ("uint16", np.float32)):
+        form = METALLIC._replace(dtype=dtype)
+        surface = Surface(TETRAHEDRON, FACES, FaceSource((form,), [[0.1]] * 4))
+        with ThreadPoolExecutor(1) as pool:
+            full, _ = filled(surface, 2, pool)
+        assert full.samples is not None
+        assert full.samples.values.dtype == kept
+
+
+def test_a_source_says_how_fine_it_is() -> None:
+    triangles = np.array([0, 1, 1], np.int32)
+    image = painted(waves(16)).source
+    posed = Surface.from_arrays(SQUARE * [1, 1, 0], HALVES, uv=SQUARE[:, :2], image=waves(16)).source
+    assert np.allclose(posed.texel_edges(triangles), 1 / 16)
+    assert (image.texel_edges(triangles) > 1 / 16).all()  # it is slanted
+    plain = Surface.from_arrays(SQUARE, HALVES).source
+    assert np.isinf(plain.texel_edges(triangles)).all()
+    unknown = FaceSource((METALLIC,), [[0.5], [0.5]])
+    assert (unknown.texel_edges(triangles) == 0).all()
+    both = Combined({"base_color": posed, "metallic": unknown})
+    assert (both.texel_edges(triangles) == 0).all()
+
+
+@kernel
+def _through(rows, numbers, weights, step):  # type: ignore[no-untyped-def]
+    total = weighted_rows(rows, numbers, weights, 1, numbers.size)
+    add_to_rows(rows, numbers, weights, 1, numbers.size, step)
+    return total
+
+
+def test_rows_of_four_are_summed_and_added_to() -> None:
+    random = np.random.default_rng(3)
+    rows = random.random((5, 4), np.float32)
+    numbers = np.array([0, 4, 2, 4], np.int32)
+    weights = random.random(4, np.float32)
+    expected = rows.astype(float)
+    total = sum(weights[i] * expected[numbers[i]] for i in (1, 2, 3))
+    for i in (1, 2, 3):
+        expected[numbers[i]] += weights[i] * expected[numbers[i], 3] * np.array([1.0, 2.0, 3.0, 0.0])
+    found = _through(rows, numbers, weights, tuple(np.float32(k) for k in (1, 2, 3, 0)))
+    assert np.allclose(found, total, rtol=1e-6)
+    assert np.allclose(rows, expected, rtol=1e-6)

@@ -1,0 +1,441 @@
+"""Parts moved apart at rest: no cell is shared, colours stay, and files remember it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import octex
+from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
+from octex.cli.paint import main as paint
+from octex.compare import difference
+from octex.conversion.apart import separate
+from octex.errors import ArgumentError
+from octex.preview import draw_difference, draw_preview
+from octex.source.separation import _packed
+from octex.source.spatial import SpatialSource
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.tree.morton import decode_cells
+from tests.conftest import needs_jit
+from tests.make.command import refusal, result
+from tests.make.solids import colored, cube, open_cube, sphere
+
+Array = npt.NDArray[Any]
+
+
+def pair() -> Surface:
+    return colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5))
+
+
+def cells_of(surface: Surface, texture: OctreeTexture, parts: Array, **options: Any) -> list[Array]:
+    """The finest cells (n, 3) of each part, by a conversion of it alone into the texture's root cell."""
+    depth = texture.tree.max_depth
+    found = []
+    for part in range(parts.max() + 1):
+        alone = Surface(surface.vertices, surface.triangles[parts == part], surface.source, rest=surface.rest)
+        alone.source = octex.Surface.from_arrays(alone.vertices, alone.triangles).source
+        alone.bounds = texture.bounds
+        converted = octex.convert(alone, fit=False, **(options or {"depth": depth}))
+        assert converted.placement == texture.placement
+        found.append(decode_cells(converted.tree.level_codes(depth)).astype(np.int64))
+    return found
+
+
+def are_apart(a: Array, b: Array, cells: int) -> bool:
+    """Whether no two cells are less than so many apart along every axis."""
+    taken = np.zeros(np.maximum(a.max(axis=0), b.max(axis=0)) + 2 * cells, bool)
+    taken[tuple((b + cells).T)] = True
+    near = np.array(list(np.ndindex(*[2 * cells - 1] * 3))) + 1
+    return not any(taken[tuple((a + step).T)].any() for step in near)
+
+
+def worst(surface: Surface, texture: OctreeTexture) -> float:
+    """The root mean square of differences at points of a surface, in sRGB codes."""
+    samples = surface.placed_in(texture).scatter(20_000)
+    found, wanted = texture.sample(samples.rest), surface.evaluate(samples)
+    return float(255 * np.sqrt(((linear_to_srgb(found) - linear_to_srgb(wanted)) ** 2).mean()))
+
+
+def test_the_smaller_of_two_parts_is_moved_beside_the_larger() -> None:
+    surface = pair()
+    apart = surface.separated(0.125)
+    moved = apart.rest - surface.rest
+    assert not moved[:8].any()
+    assert np.ptp(moved[8:], axis=0).max() < 1e-12
+    assert apart.overlapping_parts(0.124).pairs == ()
+    assert np.ptp(apart.bounds, axis=0).max() == pytest.approx(1.625)
+    assert np.array_equal(apart.vertices, surface.vertices)
+    assert json.loads(apart.provenance["separation"])["moved"].keys() == {"1"}
+
+
+def test_parts_that_are_apart_stay_where_they_are() -> None:
+    surface = colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5), cube([3, 0, 0]), cube([6, 0, 0]))
+    moved = surface.separated(0.1).rest - surface.rest
+    assert not moved[:8].any()
+    assert not moved[16:].any()
+    single = colored(cube([0, 0, 0]), cube([3, 0, 0]))
+    assert single.separated(0.1) is single
+
+
+def test_what_lies_deep_inside_another_stays() -> None:
+    surface = colored(cube([0, 0, 0]), cube([0.4, 0.4, 0.4], 0.2))
+    assert surface.separated(0.3) is surface
+    assert surface.separated(0.5) is not surface
+
+
+def test_open_parts_are_moved_too() -> None:
+    surface = colored(cube([0, 0, 0]), open_cube([0.5, 0.2, 0.1], 0.4))
+    assert surface.separated(0.1).overlapping_parts(0.0999).pairs == ()
+
+
+def test_a_long_model_is_put_beside_its_long_side() -> None:
+    tall = cube([0, 0, 0])
+    tall[0][:, 2] *= 4
+    surface = colored(tall, cube([0.5, 0, 0]))
+    assert np.ptp(surface.separated(0.1).bounds, axis=0).max() == pytest.approx(4)
+
+
+def test_many_parts_are_moved_in_their_classes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("octex.source.separation._SINGLY", 3)
+    surface = colored(*[cube([0.75 * n, 0, 0]) for n in range(8)])
+    apart = surface.separated(0.1)
+    assert apart.overlapping_parts(0.0999).pairs == ()
+    moved = (apart.rest - surface.rest).reshape(8, 8, 3)[:, 0]
+    assert len(np.unique(moved[np.abs(moved).max(axis=1) > 0].round(9), axis=0)) == 1
+    assert np.ptp(apart.bounds, axis=0).max() == pytest.approx(0.75 * 6 + 1)
+
+
+def test_sources_give_what_they_gave() -> None:
+    class Places(SpatialSource):
+        def at(self, points: Array, normals: Array, widths: Array) -> Array:  # noqa: ARG002
+            return np.clip(points, 0, 1).astype(np.float32)
+
+    form: ChannelFormat = CHANNELS["base_color"]
+    surface = pair()
+    surface.source = Places([form], surface.rest, surface.triangles)
+    samples = surface.scatter(50)
+    assert np.array_equal(surface.separated(0.1).evaluate(samples), surface.evaluate(samples))
+
+
+def test_margins_and_overlaps_that_do_not_fit_are_refused() -> None:
+    surface = pair()
+    with pytest.raises(ArgumentError, match="margin must be finite and above zero"):
+        surface.separated(0.0)
+    with pytest.raises(ArgumentError, match=r"overlaps given are of a margin of 0\.05"):
+        surface.separated(0.1, surface.overlapping_parts(0.05))
+    with pytest.raises(ArgumentError, match="or of another surface"):
+        surface.separated(0.1, colored(cube([0, 0, 0])).overlapping_parts(0.1))
+    with pytest.raises(ArgumentError, match="parts is separated already"):
+        surface.separated(0.1).separated(0.2)
+
+
+def test_a_group_finds_the_place_where_the_whole_grows_least() -> None:
+    low = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    high = np.array([[4.0, 4, 1], [1, 1, 1], [2, 2, 2]])
+    offsets = _packed(low, high, (low[0], high[0]), [np.array([1]), np.array([2])], 0.5)
+    assert np.ptp([(low + offsets).min(0), (high + offsets).max(0)], axis=0).tolist() == [4, 4, 3.5]
+
+
+@pytest.mark.parametrize("options", [{"depth": 5}, {"cell": 0.05}])
+def test_no_cell_and_no_neighbourhood_is_shared(options: dict[str, Any]) -> None:
+    surface = pair()
+    texture = octex.convert(surface, **options, separate=3, fit=False)
+    placed = surface.placed_in(texture)
+    first, second = cells_of(placed, texture, surface.overlapping_parts().parts, **options)
+    assert are_apart(first, second, 3)
+    assert len(first) + len(second) == texture.tree.n_leaves
+
+
+@needs_jit
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.integers(5, 6))
+def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None:
+    random = np.random.default_rng(seed)
+    meshes = [cube(random.random(3) * 2, 0.1 + 0.5 * random.random()) for _ in range(count)]
+    surface = colored(*meshes)
+    made = separate(surface, 3, depth=depth)
+    texture = octex.convert(made.surface, depth, fit=False)
+    cells = cells_of(made.surface, texture, made.found.parts)
+    for a in range(len(cells)):
+        for b in range(a + 1, len(cells)):
+            assert are_apart(cells[a], cells[b], 3)
+    assert np.array_equal(surface.rest_positions(texture), made.surface.rest)
+
+
+def test_a_depth_with_too_few_cells_is_refused() -> None:
+    surface = colored(*[cube([0.01 * n, 0, 0]) for n in range(40)])
+    with pytest.raises(
+        ArgumentError, match="40 parts do not fit 3 cells apart into depth 3; use a larger one"
+    ):
+        separate(surface, depth=3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cells": 0.5}, "cells must be from 1"),
+        ({"cells": "x"}, "cells must be a number"),
+        ({"depth": 3, "cell": 0.1}, "give depth or cell, not both"),
+        ({"cell": -1}, "cell must be finite and above zero"),
+        ({"depth": 99}, "depth must be a whole number"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        separate(pair(), **options)
+
+
+@needs_jit
+def test_colours_do_not_run_together() -> None:
+    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    assert worst(surface, octex.convert(surface, 6)) > 4
+    assert worst(surface, octex.convert(surface, 6, separate=3)) < 0.5
+
+
+@needs_jit
+def test_suzannes_eyes_share_no_cell_with_her_head(models: Path) -> None:
+    surface = octex.load_surface(models / "Suzanne" / "Suzanne.gltf", channels=["base_color"])
+    texture = octex.convert(surface, 8, separate=3)
+    cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
+    assert sum(map(len, cells)) == texture.tree.n_leaves
+    assert all(are_apart(cells[eye], cells[2], 3) for eye in (0, 1))
+    assert worst(surface, texture) <= 1.0
+
+
+def test_the_file_remembers_it(tmp_path: Path) -> None:
+    surface = pair()
+    octex.convert(surface, 4, separate=3).save(tmp_path / "pair.octex")
+    texture = octex.open(tmp_path / "pair.octex")
+    samples = surface.scatter(100)
+    rest = surface.rest_positions(texture)
+    corners = rest[surface.triangles[samples.triangles]]
+    points = np.einsum("nc,ncx->nx", samples.barycentric, corners)
+    assert texture.contains(points).all()
+    assert not texture.contains(samples.rest).all()
+    plain = octex.convert(surface, 4)
+    assert surface.rest_positions(plain) is surface.rest
+    assert surface.placed_in(plain) is surface
+    assert json.loads(texture.metadata["convert"])["separate"] == 3.0
+
+
+def test_a_separated_surface_is_where_its_texture_is() -> None:
+    apart = pair().separated(0.5)
+    texture = octex.convert(apart, 4)
+    assert apart.placed_in(texture) is apart
+    assert np.array_equal(pair().rest_positions(texture), apart.rest)
+    with pytest.raises(ArgumentError, match="parts is separated, and the texture is not"):
+        apart.placed_in(octex.convert(pair(), 4))
+    with pytest.raises(ArgumentError, match="or otherwise"):
+        pair().separated(0.3).placed_in(texture)
+    moved = apart.with_rest(apart.vertices)
+    assert np.array_equal(moved.rest_positions(texture), apart.rest)
+
+
+@needs_jit
+def test_cells_are_a_number_or_three() -> None:
+    plain, three, also = (octex.convert(pair(), 5, separate=cells) for cells in (False, True, 3))
+    assert "separation" not in plain.metadata
+    assert three.metadata == also.metadata
+    with pytest.raises(ArgumentError, match="separate must be from 1"):
+        octex.convert(pair(), 5, separate=0)
+
+
+def test_functions_of_detail_get_positions_as_they_were() -> None:
+    seen = []
+
+    def detail(points: Array) -> Array:
+        seen.append(points)
+        return np.full(len(points), 4)
+
+    surface = pair()
+    assert octex.convert(surface, 5, detail=detail, separate=3).tree.max_depth == 4
+    points = np.concatenate(seen)
+    assert (points >= surface.bounds[0] - 1e-9).all()
+    assert (points <= surface.bounds[1] + 1e-9).all()
+
+
+@needs_jit
+def test_the_paint_command_finds_the_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
+    seen, eye = tmp_path / "a.png", tmp_path / "a.json"
+    both = [str(model), str(tmp_path / "a.octex")]
+    assert paint([*both, "--view", str(seen), "--camera-out", str(eye)]) == 0
+    pixels = np.array(PIL.Image.open(seen))
+    pixels[..., :3] = 255 - pixels[..., :3]
+    PIL.Image.fromarray(pixels).save(seen)
+    words = [str(seen), "--camera", str(eye), "--out", str(tmp_path / "b.octex"), "--max-depth", "6"]
+    assert paint([*both, *words]) == 0
+    capsys.readouterr()
+    surface = octex.load_surface(model)
+    before, after = octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex")
+    rest = surface.rest_positions(after)
+    facing = surface.vertices @ [0.35, 0.26, 0.9]
+    front = [int(np.argmax(facing[:1000])), int(np.argmax(facing[-1000:])) + len(rest) - 1000]
+    codes = [255 * linear_to_srgb(texture.sample(rest[front])) for texture in (before, after)]
+    np.testing.assert_allclose(codes[0] + codes[1], 255, atol=12)
+
+
+def test_a_posed_surface_is_moved_at_rest() -> None:
+    surface = pair()
+    posed = Surface(surface.vertices * 2 + 5, surface.triangles, surface.source, rest=surface.rest)
+    texture = octex.convert(surface, 4, separate=3)
+    placed = posed.placed_in(texture)
+    assert np.array_equal(placed.rest, surface.rest_positions(texture))
+    assert np.array_equal(placed.vertices, posed.vertices)
+
+
+def test_a_texture_of_another_surface_is_refused() -> None:
+    texture = octex.convert(pair(), 4, separate=3)
+    with pytest.raises(ArgumentError, match="texture's 2 parts were moved apart, and they are not the 1 of"):
+        colored(cube([0, 0, 0])).rest_positions(texture)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"parts": 2, "digest": "", "moved": 1}',
+        '{"parts": 2, "digest": "", "moved": {"2": [0, 0, 0]}}',
+        '{"parts": 2, "digest": "", "moved": {"0": [0, 0]}}',
+        '{"parts": 2, "digest": "", "moved": {"0": [0, 0, NaN]}}',
+    ],
+)
+def test_metadata_that_cannot_be_read_are_refused(text: str) -> None:
+    texture = octex.convert(pair(), 3)
+    broken = OctreeTexture(
+        texture.tree, texture.channels, texture.placement, texture.bounds, {"separation": text}
+    )
+    with pytest.raises(ArgumentError, match="separated parts cannot be read"):
+        pair().rest_positions(broken)
+
+
+@needs_jit
+def test_pictures_are_drawn_where_the_texture_is() -> None:
+    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    texture = octex.convert(surface, 6, separate=3)
+    drawn = draw_preview(surface, texture, (200, 100), 1).astype(int)
+    assert np.abs(drawn[:70, :100] - drawn[:70, 100:]).max() < 12
+    found = difference(surface, texture, points=10_000)
+    assert found["base_color"].rms < 0.5
+    assert found.uncovered == (0.0, None)
+    assert difference(texture, surface, points=10_000)["base_color"].rms < 0.5
+    again = draw_difference(texture, surface, found, size=(300, 100), supersample=1)
+    assert np.abs(again[:60, :100].astype(int) - again[:60, 100:200]).max() < 12
+
+
+def test_textures_with_other_places_for_parts_are_not_compared() -> None:
+    surface = pair()
+    with pytest.raises(ArgumentError, match="compare each with its model"):
+        difference(octex.convert(surface, 4, separate=3), octex.convert(surface, 4))
+    same = octex.convert(surface, 4, separate=3)
+    assert difference(same, octex.convert(surface, 4, separate=3))["base_color"].rms == 0
+
+
+@needs_jit
+def test_paint_lands_where_the_texture_is() -> None:
+    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    texture = octex.convert(surface, 5, separate=3)
+    placed = surface.placed_in(texture)
+    camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
+    picture = octex.Projection(np.full((64, 64, 3), 255, np.uint8), camera)
+    facing = np.array([[0.0, 0.3, 0.95], [1.6, 0.3, 0.77]])
+    near = [int(np.argmin(np.linalg.norm(surface.vertices - point, axis=1))) for point in facing]
+    painted = octex.paint(texture, surface, picture)
+    assert painted.sample(placed.rest[near]).min() > 0.9
+    assert texture.sample(placed.rest[near]).min() < 0.9
+    assert painted.metadata["separation"] == texture.metadata["separation"]
+    layer = octex.project(surface, picture, like=texture)
+    merged = octex.merge(texture, layer, surface)
+    assert np.array_equal(merged.sample(placed.rest), painted.sample(placed.rest))
+    begun = octex.paint(None, placed, picture)
+    assert np.array_equal(surface.rest_positions(begun), placed.rest)
+    filled = octex.fill(texture, surface, octex.Sphere((1.6, 0.3, 0.77), 0.2), (1.0, 1.0, 1.0))
+    assert filled.sample(placed.rest[near[1:]]).min() > 0.9
+    assert np.array_equal(filled.sample(placed.rest[near[:1]]), texture.sample(placed.rest[near[:1]]))
+
+
+def written(folder: Path, *meshes: tuple[Array, Array]) -> Path:
+    surface = colored(*meshes)
+    lines = [f"v {x} {y} {z} {x % 1} {y % 1} {z % 1}" for x, y, z in surface.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
+    path = folder / "parts.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_command_says_which_parts_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(
+        tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0]), cube([0.25, 0.25, 0.25], 0.125), open_cube([4, 0, 0])
+    )
+    assert result(capsys, "--overlaps", model, "--quiet") == ""
+    assert result(capsys, "--overlaps", model).splitlines() == [
+        f"{model}: 4 parts, 2 pairs that intersect or come near",
+        "parts 0 and 1: their surfaces cross or touch; they share a volume of 0.5",
+        "parts 0 and 2: their surfaces do not cross; they share a volume of 0.001953",
+        "part 3 of 10 triangles is open: only its surface was checked, not what lies inside",
+    ]
+    found = json.loads(result(capsys, "--overlaps", model, "--margin", 0.2, "--json"))
+    assert (found["parts"], found["margin"], found["model"]) == (4, 0.2, str(model))
+    assert found["pairs"] == [
+        {"a": 0, "b": 1, "volume": pytest.approx(0.5), "gap": 0.0},
+        {"a": 0, "b": 2, "volume": pytest.approx(0.125**3), "gap": None},
+        {"a": 1, "b": 2, "volume": 0.0, "gap": 0.125},
+    ]
+    assert found["unchecked"] == [{"part": 3, "triangles": 10, "why": "open"}]
+
+
+@needs_jit
+def test_the_command_separates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0], 0.5), open_cube([4, 0, 0]))
+    out = tmp_path / "parts.octex"
+    lines = result(capsys, model, out, "--depth", 6, "--quiet", "--json", "--separate", 4)
+    made = json.loads(lines)["separated"]
+    assert (made["parts"], list(made["moved"]), len(made["unchecked"])) == (3, ["1"], 1)
+    texture = octex.open(out)
+    surface = octex.load_surface(model)
+    cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
+    assert are_apart(cells[0], cells[1], 4)
+    text = result(capsys, model, out, "--depth", 6, "--force", "--preview", tmp_path / "a.png", "--separate")
+    assert "1 of 3 parts moved apart; Surface.rest_positions says where to\n  part 1 by " in text
+    assert "1 of them are no solids: only their surfaces were checked" in text
+    lines = result(capsys, "--diff", out, model, "--json", "--points", 1000)
+    assert json.loads(lines)["channels"]["base_color"]["rms"] < 2
+    box = written(tmp_path, cube([0, 0, 0]))
+    text = result(capsys, box, out, "--depth", 3, "--force", "--separate")
+    assert text.endswith("nothing to move apart; where it runs through itself it stays as it is\n")
+    boxes = written(tmp_path, cube([0, 0, 0]), cube([9, 0, 0]))
+    text = result(capsys, boxes, out, "--depth", 5, "--force", "--separate")
+    assert text.endswith("2 parts, none too near to another: none is moved\n")
+
+
+@needs_jit
+def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(tmp_path, cube([0, 0, 0], 2.0), *[cube([0.15 * n, 0, 0], 0.1) for n in range(13)])
+    text = result(capsys, model, tmp_path / "a.octex", "--depth", 6, "--no-fit", "--separate")
+    assert "\n  and 3 more; --json lists them\n" in text
+
+
+def test_bad_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = written(tmp_path, cube([0, 0, 0]))
+    said = refusal(capsys, "--separate=far", model, tmp_path / "a.octex")
+    assert "'far' is no number" in said
+    assert "0.5 is not a number of cells from 1 to a million" in refusal(
+        capsys, model, "a.octex", "--separate", 0.5
+    )
+    assert "--margin has no meaning with a conversion" in refusal(capsys, model, "a.octex", "--margin", 1)
+    assert "--separate has no meaning with --overlaps" in refusal(capsys, "--overlaps", model, "--separate")
+    octex.convert(pair(), 3).save(tmp_path / "b.octex")
+    said = refusal(capsys, tmp_path / "b.octex", tmp_path / "c.octex", "--depth", 2, "--separate")
+    assert "--separate needs the model" in said

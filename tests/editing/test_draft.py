@@ -1,0 +1,184 @@
+"""Drafts: what is cut out and put back is as it was, and paint on a draft is paint on the whole."""
+
+from __future__ import annotations
+
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import octex
+import octex.painting.merge
+from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
+from octex.painting import tilewise
+from octex.painting.holes import with_coverage
+from octex.painting.pictures import BLENDS, Blend
+from octex.texture import OctreeTexture
+from octex.tree.octree import distinct
+from tests.make.same import assert_same
+from tests.make.strategies import textures
+from tests.properties import random_edits
+
+CHANNELS = (["base_color"], ["base_color", "alpha"], ["base_color", "alpha", "roughness", "normal"])
+
+
+@given(textures(), st.data())
+def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.DataObject) -> None:
+    if texture.tree.max_depth < 1:
+        return
+    level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
+    codes = texture.tree.level_codes(level)
+    chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
+    tiles = Tiles(level, codes[sorted(chosen)])
+    part = cut_out(texture, tiles)
+    part.tree.validate()
+    assert_same(put_back(texture, tiles, part), texture)
+    below = part.tree.n_cells - int(part.tree.arrays.level_cells[level + 1])
+    whole = sum(
+        int((np.isin(texture.tree.level_codes(deeper) >> 3 * (deeper - level), tiles.codes)).sum())
+        for deeper in range(level + 1, texture.tree.max_depth + 1)
+    )
+    assert below == whole
+
+
+def stroke(random: np.random.Generator, surface: octex.Surface, depth: int) -> Any:
+    """A small edit: texture in, texture out."""
+    blend = BLENDS[max(random.integers(-1, len(BLENDS)), 0)]
+    depth = int(np.clip(depth + random.integers(-2, 3), 1, 8))
+    middle = surface.rest[surface.triangles[random.integers(len(surface.triangles))]].mean(axis=0)
+    extent = float(np.ptp(surface.rest, axis=0).max())
+    if random.random() < 0.5:
+        radius, soft = extent * random.choice([0.02, 0.06, 0.15]), extent * random.choice([0.0, 0.03])
+        sphere = octex.Sphere(tuple(middle.tolist()), float(radius), float(soft))
+        color, opacity = random.random(3), float(random.choice([1.0, 0.5]))
+        return lambda texture: octex.fill(
+            texture, surface, sphere, color, opacity=opacity, blend=blend, max_depth=depth
+        )
+    camera = random_edits.camera(surface, int(random.integers(1000)), 24, 18)
+    image = random_edits.picture(int(random.integers(1000)), 24, 18, bool(random.integers(2)))
+    row, column = random.integers(0, 14), random.integers(0, 18)
+    around = np.ones((18, 24), np.bool_)
+    around[row : row + 4, column : column + 5] = False
+    image[around] = 0
+    shot, fit = octex.Projection(image, camera, blend=blend), bool(random.integers(2))
+    return lambda texture: octex.paint(texture, surface, shot, max_depth=depth, fit=fit)
+
+
+def case(seed: int) -> tuple[np.random.Generator, octex.Surface, OctreeTexture, int]:
+    """A texture of a small surface, fitted or adaptive or neither."""
+    random = np.random.default_rng([7, seed])
+    kind = random_edits.MESHES[random.integers(len(random_edits.MESHES))]
+    names = CHANNELS[random.integers(len(CHANNELS))]
+    surface = random_edits.waved(kind, int(random.integers(1000)), names, int(random.integers(1000)))
+    depth = int(random.integers(5, 8))
+    max_error = float(random.choice([1, 4, 16])) if random.random() < 0.4 else None
+    texture = octex.convert(surface, depth, fit=bool(random.integers(2)), max_error=max_error)
+    if random.random() < 0.3:
+        texture = octex.cast(texture, str(random.choice(["uint16", "float16", "float32"])))
+    return random, surface, texture, depth
+
+
+def test_the_brightest_light_far_away_limits_averages_of_a_draft_too() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.cast(octex.convert(surface, 7), "float32")
+    bright = octex.fill(texture, surface, octex.Sphere((1, 0, 0), 0.1), (5, 9, 2), blend="add")
+    sphere = octex.Sphere((-1, 0, 0), 0.1)
+    found = octex.fill(bright, surface, sphere, (7, 7, 7), blend="add")
+    with mock.patch.object(octex.painting.merge, "tiles_around", lambda *_: None):
+        assert_same(found, octex.fill(bright, surface, sphere, (7, 7, 7), blend="add"))
+    tiles = tiles_around(bright, [np.empty(0, np.int64)] * 7 + [bright.tree.level_codes(7)[:1]])
+    assert tiles is not None
+    values, part = bright.channels["base_color"].values, cut_out(bright, tiles).channels["base_color"].values
+    assert part.max() == values.max() > 1
+    assert len(part) < 0.5 * len(values)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
+    random, surface, texture, depth = case(seed)
+    for _ in range(3):
+        paint = stroke(random, surface, depth)
+        found = paint(texture)
+        found.tree.validate()
+        with mock.patch.object(octex.painting.merge, "tiles_around", lambda *_: None):
+            assert_same(found, paint(texture))
+        texture = found
+        if texture.tree.n_cells > 100_000:
+            break
+
+
+@pytest.mark.parametrize(
+    ("seed", "blend"),
+    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
+)
+def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+    random, surface, texture, depth = case(seed)
+    if seed % 2:  # in part without cells
+        shot = octex.Projection(
+            random_edits.picture(seed, 60, 60), random_edits.camera(surface, seed, 60, 60)
+        )
+        texture = octex.paint(None, surface, shot, max_depth=depth)
+    shots = [
+        octex.Projection(
+            random_edits.picture(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
+            random_edits.camera(surface, int(random.integers(1000)), 60, 60),
+        )
+        for _ in range(3)
+    ]
+    layer = octex.project(surface, shots, like=texture, max_depth=int(random.integers(depth, 9)))
+    how: dict[str, Any] = {"opacity": float(random.choice([1.0, 0.5])), "blend": blend}
+    whole = octex.merge(texture, layer, surface, **how)
+    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+        assert tilewise.pieces_of(texture, layer) is not None
+        found = octex.merge(texture, layer, surface, **how)
+        covered = with_coverage(found, [layer])
+    found.validate()
+    assert_same(found, whole)
+    assert_same(covered, with_coverage(whole, [layer]))
+
+
+def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once() -> None:
+    surface = random_edits.waved("open", 19, ["base_color", "alpha"], 48)
+    texture = octex.convert(surface, 5, dtype="uint16", fit=False)
+    shots = [
+        octex.Projection(random_edits.stroke(876, 25, 39), random_edits.camera(surface, 527, 25, 39)),
+        octex.Projection(random_edits.picture(324, 29, 35), random_edits.camera(surface, 202, 29, 35)),
+    ]
+    layer = octex.project(
+        surface, shots, like=texture, max_depth=4, fit=False, back_faces=True, max_angle=180.0
+    )
+    whole = octex.merge(texture, layer, surface, blend="replace")
+    rows = (own.channels["alpha"].split_values for own in (texture, whole))
+    assert not np.array_equal(*rows)
+    with mock.patch.object(tilewise, "PIECE", 500), mock.patch.object(tilewise, "MOST", 1000.0):
+        assert_same(octex.merge(texture, layer, surface, blend="replace"), whole)
+
+
+def test_a_change_made_tile_by_tile_is_small() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 8)
+    painter = octex.Painter(texture, surface)
+    sphere = octex.Sphere((1, 0, 0), 0.3)
+    at_once = painter.fill(sphere, (1, 0, 0))
+    whole = painter.texture()
+    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+        painter = octex.Painter(texture, surface)
+        by_tiles = painter.fill(sphere, (1, 0, 0))
+    assert_same(painter.texture(), whole)
+    assert sum(each.nbytes for each in by_tiles) == sum(each.nbytes for each in at_once) < texture.nbytes
+    painter.undo()
+    assert_same(painter.texture(), texture)
+
+
+def test_a_small_stroke_needs_a_small_draft() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 8)
+    codes = [np.empty(0, np.int64)] * 8 + [texture.tree.level_codes(8)[:10]]
+    tiles = tiles_around(texture, codes)
+    assert tiles is not None
+    assert tiles.level == 5
+    assert np.isin(distinct(codes[8] >> 9), tiles.codes).all()
+    assert cut_out(texture, tiles).tree.n_cells < 0.1 * texture.tree.n_cells

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.field import taps as taps_of
+from octex.field.neighborhood import walked_taps
+from octex.field.splines import FILTERS
+from octex.field.windows import MOST_TAPS, Walk, new_walk
+from octex.tree.layout import KEPT, TreeArrays
+from octex.tree.octree import Octree
+from tests.make.strategies import leaf_sets, points_around, with_random_data
+from tests.oracles import naive
+
+Points = npt.NDArray[np.float32 | np.float64]
+
+each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
+
+
+class Drawn(NamedTuple):
+    tree: Octree
+    cells: list[naive.Cell]
+    points: npt.NDArray[np.float64]
+
+    def field(self, filter: str) -> naive.Field:
+        """A field whose values are the weights of the rows."""
+        kept_cells = self.tree.kept.cells.tolist()
+        n_cells = len(self.cells)
+        kept = {cell: n_cells + row for row, cell in enumerate(kept_cells)}
+        return naive.Field(self.cells, np.eye(n_cells + len(kept)), filter, kept)
+
+
+@st.composite
+def trees_and_points(draw: st.DrawFn) -> Drawn:
+    leaves = draw(leaf_sets())
+    tree = with_random_data(Octree.from_leaves(*leaves), draw(st.integers(0, 2**32 - 1)))
+    points = np.array(draw(st.lists(points_around(leaves), min_size=1, max_size=3)))
+    return Drawn(tree, naive.cells_of(leaves.places()), points.clip(0, 1) + 1 - 1)  # whole 2⁻⁵²
+
+
+class Taps(NamedTuple):
+    starts: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.uint32]
+    weights: npt.NDArray[np.float32]
+    slopes: npt.NDArray[np.float32]
+    covers: npt.NDArray[np.float32]
+
+    def spread(self, n: int, n_rows: int) -> npt.NDArray[np.float64]:
+        """Weight and slopes of every row in point n: (4, rows)."""
+        here = slice(self.starts[n], self.starts[n + 1])
+        rows = self.rows[here]
+        assert np.unique(rows).size == rows.size
+        spread = np.zeros((4, n_rows))
+        spread[0, rows] = self.weights[here]
+        spread[1:, rows] = self.slopes[here].T
+        return spread
+
+
+def taps(
+    arrays: TreeArrays,
+    kept_cells: npt.NDArray[np.uint32],
+    points: Points,
+    filter: str,
+    walk: Walk | None = None,
+    *,
+    room: int = MOST_TAPS,
+    gradient: bool = True,
+) -> Taps:
+    """All points' taps, in blocks with room for the taps of at least one point."""
+    walk = walk or new_walk()
+    n = len(points)
+    found = taps_of.new_taps(n, room, gradient)
+    which, code = np.arange(n), FILTERS.index(filter)
+    parts = []
+    done = 0
+    while done < n:
+        begin = done
+        task = arrays, kept_cells, arrays.flags.size, np.asarray(points, np.float64), which, begin
+        done, end = walked_taps(*task, code, True, walk, found, 0)
+        assert done > begin
+        counts = (found.ends - found.starts)[begin:done]
+        scales = np.repeat(np.maximum(found.covers[begin:done], taps_of.OFF), counts)
+        slopes = found.slopes[:end] / scales[:, None] if gradient else found.slopes
+        parts.append((counts, found.rows[:end].copy(), found.weights[:end] / scales, slopes))
+    counts, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Taps(np.cumsum([0, *counts]), *columns, found.covers)
+
+
+@each_filter
+@given(trees_and_points())
+def test_taps_are_what_the_field_is_made_of(filter: str, drawn: Drawn) -> None:
+    found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
+    field = drawn.field(filter)
+    edge = 2.0**-drawn.tree.max_depth
+    for n, point in enumerate(drawn.points.tolist()):
+        by_axis = [field.derivatives(point, axis, 1) for axis in np.eye(3).tolist()]
+        weights, *slopes = found.spread(n, len(field.values))
+        np.testing.assert_allclose(weights, by_axis[0][0], atol=1e-6)
+        for own, expected in zip(slopes, by_axis, strict=True):
+            np.testing.assert_allclose(own * edge, expected[1] * edge, atol=1e-5)
+
+
+@each_filter
+@given(trees_and_points())
+def test_taps_do_not_depend_on_the_points_before_them(filter: str, drawn: Drawn) -> None:
+    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
+    together = taps(arrays, kept_cells, drawn.points, filter)
+    for n in range(len(drawn.points)):
+        alone = taps(arrays, kept_cells, drawn.points[n : n + 1], filter)
+        here = slice(together.starts[n], together.starts[n + 1])
+        for own, of_all in zip(alone[1:4], together[1:4], strict=True):
+            np.testing.assert_array_equal(own, of_all[here])
+        assert alone.covers == together.covers[n]
+
+
+@given(trees_and_points())
+def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn: Drawn) -> None:
+    walk = new_walk()
+    for filter in (*FILTERS[1:], *FILTERS[:0:-1]):
+        found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter, walk, gradient=False)
+        expected = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
+        assert found.slopes.size == 0
+        for n in range(len(drawn.points)):
+            here, there = (slice(each.starts[n], each.starts[n + 1]) for each in (found, expected))
+            shares = dict(zip(expected.rows[there].tolist(), expected.weights[there].tolist(), strict=True))
+            own = dict(zip(found.rows[here].tolist(), found.weights[here].tolist(), strict=True))
+            assert own == {row: share for row, share in shares.items() if row in own}
+            assert all(share == 0 for row, share in shares.items() if row not in own)
+
+
+@given(trees_and_points())
+def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn: Drawn) -> None:
+    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
+    outside = drawn.points + np.where(drawn.points == 0, -0.3, 0) + np.where(drawn.points == 1, 0.3, 0)
+    for found, expected in zip(
+        taps(arrays, kept_cells, outside, "quadratic"),
+        taps(arrays, kept_cells, drawn.points, "quadratic"),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
+    points = np.random.default_rng(5).random((40, 3))
+    arrays, kept_cells = Octree.from_leaves(np.arange(64), 2).arrays, np.zeros(0, np.uint32)
+    at_once = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 40 * 27)
+    in_blocks = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 50)
+    for found, expected in zip(in_blocks, at_once, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+@each_filter
+@given(trees_and_points(), st.integers(0, 2**32 - 1))
+def test_damaged_structures_are_walked_without_harm(filter: str, drawn: Drawn, seed: int) -> None:
+    arrays = drawn.tree.arrays
+    noise = np.random.default_rng(seed)
+    damaged = arrays._replace(
+        groups=noise.integers(0, 2**64, arrays.groups.shape, dtype=np.uint64),
+        flags=noise.integers(0, 256, arrays.flags.shape, dtype=np.uint8),
+    )
+    kept_cells = noise.integers(0, 2**32, 5, dtype=np.uint32)
+    found = taps(damaged, kept_cells, drawn.points, filter)
+    assert found.rows.max(initial=0) < drawn.tree.n_cells + kept_cells.size
+
+
+def test_a_node_that_is_flagged_but_not_listed_has_no_taps() -> None:
+    tree = Octree.from_leaves(np.arange(16), 2)
+    flags = tree.arrays.flags.copy()
+    flags[1] |= KEPT
+    arrays = tree.arrays._replace(flags=flags)
+    found = taps(arrays, np.array([3], np.uint32), np.array([[0.2, 0.3, 0.1]]), "quadratic")
+    assert found.rows.max() < tree.n_cells

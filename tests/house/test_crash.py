@@ -1,0 +1,101 @@
+"""However a save ends, the old file stands or the new one, and nothing else stays."""
+
+from __future__ import annotations
+
+import os
+import random
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex import files
+from octex.errors import OutputError
+from tests.make.small_textures import eight_colors
+from tests.texture.test_archive import hilly
+
+ROOT = Path(__file__).parents[2]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are killed as Linux does it")
+LEFT, LEFT_FOLDER = ".octex-0123456789abcdef", ".octex-fedcba9876543210"
+
+
+@linux
+def test_a_killed_save_leaves_the_old_file_or_the_new_one(tmp_path: Path) -> None:
+    killed = runpy.run_path(str(ROOT / "tools" / "fuzz" / "kill_saves.py"))["killed"]
+    made = [hilly(4), eight_colors()]
+    for texture in made:
+        texture.save(tmp_path / "compile.octz")
+    assert killed(made, tmp_path, 20, random.Random(1)) == []
+
+
+FULL = """
+import resource, sys
+import octex
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+import signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+texture = octex.open(sys.argv[1])
+for name in sys.argv[2:]:
+    try:
+        texture.save(name)
+        print("saved")
+    except octex.OctexError as error:
+        print(type(error).__name__)
+"""
+
+
+@linux
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
+    hilly(6).save(tmp_path / "a.octex")
+    for name in ("b.octex", "b.octz"):
+        eight_colors().save(tmp_path / name)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    command = [
+        sys.executable,
+        "-c",
+        FULL,
+        *(str(tmp_path / name) for name in ("a.octex", "b.octex", "b.octz")),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == ["OutputError", "OutputError"]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputError, match="cannot be written"):
+        eight_colors().save(tmp_path / "a.octz")
+    tmp_path.chmod(0o700)
+
+
+@linux
+@pytest.mark.parametrize("named", [False, True])
+def test_what_a_killed_process_left_is_removed_and_what_another_one_writes_is_not(
+    named: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if named:
+        monkeypatch.setattr(files, "_nameless_file", lambda _folder: None)
+    (tmp_path / LEFT).write_bytes(b"half")
+    (tmp_path / LEFT_FOLDER / "in").mkdir(parents=True)
+    (tmp_path / LEFT_FOLDER / "in" / "a").write_bytes(b"an array")
+    (tmp_path / ".octex-mine").write_bytes(b"not a save's")
+    with files.replacing(tmp_path / "a") as first:
+        first.write(b"first")
+        with files.replacing(tmp_path / "b") as second:
+            second.write(b"second")
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b", ".octex-mine"}
+    assert (tmp_path / "a").read_bytes() == b"first"
+
+
+def test_two_writers_of_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
+    path = tmp_path / "a.octex"
+    with files.replacing(path) as outer:
+        outer.write(b"outer")
+        eight_colors().save(path)
+        assert octex.open(path).tree.n_leaves == 8
+    assert path.read_bytes() == b"outer"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.octex"]

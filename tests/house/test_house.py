@@ -1,0 +1,185 @@
+"""The house keeps its shape: who imports whom, what is exported, and what an import costs."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import octex
+from octex.cli import start
+
+ROOT = Path(octex.__file__).parent
+MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.rglob("*.py"))
+
+# A module imports only from its own row and the rows above.
+ROWS = [
+    {
+        "arrays",
+        "errors",
+        "files",
+        "checks",
+        "functions",
+        "ahead",
+        "docs",
+        "jit",
+        "parallel",
+        "channels",
+        "npz",
+    },
+    {"tree"},
+    {"nearest"},
+    {"field"},
+    {"container", "remote"},
+    {"archive"},
+    {"texture"},
+    {"kernels"},
+    {"editing"},
+    {"source"},
+    {"conversion"},
+    {"view"},
+    {"painting"},
+    {"processing"},
+    {"baking"},
+    {"formats"},
+    {"compare"},
+    {"preview"},
+    {"viewer"},
+    {"cli"},
+]
+# The wing of what models look like does not know the wing of what is stored; what works on textures alone
+# needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
+STORED = {"tree", "field", "container", "archive", "texture", "editing"}
+MADE = {"source", "conversion", "view", "painting"}
+FORBIDDEN = {"source": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"}}
+#: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
+NEW_IN_NUMPY_2 = {
+    "acos", "acosh", "asin", "asinh", "astype", "atan", "atan2", "atanh", "bitwise_count", "bitwise_invert",
+    "bitwise_left_shift", "bitwise_right_shift", "bool", "concat", "cumulative_prod", "cumulative_sum",
+    "isdtype", "long", "mT", "matrix_norm", "matrix_transpose", "matvec", "permute_dims", "pow", "strings",
+    "svdvals", "trapezoid", "ulong", "unique_all", "unique_counts", "unique_inverse", "unique_values",
+    "unstack", "vecdot", "vecmat", "vector_norm",
+}  # fmt: skip
+# Depth and cell limits are checked at the border too.
+EXCEPTIONS = {("checks", "octex.tree.layout")}
+
+_NAMES = """
+Box Camera Creases MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
+Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
+convert_set crop curves displace fill levels load_surface merge mix paint project read_cameras
+refine_cameras resize separate subdivide unwrap write_cameras write_model write_ptex
+"""
+EXPORTED = _NAMES.split()
+HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
+
+PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+COMMANDS = {*start.MODULES.values(), *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
+
+
+@cache
+def imports(module: str) -> list[str]:
+    """Names of the modules that a module imports, at its top or in its functions, but not for types only."""
+    return list(_imports(module))
+
+
+def _imports(module: str) -> Iterator[str]:
+    tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            pending.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import"
+            assert node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        pending.extend(ast.iter_child_nodes(node))
+
+
+def room(name: str) -> str:
+    return name.split(".")[1] if "." in name else ""
+
+
+def row(name: str) -> int:
+    return next(number for number, rooms in enumerate(ROWS) if name in rooms)
+
+
+@pytest.mark.parametrize("module", [module for module in MODULES if module != "__init__"])
+def test_a_module_imports_only_from_the_rows_above_and_its_own(module: str) -> None:
+    own = module.split("/")[0]
+    for name in imports(module):
+        if not name.startswith("octex.") or name == "octex.__version__":
+            continue
+        if (own, name.rpartition(".")[0]) in EXCEPTIONS:
+            continue
+        assert row(room(name)) <= row(own), f"{module} imports {name}"
+        assert room(name) not in FORBIDDEN.get(own, set()), f"{module} imports {name}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_each_big_package_has_one_user(module: str) -> None:
+    packages = {name.split(".")[0] for name in imports(module)}
+    # These compile, keep what is compiled, and say that there is compiling.
+    if not module.startswith("jit/") and module not in ("ahead", "cli/common"):
+        assert not packages & {"numba", "llvmlite"}
+    if not module.startswith("source/"):
+        assert not packages & {"trimesh", "manifold3d"}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_name_is_used_that_numpy_1_26_lacks(module: str) -> None:
+    names = {
+        node.attr
+        for node in ast.walk(ast.parse((ROOT / f"{module}.py").read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np", "np.linalg")
+    }
+    assert not names & NEW_IN_NUMPY_2
+
+
+def test_the_exported_names_are_these_and_each_exists() -> None:
+    assert octex.__all__ == EXPORTED
+    for name in [*EXPORTED, "map", "open"]:
+        assert getattr(octex, name) is not None
+        assert name in dir(octex)
+
+
+def test_a_star_import_leaves_what_python_has() -> None:
+    names: dict[str, object] = {}
+    exec("from octex import *", names)
+    assert set(names) - {"__builtins__"} == set(EXPORTED)
+    assert not set(EXPORTED) & set(dir(builtins)) - {"__version__"}
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'paint_it_black'"):
+        octex.paint_it_black  # noqa: B018
+
+
+@pytest.mark.parametrize("module", ["octex", *sorted(COMMANDS)])
+def test_importing_octex_or_a_command_loads_nothing_heavy(module: str) -> None:
+    code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+def test_the_extra_test_brings_what_tests_are_skipped_without() -> None:
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
+    listed = [each for extra in project["optional-dependencies"].values() for each in extra]
+    brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]
+    packages = {"pxr": "usd-core", "opengl_basisu": "opengl-basisu"}
+    left_out = {"moto", "s3fs", "scipy"}  # much to install for a test each
+    texts = [path.read_text("utf-8") for path in (ROOT.parent / "tests").rglob("*.py")]
+    modules = set(re.findall(r'importorskip\(\s*"(\w+)', " ".join(texts)))
+    assert "playwright" in modules
+    assert {packages.get(module, module.lower()) for module in modules - left_out} <= brought

@@ -1,0 +1,315 @@
+"""Conversions whose arrays lie in files, and whose tasks others do: the same bytes come out."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.conversion import facings, large, levels, sides
+from octex.errors import ArgumentError, InputError, OutputError
+from octex.parallel import sharing
+from octex.source import materials
+from octex.source.images.pyramid import store
+from tests.conftest import needs_jit
+from tests.make.small_surfaces import bent, sheet, tetrahedron, turned
+
+
+def torus(**options: object) -> octex.Surface:
+    """Return a bumpy torus with a colour a vertex."""
+    around, along = np.meshgrid(*[np.arange(48) * (np.pi / 24)] * 2)
+    radius = 0.4 + 0.05 * np.sin(5 * around) * np.sin(4 * along)
+    ring = 1 + radius * np.cos(along)
+    points = np.stack([ring * np.cos(around), ring * np.sin(around), radius * np.sin(along)], axis=-1)
+    a = np.arange(48 * 48).reshape(48, 48)
+    b, c, d = np.roll(a, -1, 0), np.roll(a, -1, (0, 1)), np.roll(a, -1, 1)
+    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    colors = 0.5 + 0.5 * np.sin(9 * points.reshape(-1, 3))
+    return octex.Surface.from_arrays(points.reshape(-1, 3), triangles, colors=colors, name="torus", **options)
+
+
+SURFACES = {
+    "torus": torus(),
+    "tetrahedron": tetrahedron(),
+    "sheet": sheet(turned(3), 0.02),
+    "bent": bent(0.03),
+}
+
+
+def converted(surface: octex.Surface, folder: Path, **options: object) -> tuple[bytes, bytes]:
+    """Return the bytes of a texture made in memory, and of one made in files."""
+    depth, fit = options.pop("depth", 6), options.pop("fit", True)
+    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")  # type: ignore[arg-type]
+    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)  # type: ignore[arg-type]
+    made.validate()
+    del made
+    assert sorted(each.name for each in folder.iterdir()) == ["files.octex", "memory.octex"]
+    return (folder / "memory.octex").read_bytes(), (folder / "files.octex").read_bytes()
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("fit", [True, False])
+def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_path: Path) -> None:
+    for depth in (0, 2, 6):
+        in_memory, in_files = converted(SURFACES[name], tmp_path, fit=fit, depth=depth, memory=1)
+        assert in_memory == in_files
+
+
+@pytest.mark.parametrize("options", [{"max_error": 16}, {"max_error": 8, "fit": False}, {"detail": None}])
+def test_an_adaptive_texture_made_in_files_has_the_same_bytes(
+    options: dict[str, object], tmp_path: Path
+) -> None:
+    def detail(points: np.ndarray) -> np.ndarray:
+        return np.where(points[:, 0] > 0, 5, 3)
+
+    options = {**options, **({"detail": detail} if "detail" in options else {})}
+    paths = tmp_path / "memory.octex", tmp_path / "files.octex"
+    in_memory = octex.convert(torus(), 5, **options)  # type: ignore[arg-type]
+    assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
+    in_memory.save(paths[0])
+    octex.convert(torus(), 5, path=paths[1], memory=1, **options).validate()  # type: ignore[arg-type]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large, "scratch", None)
+    in_memory, in_files = converted(tetrahedron(), tmp_path, memory="1GB")
+    assert in_memory == in_files
+
+
+@pytest.mark.parametrize(("needed", "is_mapped"), [(160, False), (170, True)])
+def test_memory_is_what_a_conversion_takes_at_its_peak(
+    needed: int, is_mapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A conversion takes up to six times the least that it could.
+    made, scratch = [], large.scratch
+    monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
+    monkeypatch.setattr("octex.conversion.convert.memory_needed", lambda *_, **__: needed)
+    octex.convert(tetrahedron(), 3, memory=1000, path=tmp_path / "a.octex")
+    assert bool(made) is is_mapped
+
+
+@needs_jit
+def test_files_of_arrays_go_when_nobody_has_the_array(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, present = [0], []
+    empty = large.Scratch.empty
+
+    def noted(self: large.Scratch, *given: Any) -> Any:
+        made = empty(self, *given)
+        written[0] += made.nbytes
+        present.append(sum(path.stat().st_size for path in self.folder.iterdir()))
+        return made
+
+    monkeypatch.setattr(large.Scratch, "empty", noted)
+    octex.convert(torus(), 6, max_error=2, memory=1, path=tmp_path / "a.octex")
+    assert max(present) < 0.6 * written[0]
+
+
+def test_the_file_of_an_array_stays_while_a_task_names_it(tmp_path: Path) -> None:
+    with large.scratch(tmp_path) as folder:
+        array = large.zeros(1000, np.uint8)
+        array[:] = 7
+        kept, path = array[10:20], folder.new_path()
+        del array
+        assert len(list(folder.folder.iterdir())) == 1
+        large._dump(kept, path, folder)
+        del kept
+        assert len(list(folder.folder.iterdir())) == 2
+        np.testing.assert_array_equal(large._load(path), np.full(10, 7))
+        unnamed = large.zeros(1000, np.uint8)
+        assert len(list(folder.folder.iterdir())) == 3
+        del unnamed
+        assert len(list(folder.folder.iterdir())) == 2
+
+
+@needs_jit
+def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    joined = large.joined
+    monkeypatch.setattr(large, "joined", lambda arrays: made.append(joined(arrays)) or made[-1])
+    octex.convert(torus(), 6, memory=1, path=tmp_path / "a.octex")
+    owners = {
+        type(array.base.base if array.ndim > 1 else array.base).__name__ for array in made if array.size
+    }
+    assert len(made) > 9
+    assert owners <= {"mmap", "memoryview", "ndarray"}
+    assert not any(array.flags.owndata for array in made if array.size)
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, tmp_path: Path) -> None:
+    in_memory, in_files = converted(torus(), tmp_path, executor=processes)
+    assert in_memory == in_files
+    with ThreadPoolExecutor(2) as threads:
+        assert converted(torus(), tmp_path, executor=threads)[1] == in_memory
+
+
+@pytest.mark.parametrize("name", ["sheet", "bent"])
+def test_sides_are_told_apart_in_parallel_as_in_one_thread(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    octex.convert(SURFACES[name], 6, threads=1).save(tmp_path / "one.octex")
+    assert octex.open(tmp_path / "one.octex").tree.split.cells.size
+    for module, name_of_size in ((sides, "_RUN"), (sides, "_BLOCK"), (facings, "_BLOCK")):
+        monkeypatch.setattr(module, name_of_size, 50)
+    octex.convert(SURFACES[name], 6, threads=3).save(tmp_path / "three.octex")
+    assert (tmp_path / "one.octex").read_bytes() == (tmp_path / "three.octex").read_bytes()
+
+
+def test_what_writes_to_arrays_of_this_process_is_done_in_it(processes: Executor, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(2) as threads, large.scratch(tmp_path) as folder:
+        tasks = large.Tasks(threads, folder, is_here=True)
+        for given in (threads, tasks):
+            with sharing(given) as found:
+                assert found is threads
+        for given in (processes, large.Tasks(processes, folder, is_here=False)):
+            with sharing(given) as found:
+                assert found.submit(os.getpid).result() == os.getpid()
+
+
+class Sending(Executor):
+    """Does each task at once, as another process would: from what was written to files."""
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        large._read.cache_clear()
+        done: Future[Any] = Future()
+        done.set_result(function(*given, **named))
+        return done
+
+
+@needs_jit
+def test_images_are_made_ready_once_for_all_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    monkeypatch.setattr(levels, "_LEAST_PIECES", 1)  # many tasks
+    monkeypatch.setattr(materials, "store", lambda *given: made.append(given) or store(*given))
+    model = Path(__file__).parents[2] / "samples" / "droid.glb"
+    octex.convert(model, 7, path=tmp_path / "a.octex", executor=Sending())
+    assert len(made) == 1
+
+
+class Fragile:
+    """Colours, by a source that ends the process that asks first, but for this one."""
+
+    def __init__(self, flag: Path) -> None:
+        self.flag, self.process = flag, os.getpid()
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        if os.getpid() != self.process and not self.flag.exists():
+            self.flag.touch()
+            os._exit(9)
+        return 0.5 + 0.5 * np.sin(points)
+
+
+def test_a_worker_that_ends_half_way_is_done_without(tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        in_memory, in_files = converted(surface, tmp_path / "made", executor=pool)
+    assert (tmp_path / "flag").exists()
+    assert in_memory == in_files
+
+
+class Failing:
+    """A source that fails in other processes."""
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        if os.getpid() != self.process:
+            raise InputError("it is not there")
+        return points * 0
+
+
+def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> None:
+    surface = torus().with_sources({"base_color": Failing()})
+    with pytest.raises(InputError, match="it is not there"):
+        octex.convert(surface, 5, path=tmp_path / "a.octex", executor=processes)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ArgumentError, match=r"cannot be sent to workers: .*define its functions in a module"):
+        octex.convert(
+            torus().with_sources({"base_color": lambda points: points}),
+            5,
+            path=tmp_path / "a.octex",
+            executor=processes,
+        )
+
+
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(large.Scratch, "empty", full)
+    with pytest.raises(OutputError, match="has no place for large arrays: No space left on device"):
+        octex.convert(tetrahedron(), 3, memory=1, path=tmp_path / "a.octex")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra octex[cluster]")
+    (tmp_path / "made").mkdir()
+    surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        in_memory, in_files = converted(surface, tmp_path / "made", executor=client.get_executor())
+    assert in_memory == in_files
+
+
+def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
+    surface = tetrahedron()
+    with pytest.raises(ArgumentError, match="memory needs a path"):
+        octex.convert(surface, 3, memory="1GB")
+    with pytest.raises(ArgumentError, match="memory: '2 elephants' is no size"):
+        octex.convert(surface, 3, memory="2 elephants", path=tmp_path / "a.octex")
+    with pytest.raises(ArgumentError, match=r"is converted to NAME\.octex"):
+        octex.convert(surface, 3, path=tmp_path / "a.ply")
+    with pytest.raises(OutputError, match="there is no folder"):
+        octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
+    with_gaps = surface.with_sources(octex.Transfer(sheet(turned(3), 0.02), distance=0.01).sources)
+    with pytest.raises(ArgumentError, match="sources with gaps need all of it in memory"):
+        octex.convert(with_gaps, 3, memory=1, path=tmp_path / "a.octex")
+    with (
+        ProcessPoolExecutor(1) as pool,
+        pytest.raises(ArgumentError, match="max_error and detail need all of it on one machine"),
+    ):
+        octex.convert(surface, 3, max_error=2, executor=pool, path=tmp_path / "a.octex")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cluster_on_paper_takes_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "tools"))
+    from simulate_cluster import Measured, Stage, on_paper, run
+
+    less, more = Measured(), Measured()
+    less.leaves, less.stages = 100, {"convert": Stage([1.0, 1.0], [0, 0], 3.0)}
+    more.leaves, more.stages = 200, {"convert": Stage([1.0] * 4, [50] * 4, 4.0)}
+    # 40 tasks of 1 s and half a second of writing; joining: 2 s, and 1 s for each 100 leaves.
+    for workers, tasks in ((1, 60.0), (8, 7.5), (100, 1.5)):
+        total, parts = on_paper(less, more, 2000, workers, 100.0, 1e9)
+        reading = max(20.0 - tasks, 0.0)
+        assert parts["convert"] == pytest.approx((tasks, 22.0 + reading))
+        assert total == pytest.approx(sum(parts["convert"]))
+    measured = run(Path(__file__).parents[2] / "samples" / "droid.glb", 4)
+    assert measured.leaves < measured.cells
+    assert measured.sent > 0
+    assert {name for name, stage in measured.stages.items() if stage.tasks} == {"convert", "fit"}

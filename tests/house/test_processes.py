@@ -1,0 +1,291 @@
+"""What travels to other processes: textures, and the work of every function that takes an executor."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import multiprocessing
+import pickle
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.channels import ALPHA, BASE_COLOR
+from octex.field.field import Field
+from octex.jit import kernel
+from octex.parallel import sharing, start, workers
+from octex.texture import Channel, OctreeTexture, TextureSet, lookup
+from octex.tree.octree import Octree
+from tests.conftest import needs_jit
+from tests.make.painted import ball, picture_of
+from tests.make.small_surfaces import bent
+from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell
+from tests.make.strategies import with_random_data
+
+POINTS = np.random.default_rng(0).random((40, 3))
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Executor]:
+    """One pool for all tests: its processes take a second to start."""
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def adaptive(seed: int) -> OctreeTexture:
+    """Leaves of two depths, colours and alpha at random."""
+    random = np.random.default_rng(seed)
+    codes = np.sort(random.choice(64, 40, replace=False))
+    parts = [([code], [2]) if code % 3 else (range(8 * code, 8 * code + 5), [3] * 5) for code in codes]
+    leaves, depths = ([each for part in parts for each in part[which]] for which in (0, 1))
+    tree = with_random_data(Octree.from_leaves(leaves, depths), seed)
+    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
+    channels = {
+        form.name: Channel(
+            form, *(random.integers(1, 256, (count, form.components), dtype=np.uint8) for count in rows)
+        )
+        for form in (BASE_COLOR, ALPHA)
+    }
+    return OctreeTexture(tree, channels, UNIT, UNIT_BOUNDS, {"source": "random"})
+
+
+def same(one: OctreeTexture, other: OctreeTexture) -> bool:
+    assert (one.metadata, one.placement) == (other.metadata, other.placement)
+    assert np.array_equal(one.bounds, other.bounds)
+    assert list(one.channels) == list(other.channels)
+    for own, others in (
+        *zip(
+            (*one.tree.arrays, *one.tree.split, *one.tree.kept),
+            (*other.tree.arrays, *other.tree.split, *other.tree.kept),
+            strict=True,
+        ),
+        *(
+            (a, b)
+            for name in one.channels
+            for a, b in zip(one.channels[name][1:], other.channels[name][1:], strict=True)
+        ),
+    ):
+        assert own.dtype == others.dtype
+        assert np.array_equal(own, others)
+    return True
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_textures_and_sets_and_fields_are_copied_and_pickled(
+    copied: Callable[[object], object], tmp_path: Path
+) -> None:
+    texture = adaptive(1)
+    texture.sample(POINTS, width=0.2)  # builds what need not travel
+    texture.save(tmp_path / "file.octex")
+    for each in (texture, octex.open(tmp_path / "file.octex")):
+        made = copied(each)
+        assert isinstance(made, OctreeTexture)
+        assert same(made, each)
+        assert np.array_equal(made.sample(POINTS, width=0.2), texture.sample(POINTS, width=0.2))
+        made.validate()
+    parts = TextureSet({"a": texture, "b": shell(2)}, {"source": "two"})
+    parts.save(tmp_path / "set")
+    for each in (parts, TextureSet.open(tmp_path / "set")):
+        made = copied(each)
+        assert isinstance(made, TextureSet)
+        assert (made.names, dict(made.metadata)) == (("a", "b"), {"source": "two"})
+        assert all(same(made[name], parts[name]) for name in parts)
+    field = copied(Field(shell(2).tree))
+    assert isinstance(field, Field)
+    assert np.array_equal(field.taps(POINTS, UNIT).rows, Field(shell(2).tree).taps(POINTS, UNIT).rows)
+
+
+def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
+    from octex import container
+
+    path, other = tmp_path / "file.octex", tmp_path / "other.octex"
+    shell(1).save(path)
+    contents = container.read(path)
+    container.write(path, {**contents.tensors, "mesh": np.arange(6.0)}, {**contents.metadata, "by": "others"})
+    texture = octex.open(path)
+    made = pickle.loads(pickle.dumps(texture))
+    path.unlink()
+    made.save(other)
+    texture.save(path)
+    assert other.read_bytes() == path.read_bytes()
+    assert container.read(other).metadata["by"] == "others"
+
+
+def painter(pool: Executor | None, fills: bool) -> OctreeTexture:
+    """Return what a stroke of a painter makes."""
+    made = octex.Painter(painted(), SURFACE)
+    if fills:
+        made.fill(SPHERE, (1, 0, 0), max_depth=5, executor=pool)
+    else:
+        made.paint(shots()[0], executor=pool)
+    return made.texture()
+
+
+def shots(count: int = 1) -> list[octex.Projection]:
+    """Pictures of a ball, all around; in every other one stands something."""
+    found = []
+    for number in range(count):
+        turn = 2 * np.pi * number / max(count, 5)
+        camera = octex.Camera.fitted(SURFACE.vertices, (np.sin(turn), 0.2, np.cos(turn)), size=(48, 48))
+        image = picture_of(SURFACE, camera)
+        image[20:30, 20:30, :3] += 0 if number % 2 else 40
+        found.append(octex.Projection(image, camera))
+    return found
+
+
+@cache
+def painted() -> OctreeTexture:
+    return octex.convert(SURFACE, 4)
+
+
+SURFACE, SPHERE = ball(rings=12), octex.Sphere((0.0, 0.0, 1.0), 0.6)
+#: What every function that takes an executor does, by its name and that of a case.
+FUNCTIONS: dict[str, Callable[[Executor | None, Path], Any]] = {
+    "OctreeTexture.sample": lambda pool, _: adaptive(1).sample(POINTS, executor=pool),
+    "OctreeTexture.sample, footprints": lambda pool, _: adaptive(1).sample(POINTS, width=0.3, executor=pool),
+    "OctreeTexture.taps": lambda pool, _: adaptive(1).taps(POINTS, width=0.3, executor=pool),
+    "OctreeTexture.contains": lambda pool, _: adaptive(1).contains(POINTS, executor=pool),
+    "Painter.fill": lambda pool, _: painter(pool, True),
+    "Painter.paint": lambda pool, _: painter(pool, False),
+    "TextureSet.sample": lambda pool, _: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(
+        POINTS, np.arange(len(POINTS)) % 2, executor=pool
+    ),
+    "TextureSet.contains": lambda pool, _: TextureSet({"a": adaptive(1)}).contains(
+        POINTS, "a", executor=pool
+    ),
+    "bake": lambda pool, _: octex.bake(painted(), SURFACE, texture_size=256, executor=pool),
+    "blur": lambda pool, _: octex.blur(adaptive(1), 0.3, executor=pool),
+    "combine": lambda pool, _: octex.combine(adaptive(1), adaptive(2), executor=pool),
+    "combine, over": lambda pool, _: octex.combine(adaptive(1), adaptive(2), over=True, executor=pool),
+    "convert": lambda pool, _: octex.convert(SURFACE, 5, executor=pool),
+    "convert, max_error": lambda pool, _: octex.convert(SURFACE, 5, max_error=8, executor=pool),
+    "convert, path": lambda pool, folder: octex.convert(
+        SURFACE, 5, path=folder / "a.octex", executor=pool
+    ),
+    "convert, thin": lambda pool, _: octex.convert(bent(0.03), 5, executor=pool),
+    "convert_set": lambda pool, _: octex.convert_set({"a": SURFACE, "b": bent(0.03)}, 4, executor=pool),
+    "fill": lambda pool, _: octex.fill(None, SURFACE, SPHERE, (1, 0, 0), max_depth=7, executor=pool),
+    "fill, finer": lambda pool, _: octex.fill(
+        painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, executor=pool
+    ),
+    "merge": lambda pool, _: octex.merge(
+        painted(), octex.project(SURFACE, shots(1), like=painted()), SURFACE, executor=pool
+    ),
+    "mix": lambda pool, _: octex.mix(adaptive(1), adaptive(2), 0.4, executor=pool),
+    "mix, texture": lambda pool, _: octex.mix(
+        adaptive(1), adaptive(2), octex.cast(adaptive(3), channels=["alpha"]), executor=pool
+    ),
+    "paint": lambda pool, _: octex.paint(None, SURFACE, shots(1), executor=pool),
+    "paint, best": lambda pool, _: octex.paint(
+        None, SURFACE, shots(5), pictures="best", balance="full", executor=pool
+    ),
+    "paint, robust": lambda pool, folder: octex.paint(
+        painted(), SURFACE, shots(5), balance="gain", memory=1, resume=folder / "a", executor=pool
+    ),
+    "project": lambda pool, _: octex.project(SURFACE, shots(2), executor=pool),
+    "refine_cameras": lambda pool, _: octex.refine_cameras(SURFACE, shots(3), executor=pool),
+    "resize": lambda pool, _: octex.resize(adaptive(1), 4, executor=pool),
+    "write_ptex": lambda pool, folder: (
+        octex.write_ptex(painted(), SURFACE, folder / "a.ptx", executor=pool),
+        (folder / "a.ptx").read_bytes(),
+    ),
+}  # fmt: skip
+
+
+def numbers_in(made: Any) -> list[npt.NDArray[Any]]:
+    """Return all numbers of what a function returns."""
+    if isinstance(made, OctreeTexture):
+        values = [array for channel in made.channels.values() for array in channel[1:]]
+        return [*made.tree.arrays, *made.tree.split, *made.tree.kept, made.bounds, *values]
+    if isinstance(made, octex.Camera):
+        return [made.K, made.world_to_camera]
+    if isinstance(made, octex.Surface):
+        assert made.uv is not None
+        inputs = [each for material in made.source.materials for each in material.inputs.values()]  # type: ignore[attr-defined]
+        return [made.uv.values, made.uv.rows, *(each.texture.texels for each in inputs if each.texture)]
+    if isinstance(made, Mapping):
+        return [array for each in made.values() for array in numbers_in(each)]
+    if isinstance(made, (list, tuple)):
+        return [array for each in made for array in numbers_in(each)]
+    return [np.frombuffer(made, np.uint8) if isinstance(made, bytes) else np.asarray(made)]
+
+
+def test_every_public_function_that_takes_an_executor_is_tried_here() -> None:
+    found = set()
+    for name in [*octex.__all__, "map", "open"]:
+        given = getattr(octex, name)
+        if inspect.isclass(given):
+            members = inspect.getmembers(given, inspect.isroutine)
+            each = {f"{name}.{own}": one for own, one in members if not own.startswith("_")}
+        else:
+            each = {name: given}
+        for full, one in each.items():
+            with suppress(TypeError, ValueError):  # numbers, and what Python is made of
+                if "executor" in inspect.signature(one).parameters:
+                    found.add(full)
+    assert found == {name.partition(",")[0] for name in FUNCTIONS}
+
+
+@needs_jit
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_do_the_same_in_threads_and_in_other_processes(
+    name: str, processes: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lookup, "BLOCK", 16)
+    made = []
+    with ThreadPoolExecutor(2) as threads:
+        for number, pool in enumerate((None, threads, processes)):
+            folder = tmp_path / str(number)
+            folder.mkdir()
+            made.append(numbers_in(FUNCTIONS[name](pool, folder)))
+    assert sum(array.size for array in made[0])
+    for other in made[1:]:
+        for one, same_one in zip(made[0], other, strict=True):
+            assert one.dtype == same_one.dtype
+            np.testing.assert_array_equal(one, same_one)
+
+
+def by_numpy(numbers: npt.NDArray[np.float64]) -> None:
+    numbers[0] = 1
+
+
+@kernel
+def _write(numbers: npt.NDArray[np.float64]) -> None:
+    numbers[0] = 1
+
+
+def by_kernel(numbers: npt.NDArray[np.float64]) -> None:
+    _write(numbers)
+
+
+def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes: Executor) -> None:
+    with workers(None, processes) as pool:
+        for numbers in (np.zeros(4), np.zeros(8)[::2]):
+            with pytest.raises(ValueError, match="read-only"):
+                start(pool, by_numpy, numbers).result()
+            with pytest.raises(RuntimeError, match=r"by_kernel.* writes to arrays that are not shared"):
+                start(pool, by_kernel, numbers).result()
+        with pytest.raises(octex.OctexError, match=r"executor: .*define functions in a module"):
+            start(pool, lambda: 1)
+        with sharing(pool) as here:
+            numbers = np.zeros(4)
+            start(here, by_kernel, numbers).result()
+            assert numbers[0] == 1
+
+
+def test_a_point_that_is_not_finite_is_named_by_another_process(
+    processes: Executor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lookup, "BLOCK", 16)
+    points = POINTS.copy()
+    points[33, 1] = np.nan
+    with pytest.raises(octex.OctexError, match=r"points must be finite, but points\[33\]"):
+        adaptive(1).sample(points, executor=processes)

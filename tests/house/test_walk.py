@@ -1,0 +1,93 @@
+"""What ``sample`` enters: a value goes down through few functions of few files."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import ChannelFormat
+from octex.jit import DISABLED
+from octex.texture import Channel, OctreeTexture
+from tests.make.small_textures import shell, unit
+
+ROOT = Path(octex.__file__).parent
+DIRECTIONS = unit(np.random.default_rng(0).normal(size=(100, 3)))
+POINTS = 0.5 + 0.45 * DIRECTIONS
+WIDTHS = np.linspace(0.01, 0.2, 100)
+
+QUESTIONS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "nearest": {"filter": "nearest"},
+    "linear": {"filter": "linear"},
+    "quartic": {"filter": "quartic"},
+    "normals": {"normals": DIRECTIONS},
+    "gradient": {"gradient": True},
+    "width": {"width": 0.1},
+    "widths": {"width": WIDTHS},
+    "widths, normals": {"width": WIDTHS, "normals": DIRECTIONS},
+    "widths, gradient": {"width": WIDTHS, "gradient": True},
+    "pixels": {"dPdx": 0.1 * DIRECTIONS, "dPdy": 0.05 * DIRECTIONS[::-1]},
+}
+
+
+def entered(call: Callable[[], object]) -> set[CodeType]:
+    """Return the code of the functions of octex that a call enters the second time.
+
+    Kernels are left out, and with them the room that calls them.
+    """
+    found: set[CodeType] = set()
+
+    def note(frame: FrameType, event: str, _argument: object) -> None:
+        if event == "call" and Path(frame.f_code.co_filename).is_relative_to(ROOT):
+            found.add(frame.f_code)
+
+    call()
+    sys.setprofile(note)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    return {code for code in found if not _is_kernel(code)}
+
+
+def _is_kernel(code: CodeType) -> bool:
+    """Say whether code is that of a function that numba compiles, or calls such a function."""
+    if Path(code.co_filename).parent == ROOT / "jit":
+        return True
+    module = inspect.getmodule(code)
+    return hasattr(getattr(module, code.co_name, None), "py_func")
+
+
+def with_alpha(texture: OctreeTexture) -> OctreeTexture:
+    values, split_values, kept_values = (
+        np.full((len(array), 1), 200, np.uint8) for array in texture.channels["base_color"][1:]
+    )
+    alpha = Channel(ChannelFormat("alpha", 1, "data", "uint8"), values, split_values, kept_values)
+    channels = {**texture.channels, "alpha": alpha}
+    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
+
+
+TEXTURES = {
+    "even": lambda: shell(5, keep=0.0),
+    "with kept nodes": lambda: shell(5),
+    "with alpha": lambda: with_alpha(shell(5, keep=0.0)),
+}
+
+
+@pytest.mark.skipif(DISABLED, reason="kernels are then functions like others")
+@pytest.mark.parametrize("question", QUESTIONS)
+@pytest.mark.parametrize("kind", TEXTURES)
+def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str) -> None:
+    texture, options = TEXTURES[kind](), QUESTIONS[question]
+    found = entered(lambda: texture.sample(POINTS, **options))
+    files = {code.co_filename for code in found}
+    assert len(found) <= 40, sorted(code.co_qualname for code in found)
+    assert len(files) <= 6, sorted(files)

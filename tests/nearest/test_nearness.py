@@ -1,0 +1,270 @@
+"""Which finest cells two fields are far apart in: what samples and patches say, worked out slowly."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from octex.arrays import bit_counts
+from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
+from octex.conversion.distances import Looked
+from octex.conversion.nearness import Decoded, far_cells
+from octex.conversion.patches import BARE, NEAR, near_cells
+from octex.conversion.prune import Finest, Pruned, limits_of, prune
+from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
+from octex.jit import DISABLED, kernel, spline_box, spline_rows
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
+from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+from tests.make.strategies import with_random_data
+
+Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[np.generic]
+
+#: Each example makes two trees and looks up some 400 patches.
+few = settings(max_examples=1 if DISABLED else 15)
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+DEPTH = 4
+BETWEEN = 1.0  # codes that fields may be farther apart between samples
+
+
+class Scene(NamedTuple):
+    """A full tree, the same pruned, and samples."""
+
+    finest: Finest
+    pruned: Pruned
+    depths: npt.NDArray[np.uint8]
+    decoded: Decoded
+    full: OctreeTexture
+    found: OctreeTexture
+    samples: Samples
+
+
+def scene(seed: int, smooth: float) -> Scene:
+    """Random leaves whose values differ by ``smooth`` at most, with facings and split rows, some merged."""
+    random = np.random.default_rng(seed)
+    forms = [
+        form._replace(dtype="float32", space="linear" if form.space == "srgb" else form.space)
+        for form in (BASE_COLOR, NORMAL, ALPHA)
+        if form is BASE_COLOR or random.random() < 0.4
+    ]
+    steps = random.integers(0, 1 << DEPTH, (200, 3))
+    steps[:120, 2] = 7 + (steps[:120, 0] > 9)  # most in a sheet
+    full = with_random_data(Octree.from_leaves(np.unique(encode_cells(steps)), DEPTH), seed, keep=0.0)
+    # All face +z, as normals do: where all faces away, what little weighs changes at once at rims of cells.
+    others = (SPLIT | 0b101111, 0b000001, SPLIT | 1, 0)[seed % 4]
+    flags = full.arrays.flags & np.uint8(others) | np.uint8(1 << 4)
+    cells = np.flatnonzero(flags & SPLIT)
+    facings = flags[cells] & np.uint8(FACING_FLAGS)
+    rows = int(bit_counts(facings).sum())
+    split = SplitTable(cells.astype(np.uint32), facings, np.zeros(rows, np.uint8))
+    full = full.with_cell_data(flags, full.arrays.areas, split)
+    channels = {}
+    for form in forms:
+        low = random.random(form.components) * (1 - smooth)
+        values, rows_of = (
+            (low + smooth * random.random((n, form.components))).astype(np.float32)
+            for n in (full.n_cells, full.split.areas.size)
+        )
+        channels[form.name] = Channel(form, values, rows_of, rows_of[:0])
+    finest = Finest.of(full)
+    depths = limits_of(finest, random.integers(2, 5, finest.codes.size).astype(np.uint8))
+    pruned = prune(finest, depths)
+    counts = random.integers(1, 3, finest.codes.size)
+    normals = random.normal(size=(counts.sum(), 3))
+    normals[:, 2] = 0.3 + np.abs(normals[:, 2])
+    normals *= NORMAL_STEPS / np.linalg.norm(normals, axis=1, keepdims=True)
+    samples = Samples(
+        DEPTH, tuple(forms), finest.codes, np.append(0, np.cumsum(counts)),
+        random.integers(0, PLACE_STEPS, (counts.sum(), 3)).astype(np.uint16),
+        np.rint(normals).astype(np.int8), np.zeros(0, np.uint8), np.zeros((0, 0), np.float32),
+    )  # fmt: skip
+    box = [[0, 0, 0], [1, 1, 1]]
+    return Scene(
+        finest, pruned, depths, Decoded.of(channels, forms),
+        OctreeTexture(full, channels, UNIT, box),
+        OctreeTexture(pruned.tree, pruned.carried(channels), UNIT, box),
+        samples,
+    )  # fmt: skip
+
+
+def codes(texture: OctreeTexture, points: Floats, normals: Floats | None) -> tuple[Floats, Floats]:
+    """All components in codes (n, components), directions once more as unit vectors, and the alpha (n, 1)."""
+    values = texture.sample(points, list(texture.channels), "quadratic", normals=normals, normalize=False)
+    columns = []
+    for name, found in values.items():
+        found = found.astype(np.float64)
+        if name == "normal":
+            columns += [127.5 * found, 127.5 * found / np.linalg.norm(found, axis=1, keepdims=True)]
+        else:
+            columns.append(255 * (linear_to_srgb(found) if name == "base_color" else found))
+    return np.hstack(columns), values.get("alpha", np.ones((len(points), 1), np.float32)).astype(np.float64)
+
+
+def apart(scene: Scene, points: Floats, normals: Floats | None) -> Floats:
+    """By how many codes the pruned tree's field is above the full one's (n, columns)."""
+    found, _ = codes(scene.found, points, normals)
+    wanted, coverage = codes(scene.full, points, normals)
+    coverage = np.repeat(coverage, found.shape[1], axis=1)
+    if "alpha" in scene.full.channels:
+        coverage[:, -1] = 1.0
+    return coverage * (found - wanted)
+
+
+def polygon(middle: Floats, normal: Floats) -> Floats:
+    """The corners (n, 3) of the plane's polygon in the unit cube, in order around: where it cuts edges."""
+    corners = []
+    for axis, (p, q) in itertools.product(range(3), itertools.product((0.0, 1.0), repeat=2)):
+        ends = np.insert([[p, q], [p, q]], axis, [0.0, 1.0], axis=1)
+        heights = (ends - middle) @ normal
+        if heights[0] != heights[1] and heights[0] * heights[1] <= 0:
+            corners.append(ends[0] + (ends[1] - ends[0]) * heights[0] / (heights[0] - heights[1]))
+    points = np.array(corners)
+    along = np.linalg.svd(normal[None])[2][1:]
+    flat = (points - points.mean(axis=0)) @ along.T
+    return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
+
+
+def patches(samples: Samples) -> list[Floats]:
+    """The points (n, 3) of each sample's patch, in its cell: itself, corners, middles of spokes and sides."""
+    middles, normals = (samples.places + 0.5) / PLACE_STEPS, samples.normals.astype(np.float64)
+    found = []
+    for middle, normal in zip(middles, normals, strict=True):
+        ends = polygon(middle, normal)
+        after = np.roll(ends, -1, axis=0)
+        found.append(np.concatenate([[middle], ends, (ends + middle) / 2, (ends + after) / 2]))
+    return found
+
+
+def owners(samples: Samples) -> npt.NDArray[np.int64]:
+    """The finest cell of each sample."""
+    return np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
+
+
+def apart_on(scene: Scene, points: list[Floats]) -> list[Floats]:
+    """By how many codes fields are apart at each sample's points, without normals and with its own."""
+    samples, counts = scene.samples, [len(each) for each in points]
+    corners = np.repeat(decode_cells(samples.codes)[owners(samples)], counts, axis=0)
+    places = (corners + np.concatenate(points)) / (1 << DEPTH)
+    normals = np.repeat(samples.normals.astype(np.float64), counts, axis=0)
+    columns = np.hstack([apart(scene, places, facing) for facing in (None, normals)])
+    return np.split(columns, np.cumsum(counts)[:-1])
+
+
+def scores(scene: Scene) -> Floats:
+    """By how many codes each finest cell's fields are apart; those between samples by one less."""
+    found = np.zeros(scene.samples.codes.size)
+    values = apart_on(scene, patches(scene.samples))
+    for cell, each in zip(owners(scene.samples), values, strict=True):
+        corners, spokes, sides = np.split(each[1:], 3)
+        spokes = 2 * spokes - (corners + each[0]) / 2
+        sides = 2 * sides - (corners + np.roll(corners, -1, axis=0)) / 2
+        between = np.abs([corners, spokes, sides]).max() - BETWEEN
+        found[cell] = max(found[cell], np.abs(each[0]).max(), between)
+    return found
+
+
+@few
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
+def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float):
+    made = scene(seed, smooth)
+    fields = (
+        made.decoded.pruned(made.pruned),
+        made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH))),
+    )
+    expected = scores(made)
+    chosen = np.arange(0, expected.size, 2)
+    for part in (0.2, 0.6, 0.95):
+        most = float(np.quantile(expected, part))
+        clear = np.abs(expected[chosen] - most) > 0.02
+        far = far_cells(*fields, made.samples, most, np.zeros(expected.size, np.bool_), chosen)
+        np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
+
+
+@few
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 0.9]))
+def test_cells_that_are_surely_near_are_near_all_over_their_patches(seed: int, smooth: float):
+    made = scene(seed, smooth)
+    samples, cells = made.samples, np.arange(made.samples.codes.size)
+    found, full = (Looked.of(each.tree, each.channels, samples.channels) for each in (made.found, made.full))
+    random = np.random.default_rng(seed)
+    inside = []
+    for patch in patches(samples):
+        corners = patch[1 : 1 + len(patch) // 3]
+        parts = random.dirichlet(np.full(len(corners), 0.5), 8)
+        inside.append(np.concatenate([patch[:1], parts @ corners]))
+    differences = [np.abs(each) for each in apart_on(made, inside)]
+    for sure in (BARE, NEAR):
+        values = [each if sure == NEAR else each[:, : each.shape[1] // 2] for each in differences]
+        at, around = np.zeros((2, cells.size))
+        np.maximum.at(at, owners(samples), [each[0].max() for each in values])
+        np.maximum.at(around, owners(samples), [each.max() for each in values])
+        for most in (0.5, 2.0, 20.0):
+            near = near_cells(found, full, samples, most, cells) >= sure
+            assert (at[near] <= most + 0.02).all()
+            assert (around[near] <= most + BETWEEN + 0.02).all()
+    assert (near_cells(full, full, samples, 0.0, cells) == NEAR).all()
+    is_plain = list(made.full.channels) == ["base_color"] and seed % 4 == 3  # all face one way
+    assert near.any() or not is_plain or smooth > 0.01
+
+
+@kernel
+def _points_of(places: Array, normals: Array, points: Array) -> int:
+    return lay_out(places, normals, 0, points)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed: int):
+    random = np.random.default_rng(seed)
+    normal = random.integers(-2, 3, 3) if seed % 2 else random.normal(size=3)
+    normal = normal if np.any(normal) else np.array([0, 0, 1])
+    normal = np.rint(NORMAL_STEPS * normal / np.linalg.norm(normal)).astype(np.int8)
+    place = random.choice([0, PLACE_STEPS // 2, PLACE_STEPS - 1, int(random.integers(PLACE_STEPS))], 3)
+    points = np.zeros((3, MOST_POINTS), np.float32)
+    count = _points_of(place.astype(np.uint16)[None], normal[None], points)
+    points = points[:, :count].T
+    middle, corners, spokes, sides = points[0], points[1::3], points[2::3], points[3::3]
+    assert 3 <= len(corners) <= 8
+    np.testing.assert_allclose(middle, (place + 0.5) / PLACE_STEPS, atol=1e-6)
+    np.testing.assert_allclose(spokes, (corners + middle) / 2, atol=1e-6)
+    np.testing.assert_allclose(sides, (corners + np.roll(corners, -1, axis=0)) / 2, atol=1e-6)
+    for expected in polygon((place + 0.5) / PLACE_STEPS, normal.astype(np.float64)):
+        assert np.abs(corners - expected).max(axis=1).min() < 1e-4
+    # They go around: each side turns the same way.
+    turns = np.cross(np.roll(corners, -1, axis=0) - middle, corners - middle) @ normal
+    assert turns.max() < 1e-4 or turns.min() > -1e-4
+
+
+@kernel
+def _spline_rows(rows: Array, first: int, weights: Array) -> tuple[float, float, float, float]:
+    x = weights[0, 0], weights[0, 1], weights[0, 2]
+    y = weights[1, 0], weights[1, 1], weights[1, 2]
+    z = weights[2, 0], weights[2, 1], weights[2, 2]
+    return spline_rows(rows, first, x, y, z)
+
+
+@kernel
+def _spline_box(rows: Array, first: int, weights: Array) -> tuple[float, float, float, float]:
+    x = weights[0, 0], weights[0, 1], weights[0, 2]
+    y = weights[1, 0], weights[1, 1], weights[1, 2]
+    z = weights[2, 0], weights[2, 1], weights[2, 2]
+    return spline_box(rows, first, (2, 8, 40), x, y, z)
+
+
+def test_rows_are_summed_under_products_of_weights():
+    random = np.random.default_rng(0)
+    rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3)).astype(np.float32)
+    block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
+    expected = np.einsum("zyxc,x,y,z->c", block, *weights.astype(np.float64))
+    np.testing.assert_allclose(_spline_rows(rows, 5, weights), expected, rtol=1e-5)
+    apart = np.zeros((6, 5, 4, 2, 4), np.float32)  # every other row of a box of 4 × 5 × 6
+    apart[2:5, 1:4, 1:, 1] = block
+    found = _spline_box(apart.reshape(-1, 4), 2 * 40 + 8 + 2 + 1, weights)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -1,0 +1,195 @@
+"""What no picture saw is filled over the surface, and never through thin parts or from part to part."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.errors import ArgumentError
+from octex.painting.holes import filled
+from octex.painting.multigrid import graph_of, solve
+from octex.painting.sheets import Region, Sheets, sheets_of
+from octex.source.surface import Surface
+from octex.tree.morton import decode_cells
+from octex.tree.placement import Placement
+from tests.conftest import needs_jit
+from tests.make.painted import above, ball, one_color, plain, square, together
+from tests.oracles import naive_sheets
+
+Array = npt.NDArray[Any]
+
+
+def cut(surface: Surface, level: int) -> tuple[Sheets, Placement]:
+    placement = Placement.around(surface.bounds, level)
+    with ThreadPoolExecutor(1) as executor:
+        return sheets_of(surface, placement, level, executor), placement
+
+
+def tilted(mesh: tuple[Array, Array], seed: int) -> tuple[Array, Array]:
+    """Turn a mesh at random."""
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return mesh[0] @ turn, mesh[1]
+
+
+def places(surface: Surface, sheets: Sheets) -> Array:
+    """Where the middles of the sheets' largest pieces rest."""
+    corners = surface.rest[surface.triangles[sheets.triangles]]
+    found: Array = np.einsum("nck,nc->nk", corners, sheets.barycentric)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sheets_are_what_hangs_together_in_cells(seed: int) -> None:
+    thin = together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1))
+    surface = plain(tilted(thin, seed))
+    sheets, placement = cut(surface, 3)
+    naive = naive_sheets.Sheets(placement.to_texture_space(surface.rest) * 8, surface.triangles)
+    table = sheets.table
+    triangles = np.repeat(np.arange(len(surface.triangles)), np.diff(table.firsts))
+    found = [
+        (tuple(cell), frozenset(triangles[table.sheets == n].tolist()))
+        for n, cell in enumerate(decode_cells(sheets.codes).tolist())
+    ]
+    assert len(found) == len(naive.sheets)
+    numbers = [naive.sheets.index(each) for each in found]
+    np.testing.assert_allclose(sheets.areas, np.array(naive.areas)[numbers], atol=1e-6)
+    assert {frozenset((numbers[a], numbers[b])) for a, b in sheets.pairs.tolist()} == naive.pairs
+    own = sheets.at(
+        np.rint(placement.to_texture_space(surface.rest) * 2**30).astype(np.int32),
+        surface.triangles, sheets.triangles, sheets.barycentric,
+    )  # fmt: skip
+    np.testing.assert_array_equal(own, np.arange(len(found)))
+
+
+def test_triangles_without_area_part_no_sheets() -> None:
+    points, triangles = tilted(square(steps=5), 2)
+    flat = np.concatenate([triangles[:, [0, 0, 1]], triangles[:, [1, 2, 1]]])
+    expected, _ = cut(plain((points, triangles)), 3)
+    found, _ = cut(plain((points, np.concatenate([triangles, flat]))), 3)
+    np.testing.assert_array_equal(found.codes, expected.codes)
+    np.testing.assert_array_equal(found.pairs, expected.pairs)
+
+
+def test_a_solution_is_that_of_a_dense_solve() -> None:
+    random = np.random.default_rng(0)
+    surface = plain(tilted(together(square(steps=5), square(0.4, steps=2)), 1))
+    sheets, _ = cut(surface, 4)
+    values, known = random.random((len(sheets.codes), 3)), random.random(len(sheets.codes)) < 0.1
+    known &= places(surface, sheets) @ np.ones(3) < 0.3
+    found = filled(sheets, values, known, values[known].mean(axis=0))
+    expected = naive_sheets.harmonic(sheets.pairs, sheets.ties, values, known, 1e-9)
+    apart = np.abs(found - expected).max(axis=1)
+    assert apart.max() < 1e-4 * np.ptp(values)
+    np.testing.assert_array_equal(found[known], values[known])
+
+
+def test_conjugate_gradients_need_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface = ball(rings=16)
+    sheets, _ = cut(surface, 6)
+    count = len(sheets.codes)
+    hold = np.where(places(surface, sheets)[:, 1] > 0.95, 1e6, 0.0)
+    right = hold[:, None] * np.random.default_rng(0).random((count, 1))
+    graph = graph_of(sheets.pairs, sheets.ties, count)
+    exact = solve(graph, sheets.codes, 6, hold, right)
+    monkeypatch.setattr("octex.painting.multigrid._STEPS", 20)
+    assert np.abs(solve(graph, sheets.codes, 6, hold, right) - exact).max() < 1e-3
+
+
+def test_a_fill_is_harmonic_on_a_sphere() -> None:
+    surface = ball(rings=32)
+    sheets, _ = cut(surface, 6)
+    points = places(surface, sheets)
+    height = points @ np.array([1, 2, 0]) / np.sqrt(5) / np.linalg.norm(points, axis=1)
+    harmonic = np.arctanh(np.clip(height, -0.99, 0.99))[:, None]
+    known = np.abs(height) > 0.5
+    found = filled(sheets, np.where(known[:, None], harmonic, 0), known, np.zeros(1))
+    assert np.abs(found - harmonic)[~known].max() < 0.04 * np.ptp(harmonic[~known])
+
+
+def test_nothing_passes_through_thin_parts_or_between_parts() -> None:
+    """Two sheets of a wall thinner than a cell, and a third part that no one sees."""
+    surface = plain(together(square(0.0, steps=6), square(-0.01, steps=6), square(-0.4, side=0.5)))
+    sheets, _ = cut(surface, 5)
+    points = places(surface, sheets)
+    values = np.where(points[:, 2:] > -0.005, 1.0, 0.0)
+    known = (points[:, 0] < 0) & (points[:, 2] > -0.1)
+    mean = np.average(values[known], axis=0, weights=sheets.areas[known])
+    found = filled(sheets, np.where(known[:, None], values, 0.5), known, mean)[:, 0]
+    near = points[:, 2] > -0.1
+    np.testing.assert_allclose(found[near], values[near, 0], atol=1e-5)
+    np.testing.assert_allclose(found[~near], mean[0], atol=1e-5)
+
+
+@needs_jit
+def test_a_new_texture_is_whole_and_what_was_there_stays() -> None:
+    surface = ball(rings=24)
+    camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(48, 48))
+    picture = octex.Projection(one_color(camera, (0.6, 0.3, 0.1)), camera)
+    points = surface.scatter(2000)
+    whole = octex.paint(None, surface, picture, coverage=True)
+    left = octex.paint(None, surface, picture, holes="leave", coverage=True)
+    whole.validate()
+    assert whole.contains(points.rest).all()
+    seen = left.contains(points.rest)
+    assert 0.2 < seen.mean() < 0.6
+    found = whole.sample(points.rest, normals=points.normals)
+    np.testing.assert_allclose(found, np.tile([0.6, 0.3, 0.1], (2000, 1)), atol=0.01)
+    covered = whole.sample(points.rest, "coverage", "nearest")[:, 0]
+    front, back = points.rest[:, 2] > 0.85, points.rest[:, 2] < 0.15
+    assert covered[front].min() > 0.99
+    assert covered[back].max() == 0.0
+    assert covered[~front & ~back].max() > 0.3
+    np.testing.assert_array_equal(left.sample(points.rest[front], "coverage", "nearest"), 1.0)
+    colored = octex.convert(ball(rings=24), 5)
+    painted = octex.paint(colored, surface, picture, coverage=True)
+    np.testing.assert_allclose(
+        painted.sample(points.rest[back]), colored.sample(points.rest[back]), atol=1e-6
+    )
+    twice = octex.paint(painted, surface, picture, coverage=True)
+    again = twice.sample(points.rest, "coverage", "nearest")[:, 0]
+    once = painted.sample(points.rest, "coverage", "nearest")[:, 0]
+    np.testing.assert_allclose(again, 1 - (1 - once) ** 2, atol=0.01)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_region_has_the_sheets_of_the_whole(seed: int) -> None:
+    surface = plain(tilted(together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1)), seed))
+    whole, placement = cut(surface, 7)
+    codes = np.unique(whole.codes >> 9)
+    region = Region(4, codes[np.random.default_rng(seed).random(codes.size) < 0.3])
+    with ThreadPoolExecutor(1) as executor:
+        some = sheets_of(surface, placement, 7, executor, region)
+    own = np.isin(whole.codes >> 9, region.codes)
+    assert 0 < own.sum() < own.size
+    np.testing.assert_array_equal(some.codes, whole.codes[own])
+    np.testing.assert_allclose(some.areas, whole.areas[own], rtol=1e-12)
+    np.testing.assert_array_equal(some.triangles, whole.triangles[own])
+    inside = own[whole.pairs].all(axis=1)
+    np.testing.assert_array_equal(some.pairs, (np.cumsum(own) - 1)[whole.pairs[inside]])
+
+
+@needs_jit
+def test_translucent_paint_lies_on_the_fill() -> None:
+    """Half of a square is painted, its rim half transparent: between both, the fill's colours go on."""
+    surface = plain(square(steps=4))
+    camera = above(3.0, 64)
+    image = one_color(camera, (0.2, 0.4, 0.8))
+    image[:, 32:, 3] = 0.0
+    image[:, 28:32, 3] = 0.4
+    texture = octex.paint(None, surface, octex.Projection(image, camera))
+    points = surface.scatter(3000)
+    np.testing.assert_allclose(texture.sample(points.rest), np.tile([0.2, 0.4, 0.8], (3000, 1)), atol=0.01)
+
+
+def test_what_is_not_known_of_holes_is_refused() -> None:
+    surface = plain(square())
+    picture = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
+    with pytest.raises(ArgumentError, match="unknown holes 'fill'; there are: leave, smooth"):
+        octex.paint(None, surface, picture, holes="fill")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="coverage must be"):
+        octex.paint(None, surface, picture, coverage="yes")  # type: ignore[arg-type]

@@ -1,0 +1,164 @@
+"""Sessions of painting: what single calls give, bit for bit, forth and back."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import octex
+from octex.conversion.levels import CellLevels, cell_levels
+from octex.errors import ArgumentError
+from octex.painting.pictures import BLENDS, Blend
+from octex.painting.shots import sight_of
+from tests.editing.test_draft import case
+from tests.make.painted import ball
+from tests.make.same import assert_same
+from tests.properties import random_edits
+
+DIRECTIONS = (0.3, 0.5, 1.0), (-1.0, 0.2, 0.1)
+
+
+def shots(surface: octex.Surface, random: np.random.Generator) -> list[octex.Projection]:
+    """Pictures with a hole or two, of a few cameras."""
+    found = []
+    for _ in range(random.integers(1, 3)):
+        camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[random.integers(2)], size=(24, 18))
+        image = random_edits.picture(int(random.integers(1000)), 24, 18, translucent=True)
+        image[: random.integers(12), :, 3] = 0
+        blend: Blend = BLENDS[(0, 1, 4)[random.integers(3)]]
+        found.append(octex.Projection(image, camera, opacity=float(random.choice([0.5, 1])), blend=blend))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_session_gives_what_single_calls_give_forth_and_back(seed: int) -> None:
+    random, surface, texture, depth = case(seed)
+    painter = octex.Painter(texture, surface)
+    states, at = [texture], 0
+    for _ in range(10):
+        move = random.choice(["paint", "fill", "undo", "redo"], p=[0.35, 0.2, 0.3, 0.15])
+        if move in ("paint", "fill"):
+            if states[at].tree.n_cells > 60_000:
+                continue
+            before = states[at]
+            if move == "paint":
+                given, max_depth = shots(surface, random), int(random.integers(depth - 1, depth + 2))
+                stroke = painter.paint(given, max_depth=max_depth)
+                expected = octex.paint(before, surface, given, max_depth=max_depth)
+            else:
+                middle = surface.rest[surface.triangles[random.integers(len(surface.triangles))]].mean(axis=0)
+                sphere = octex.Sphere(tuple(middle.tolist()), 0.1 * float(np.ptp(surface.rest, axis=0).max()))
+                color = random.random(3)
+                stroke = painter.fill(sphere, color, opacity=0.7)
+                expected = octex.fill(before, surface, sphere, color, opacity=0.7)
+            assert_same(painter.texture(), expected)
+            assert bool(stroke) == (expected is not before)
+            if stroke:
+                states[at + 1 :] = [expected]
+                at += 1
+        elif move == "undo":
+            assert painter.undo() == (at > 0)
+            at = max(at - 1, 0)
+        else:
+            assert painter.redo() == (at + 1 < len(states))
+            at = min(at + 1, len(states) - 1)
+        assert len(painter.strokes) == at
+        painter.texture().tree.validate()
+        assert_same(painter.texture(), states[at])
+
+
+def brush(surface: octex.Surface, color: int, pixels: int = 12) -> octex.Projection:
+    """A disc of a colour on a small part of a surface."""
+    camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[0], size=(96, 96))
+    image = np.zeros((96, 96, 4), np.uint8)
+    y, x = np.mgrid[:96, :96]
+    image[np.hypot(x - 48, y - 48) < pixels / 2] = (color, 20, 30, 255)
+    return octex.Projection(image, camera)
+
+
+def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 8)
+    painter = octex.Painter(texture, surface)
+    (change,) = painter.paint(brush(surface, 200), max_depth=8)
+    assert change.nbytes < 0.1 * texture.nbytes
+    (sent,) = pickle.loads(pickle.dumps([change]))
+    assert_same(sent.applied(texture), painter.texture())
+    assert_same(sent.inverted().applied(painter.texture()), texture)
+    (deeper,) = painter.paint(brush(surface, 100), max_depth=9)
+    with pytest.raises(ArgumentError, match="made from another texture"):
+        deeper.inverted().applied(texture)
+
+
+def test_a_camera_that_stays_looks_once() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    painter = octex.Painter(octex.convert(surface, 6), surface)
+    with mock.patch("octex.painting.ground.sight_of", wraps=sight_of) as look:
+        for color in (10, 20, 30):
+            painter.paint(brush(surface, color, 30))
+        assert look.call_count == 1
+        painter.paint(octex.Projection(brush(surface, 1).image, brush(surface, 1).camera), edge_feather=2.0)
+        assert look.call_count == 2
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "lens", "orthographic"])
+def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> None:
+    sphere = ball(12)
+    x, y, z = sphere.vertices.T
+    rest = np.column_stack([1.7 * x + 0.3 * y**2, y - 0.5 * z, 0.6 * z + 0.2 * x * y])
+    surface = octex.Surface.from_arrays(sphere.vertices, sphere.triangles, rest=rest, factor=(0.5, 0.5, 0.5))
+    texture = octex.convert(surface, 8)
+    camera = octex.Camera.fitted(sphere.vertices, (0.4, 0.3, 1.0), size=(160, 160))
+    if kind == "lens":
+        camera = replace(camera, distortion=(0.2, 0.05, 0.01, -0.01))
+    elif kind == "orthographic":
+        camera = replace(
+            camera, projection="orthographic", K=np.array([[60.0, 0, 80], [0, 60, 80], [0, 0, 1]])
+        )
+    rows, columns = np.mgrid[:160, :160]
+    image = np.full((160, 160, 4), (200, 40, 90, 255), np.uint8)
+    image[..., 3] = np.clip(20 * (16 - np.hypot(columns - 60, rows - 90)), 0, 255)
+    cells: list[int] = []
+
+    def counted(*given: Any, **options: Any) -> CellLevels:
+        found = cell_levels(*given, **options)
+        cells.append(found.codes.size)
+        return found
+
+    def whole(*given: Any, reached: Any, has_gaps: bool, **options: Any) -> CellLevels:
+        assert reached and has_gaps
+        return counted(*given, **options)
+
+    made = []
+    for own in (counted, whole):
+        with mock.patch("octex.painting.layer.cell_levels", own):
+            made.append(octex.paint(texture, surface, octex.Projection(image, camera), max_depth=8))
+    assert_same(*made)
+    assert not np.array_equal(made[0].channels["base_color"].values, texture.channels["base_color"].values)
+    assert kind == "lens" or cells[0] < 0.75 * cells[1]  # what a lens bends is looked for in all the picture
+
+
+def test_a_stroke_beside_the_surface_is_none() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 5)
+    painter = octex.Painter(texture, surface)
+    assert painter.fill(octex.Sphere((9, 9, 9), 0.1), (1, 0, 0)) == ()
+    assert painter.texture() is texture
+    assert not painter.undo()
+    assert not painter.redo()
+
+
+def test_a_refused_stroke_leaves_all_as_it_was() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 5)
+    painter = octex.Painter(texture, surface)
+    with pytest.raises(ArgumentError, match="channel"):
+        painter.paint(brush(surface, 9), channel="roughness")
+    assert painter.texture() is texture
+    with pytest.raises(ArgumentError, match=r"must be an octex\.OctreeTexture"):
+        octex.Painter(None, surface)  # type: ignore[arg-type]

@@ -1,0 +1,240 @@
+"""A folder of what was done: painting goes on from it, and gives what it gives without."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import OutputError
+from octex.painting import agreement, paint, pictures, refine, shots
+from octex.painting.resuming import digest_of
+from tests.conftest import needs_jit
+from tests.photos.test_agreement import projections, ring
+from tests.properties.edit_claims import digest
+
+WORK = {
+    "decoded": (pictures, "_window_of"),
+    "seen": (shots, "visibility_of"),
+    "compared": (agreement, "_differences"),
+    "projected": (paint, "rasterize_paint"),
+    "refined": (refine, "_refined"),
+}
+
+
+class Counted:
+    """Counts what is done in a block."""
+
+    def __enter__(self) -> dict[str, int]:
+        self.counts = dict.fromkeys(WORK, 0)
+        self._patches = []
+        for name, (module, function) in WORK.items():
+            self._patches.append(mock.patch.object(module, function, self._counting(module, function, name)))
+            self._patches[-1].start()
+        return self.counts
+
+    def __exit__(self, *_: object) -> None:
+        for patch in self._patches:
+            patch.stop()
+
+    def _counting(self, module: Any, function: str, name: str) -> Any:
+        call = getattr(module, function)
+
+        def counted(*given: Any, **named: Any) -> Any:
+            self.counts[name] += 1
+            return call(*given, **named)
+
+        return counted
+
+
+def scene() -> tuple[octex.Surface, list[octex.Projection], dict[str, Any]]:
+    surface, cameras, images = ring(5, 48)
+    images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
+    return surface, projections(images, cameras), {"max_depth": 5, "balance": "full"}
+
+
+@needs_jit
+def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+    surface, shown, options = scene()
+    expected = digest(octex.paint(None, surface, shown, **options))
+    folder = tmp_path / "kept"
+    with Counted() as counts:
+        assert digest(octex.paint(None, surface, shown, resume=folder, **options)) == expected
+    assert counts == {"decoded": 5, "seen": 5, "compared": 5, "projected": 1, "refined": 0}
+    with Counted() as counts:
+        assert digest(octex.paint(None, surface, shown, resume=folder, **options)) == expected
+        layer = octex.project(surface, shown, resume=folder, **options)
+    assert not any(counts.values())
+    assert digest(layer) == digest(octex.project(surface, shown, **options))
+    for path in folder.glob("layer-*"):
+        path.unlink()
+    with Counted() as counts:
+        made = octex.paint(None, surface, shown, resume=folder, memory="1kB", folder=tmp_path, **options)
+    assert digest(made) == expected
+    assert counts == {"decoded": 0, "seen": 0, "compared": 0, "projected": 1, "refined": 0}
+
+
+@needs_jit
+def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
+    surface, shown, options = scene()
+    octex.paint(None, surface, shown, resume=tmp_path, **options)
+
+    def repainted(given: list[octex.Projection], surface: octex.Surface = surface, **changed: Any) -> Any:
+        with Counted() as counts:
+            made = octex.paint(None, surface, given, resume=tmp_path, **{**options, **changed})
+        assert digest(made) == digest(octex.paint(None, surface, given, **{**options, **changed}))
+        return counts
+
+    image = np.array(shown[1].image)
+    image[0, 0] = 0.5
+    other = [shown[0], dataclasses.replace(shown[1], image=image), *shown[2:]]
+    assert repainted(other) == {"decoded": 1, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
+    dimmed = [*shown[:4], dataclasses.replace(shown[4], opacity=0.5)]
+    assert repainted(dimmed)["decoded"] == 1
+    masked = [*shown[:4], dataclasses.replace(shown[4], mask=image)]
+    assert repainted(masked)["decoded"] == 1
+    moved = [dataclasses.replace(shown[0], camera=shown[1].camera), *shown[1:]]
+    assert repainted(moved) == {"decoded": 0, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
+    changes: list[dict[str, Any]] = [
+        {"max_depth": 4},
+        {"max_angle": 50.0},
+        {"pictures": "best"},
+        {"balance": None},
+        {"fit": False},
+        {"back_faces": True},
+        {"reference": 2},
+    ]
+    for changed in changes:
+        counts = repainted(shown, **changed)
+        assert counts["decoded"] == counts["seen"] == 0
+        assert counts["projected"] == 1
+    assert repainted(shown, edge_feather=6.0)["seen"] == 5
+    assert repainted(shown, channel="emissive")["decoded"] == 5
+    larger = octex.Surface.from_arrays(surface.vertices * 1.01, surface.triangles)
+    counts = repainted(shown, larger)
+    assert (counts["decoded"], counts["seen"]) == (0, 5)
+
+
+@needs_jit
+def test_damaged_files_are_made_anew(tmp_path: Path) -> None:
+    surface, shown, options = scene()
+    expected = digest(octex.paint(None, surface, shown, resume=tmp_path, **options))
+    for kind, work in (("picture", "decoded"), ("sight", "seen"), ("differences", "compared")):
+        for damage in (cut_off, emptied, other_kind):
+            for layer in tmp_path.glob("layer-*"):
+                layer.unlink()
+            damage(next(tmp_path.glob(f"{kind}-*")), tmp_path)
+            with Counted() as counts:
+                assert digest(octex.paint(None, surface, shown, resume=tmp_path, **options)) == expected
+            assert counts == {**dict.fromkeys(WORK, 0), work: 1, "projected": 1}
+    [layer] = tmp_path.glob("layer-*")
+    cut_off(layer, tmp_path)
+    with Counted() as counts:
+        assert digest(octex.paint(None, surface, shown, resume=tmp_path, **options)) == expected
+    assert counts["projected"] == 1
+
+
+def cut_off(path: Path, _folder: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def emptied(path: Path, _folder: Path) -> None:
+    path.write_bytes(b"")
+
+
+def other_kind(path: Path, folder: Path) -> None:
+    kind = "sight" if path.name.startswith("picture") else "picture"
+    path.write_bytes(next(folder.glob(f"{kind}-*")).read_bytes())
+
+
+@needs_jit
+def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path) -> None:
+    surface, shown, options = scene()
+    expected = digest(octex.paint(None, surface, shown[:1], resume=tmp_path, **options))
+    from octex import container
+
+    for triangle in (len(surface.triangles), -2):
+        for layer in tmp_path.glob("layer-*"):
+            layer.unlink()
+        [path] = tmp_path.glob("sight-*")
+        tensors = {name: np.array(each) for name, each in container.read(path).tensors.items()}
+        tensors["triangle"][20, 20] = triangle
+        container.write(path, tensors, {})
+        assert digest(octex.paint(None, surface, shown[:1], resume=tmp_path, **options)) == expected
+
+
+@needs_jit
+def test_refined_cameras_are_kept(tmp_path: Path) -> None:
+    surface, cameras, images = ring(4, 48)
+    shown = projections(images, cameras)
+    expected = octex.refine_cameras(surface, shown)
+    for refined in (1, 0):
+        with Counted() as counts:
+            found = octex.refine_cameras(surface, shown, resume=tmp_path)
+        assert counts["refined"] == refined
+        for camera, other in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(camera.world_to_camera, other.world_to_camera)
+            np.testing.assert_array_equal(camera.K, other.K)
+    [path] = tmp_path.glob("cameras-*")
+    cut_off(path, tmp_path)
+    with Counted() as counts:
+        octex.refine_cameras(surface, shown, resume=tmp_path)
+    assert (counts["refined"], counts["decoded"]) == (1, 0)
+
+
+def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
+    surface, shown, _ = scene()
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    for folder in (file, tmp_path / "a" / "b"):
+        with pytest.raises(
+            OutputError, match=rf"{folder.name}: cannot keep what was done: .*choose a folder"
+        ):
+            octex.paint(None, surface, shown, resume=folder)
+
+
+def test_digests_tell_what_is_like_from_what_is_other() -> None:
+    a = np.arange(6, dtype=np.int32)
+    others: list[tuple[Any, ...]] = [
+        (a,), (a.astype(np.int64),), (a.reshape(2, 3),), (a + 1,), (a, None), ((a,), None), (a, (None,)),
+        (1,), (1.0,), ("1",), (b"1",), (True,), ((1, 2), 3), (1, (2, 3)), (1, 2, 3), ((),), (), ((), ()),
+    ]  # fmt: skip
+    assert len({digest_of(*parts) for parts in others}) == len(others)
+    assert digest_of(a[::2]) == digest_of(np.array([0, 2, 4], np.int32))
+    assert digest_of(np.empty((0, 3))) != digest_of(np.empty((3, 0)))
+
+
+@needs_jit
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_a_painting_that_was_killed_goes_on(tmp_path: Path) -> None:
+    surface, shown, options = scene()
+    task = (
+        "import octex, sys\n"
+        "from tests.painting.test_resuming import scene\n"
+        "surface, shown, options = scene()\n"
+        "octex.paint(None, surface, shown, resume=sys.argv[1], **options).save(sys.argv[2])\n"
+    )
+    folder, out = tmp_path / "kept", tmp_path / "out.octex"
+    process = subprocess.Popen([sys.executable, "-c", task, str(folder), str(out)])
+    while process.poll() is None and len(list(folder.glob("picture-*"))) < 3:
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not out.exists()
+    kept = len(list(folder.glob("picture-*")))
+    assert kept >= 3
+    with Counted() as counts:
+        made = octex.paint(None, surface, shown, resume=folder, **options)
+    assert counts["decoded"] <= 5 - kept
+    assert digest(made) == digest(octex.paint(None, surface, shown, **options))
+    assert all(path.name[0] != "." for path in folder.iterdir())

@@ -1,0 +1,270 @@
+"""What only one picture saw is left out; and pictures of other exposures come to agree."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.channels import BASE_COLOR, decode
+from octex.errors import ArgumentError
+from octex.painting import agreement
+from octex.painting.balance import evened
+from octex.painting.consensus import agreed_step, medians, robust_weights
+from octex.painting.pictures import levels_of, masked
+from tests.conftest import needs_jit
+from tests.make.painted import ball, codes, picture_of
+from tests.oracles import naive_agreement
+from tests.properties.edit_claims import LARGEST_GAIN, digest
+from tests.properties.random_edits import camera, picture, waved
+
+Array = npt.NDArray[Any]
+
+
+def test_the_mode_is_the_colour_that_most_are_near_to() -> None:
+    random = np.random.default_rng(0)
+    for count in (2, 3, 5, 9):
+        colors = random.uniform(0, 0.6, (count, 300, 3)).astype(np.float32)
+        colors[: count // 2 + 1] = colors[:1] + random.normal(0, 0.01, colors[: count // 2 + 1].shape)
+        weights = (random.uniform(0, 1, (count, 300)) * (random.random((count, 300)) < 0.8)).astype(
+            np.float32
+        )
+        for own in range(count):
+            found = np.empty((300, 3), np.float32)
+            agreement.find_modes(colors, weights, own, found)
+            expected = [naive_agreement.mode(colors[:, n], weights[:, n], own) for n in range(300)]
+            np.testing.assert_allclose(found, expected, atol=0.01)
+            assert np.isfinite(found).any() == (count > 2)
+
+
+def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
+    random = np.random.default_rng(6)
+    codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
+    modes[random.random((9, 13)) < 0.6] = np.nan
+    found = agreement.off_modes(codes, modes)
+    np.testing.assert_allclose(found, naive_agreement.off(codes, modes), atol=1e-3)
+    stripes = np.empty((9, 13, 3), np.float32)
+    stripes[:, ::2], stripes[:, 1::2] = 200, 30
+    assert agreement.off_modes(np.roll(stripes, 1, axis=1), stripes).max() < 1e-3
+    green = np.empty_like(stripes)
+    green[:] = 90, 150, 90  # no component of it leaves its range
+    assert agreement.off_modes(green, stripes).min() > 25
+
+
+def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None:
+    random = np.random.default_rng(1)
+    counts = []
+    for _ in range(60):
+        differences = random.uniform(0, 21, (14, 18)).astype(np.float32)
+        i, j = random.integers(0, 13, 2)
+        differences[i : i + 4, j : j + random.integers(1, 6)] += 30
+        differences[i : i + 2, j:18] += 30
+        found = agreement._mask(differences, 20.0)
+        np.testing.assert_array_equal(found, naive_agreement.mask(differences, 20.0))
+        counts.append(int((found == 0).sum()))
+    assert min(counts) == 0
+    assert max(counts) > 40
+    few = np.zeros((9, 9), np.float32)
+    few[3:5, 3:6] = 50
+    assert agreement._mask(few, 20.0).all()
+
+
+def test_what_is_not_known_is_masked_as_it_is_around() -> None:
+    differences = np.zeros((16, 16), np.float32)
+    differences[:, :8] = 50
+    differences[3:13, 2:5] = np.nan
+    differences[3:13, 11:14] = np.nan
+    found = agreement._mask(differences, 20.0)
+    assert not found[:, :8].any()
+    assert found[:, 9:].all()
+    assert agreement._mask(np.full((4, 4), np.nan, np.float32), 20.0).all()
+
+
+def test_a_mask_fades_between_the_middles_of_its_patches() -> None:
+    image = np.random.default_rng(2).random((16, 16, 4)).astype(np.float32)
+    camera = octex.Camera.pinhole((16, 16), pose=np.eye(4), convention="opencv", focal=9.0)
+    levels = levels_of(octex.Projection(image, camera), BASE_COLOR)
+    mask = np.ones((4, 4), np.float32)
+    mask[:, 2:] = 0
+    part = masked(levels, mask).pixels[:256].reshape(16, 16, 4) / levels.pixels[:256].reshape(16, 16, 4)
+    x = np.arange(16) + 0.5  # patches' middles are at 2, 6, 10, 14
+    np.testing.assert_allclose(
+        part, np.broadcast_to(np.clip((10 - x) / 4, 0, 1)[:, None], (16, 16, 4)), atol=1e-5
+    )
+
+
+def ring(count: int = 8, size: int = 96) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
+    surface = ball(rings=32)
+    cameras = [
+        octex.Camera.fitted(
+            surface.vertices, (np.sin(turn), 0.2 * (-1) ** n, np.cos(turn)), size=(size, size)
+        )
+        for n, turn in enumerate(2 * np.pi * np.arange(count) / count)
+    ]
+    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+
+
+def projections(images: list[Array], cameras: list[octex.Camera]) -> list[octex.Projection]:
+    return [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
+
+
+def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
+    samples = surface.scatter(5000)
+    seen = found.contains(samples.rest)
+    assert seen.mean() > 0.85
+    apart = codes(found.sample(samples.rest)) - codes(surface.evaluate(samples))
+    return float(np.sqrt((apart[seen] ** 2).mean()))
+
+
+@needs_jit
+def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
+    surface, cameras, images = ring()
+    seen = [image.copy() for image in images]
+    seen[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
+    shots = projections(seen, cameras)
+    clean = error(octex.paint(None, surface, projections(images, cameras), max_depth=5), surface)
+    averaged = error(octex.paint(None, surface, shots, max_depth=5, pictures="average"), surface)
+    robust = octex.paint(None, surface, shots, max_depth=5)
+    assert averaged > 4 * clean
+    assert error(robust, surface) < clean + 0.1 * (averaged - clean)
+    other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
+    assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
+
+
+@needs_jit
+def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
+    surface, cameras, images = ring(5, 48)
+    images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
+    shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
+    options: dict[str, Any] = {"max_depth": 5, "balance": "full"}
+    expected = digest(octex.paint(None, surface, shots, **options))
+    need = 64 * 5 * 48 * 48
+    other = tmp_path / "other"
+    assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
+    with pytest.raises(ArgumentError, match=r"folder: .*other is no folder; name one that is there"):
+        octex.paint(None, surface, shots, memory=need - 1, folder=other, **options)
+    assert digest(octex.paint(None, surface, shots, memory="1kB", folder=tmp_path, **options)) == expected
+    refined = octex.refine_cameras(surface, shots, memory="1kB", folder=tmp_path)
+    expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
+    np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ArgumentError, match="folder has no meaning without memory"):
+        octex.paint(None, surface, shots, folder=tmp_path)
+
+
+@needs_jit
+def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference() -> None:
+    surface, cameras, images = ring()
+    random = np.random.default_rng(3)
+    y, x = (np.mgrid[:96, :96] + 0.5 - 48) / np.hypot(48, 48)
+    clean = error(octex.paint(None, surface, projections(images, cameras), max_depth=5), surface)
+    for balance in ("gain", "full"):
+        changed = []
+        for number, image in enumerate(images):
+            gain = np.full(3, random.uniform(0.7, 1.3))
+            lost = random.uniform(0, 0.4) if balance == "full" and number != 3 else 0.0
+            gain = gain * random.uniform(0.9, 1.1, 3) if balance == "full" else gain
+            gain = np.ones(3) if number == 3 else gain
+            light = (1 - lost * (x**2 + y**2))[..., None] * gain
+            changed.append(
+                np.concatenate([image[..., :3] * light, image[..., 3:]], axis=2).astype(np.float32)
+            )
+        shots = projections(changed, cameras)
+        found = octex.paint(None, surface, shots, max_depth=5, balance=balance, reference=3)
+        assert error(found, surface) < clean + 0.5
+        assert error(octex.paint(None, surface, shots, max_depth=5), surface) > clean + 5
+    with pytest.raises(ArgumentError, match="reference must be"):
+        octex.paint(None, surface, shots, balance="full", reference=8)
+    with pytest.raises(ArgumentError, match="unknown balance 'auto'; there are: gain, full"):
+        octex.paint(None, surface, shots, balance="auto")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="unknown pictures 'most'; there are: average, best, robust"):
+        octex.paint(None, surface, shots, pictures="most")  # type: ignore[arg-type]
+
+
+def test_a_step_is_that_of_least_squares_with_free_means() -> None:
+    random = np.random.default_rng(4)
+    slopes, values = random.normal(size=(4, 50, 3)), random.normal(size=(4, 50))
+    weights = random.uniform(0, 1, (4, 50)) * (random.random((4, 50)) < 0.7)
+    ridge = np.full((4, 3), 0.1)
+    ridge[1] = np.inf
+    found = agreed_step(slopes, values, weights, ridge)
+    rows, right = [], []  # of all unknowns: changes, then the mean of each point
+    for i in range(4):
+        for n in range(50):
+            row = np.zeros(12 + 50)
+            row[3 * i : 3 * i + 3] = slopes[i, n] if i != 1 else 0
+            row[12 + n] = -1
+            rows.append(np.sqrt(weights[i, n]) * row)
+            right.append(-np.sqrt(weights[i, n]) * values[i, n])
+    for k in range(12):
+        rows.append(np.sqrt(0.1) * np.eye(62)[k])
+        right.append(0.0)
+    expected = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][:12].reshape(4, 3)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert (found[1] == 0).all()
+
+
+def test_a_weighted_median_halves_the_weight() -> None:
+    random = np.random.default_rng(3)
+    values = random.integers(0, 6, (7, 200)).astype(np.float64)
+    weights = random.integers(0, 4, (7, 200)).astype(np.float64)
+    weights[:, 0] = 0
+    found = medians(values, weights)
+    for n in range(200):
+        each = np.sort(np.repeat(values[:, n], weights[:, n].astype(int)))  # as often as it weighs
+        assert found[n] == (np.median(each) if len(each) else 0)
+    assert np.allclose(medians(values, weights / 7), found)
+
+
+def test_values_far_from_the_weighted_median_count_for_little() -> None:
+    values = np.array([[0.0, 1.0], [0.02, 1.0], [0.01, 9.0], [7.0, 1.1]])
+    weights, scale = robust_weights(values, np.array([[1.0, 1], [1, 1], [1, 1], [1, 0]]), 0.05)
+    assert weights[3, 0] < 1e-4
+    assert weights[2, 1] < 1e-4
+    assert (weights[:3, 0] > 0.3).all()
+    assert scale == 0.05
+    alone, _ = robust_weights(values[:1], np.ones((1, 2)), 0.01)
+    assert not alone.any()
+
+
+def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
+    image = np.random.default_rng(5).uniform(0.1, 1, (6, 10, 3)).astype(np.float32)
+    camera = octex.Camera.pinhole((10, 6), pose=np.eye(4), convention="opencv", focal=9.0)
+    levels = levels_of(octex.Projection(image, camera), BASE_COLOR)
+    found = evened(levels, np.array([0.3, -0.2]))
+    y, x = np.mgrid[:6, :10]
+    squares = ((x - 4.5) ** 2 + (y - 2.5) ** 2) / (25 + 9)
+    factor = np.exp(0.3 * squares - 0.2 * squares**2)[..., None]
+    np.testing.assert_allclose(
+        found.pixels[:60, :3].reshape(6, 10, 3), levels.pixels[:60, :3].reshape(6, 10, 3) * factor, rtol=1e-5
+    )
+    light = image * factor
+    assert (found.range[0] <= light.min(axis=(0, 1)) + 1e-6).all()
+    assert (found.range[1] >= light.max(axis=(0, 1)) - 1e-6).all()
+
+
+@pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])
+def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: str, first: int) -> None:
+    surface = waved(kind, 1, ["base_color"], 0)
+    texture = octex.convert(surface, 2, dtype="float32")
+    shots = [
+        octex.Projection(picture(3 * n + 1, 30, 20), camera(surface, n, 30, 20))
+        for n in range(first, first + 3)
+    ]
+    layer = octex.project(surface, shots, like=texture, max_depth=4, balance="full", fit=False)
+    colors = decode(layer.channels["base_color"].values, "srgb")
+    assert colors.max() < LARGEST_GAIN
+
+
+def test_all_orders_of_three_pictures_give_the_same_bits() -> None:
+    surface, cameras, images = ring(3, 24)
+    shots = projections(images, cameras)
+    found = [octex.paint(None, surface, order, max_depth=3, balance="full") for order in permutations(shots)]
+    for other in found[1:]:
+        for name, channel in found[0].channels.items():
+            assert np.array_equal(other.channels[name].values, channel.values)

@@ -1,0 +1,191 @@
+"""One picture for each patch: labels of least energy, borders that are levelled, and what that looks like."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import octex
+from octex.channels import BASE_COLOR
+from octex.painting import labels as labelling
+from octex.painting.best import Patches
+from octex.painting.multigrid import graph_of
+from tests.conftest import needs_jit
+from tests.make.painted import ball, codes, picture_of
+from tests.oracles import naive_labels
+from tests.painting.test_holes import cut, places
+
+Array = npt.NDArray[Any]
+
+
+def grid(rows: int, columns: int) -> Array:
+    numbers = np.arange(rows * columns).reshape(rows, columns)
+    pairs = [np.column_stack([numbers[:, :-1].ravel(), numbers[:, 1:].ravel()])]
+    pairs.append(np.column_stack([numbers[:-1].ravel(), numbers[1:].ravel()]))
+    return np.concatenate(pairs)
+
+
+def said(count: int, pictures: int, random: np.random.Generator) -> labelling.Views:
+    paint = random.uniform(0, 0.3, (pictures, count, 3)).astype(np.float32)
+    weights = (random.uniform(0, 1, (pictures, count)) ** 2).astype(np.float32)
+    weights[random.random((pictures, count)) < 0.3] = 0
+    weights[:, random.integers(count)] = 0
+    return labelling.views_of(paint, weights, random.uniform(2, 6, count))
+
+
+def test_labels_of_small_graphs_cost_little_more_than_the_best() -> None:
+    random = np.random.default_rng(0)
+    ratios = []
+    for _ in range(25):
+        rows, columns = (3, 3) if random.random() < 0.5 else (2, 4)
+        pairs, count = grid(rows, columns), rows * columns
+        ties = random.uniform(0.2, 1.0, len(pairs))
+        views = said(count, 3, random)
+        graph = graph_of(pairs, ties, count)
+        found = labelling.passed(graph, views)
+        unseen = ~np.isfinite(views.costs).any(axis=1)
+        np.testing.assert_array_equal(found < 0, unseen)
+        own = labelling.energy(graph, views, found)
+        np.testing.assert_allclose(own, naive_labels.energy(pairs, ties, *views, found.tolist()), rtol=1e-5)
+        least = naive_labels.least(pairs, ties, *views)
+        assert own >= least - 1e-4
+        ratios.append(own / least)
+    assert np.mean(np.array(ratios) < 1 + 1e-4) > 0.8
+    assert max(ratios) < 1.1
+
+
+def test_moves_only_lower_the_energy() -> None:
+    random = np.random.default_rng(1)
+    pairs = grid(12, 12)
+    graph, views = graph_of(pairs, np.ones(len(pairs)), 144), said(144, 4, random)
+    labels = np.argmin(views.costs, axis=1).astype(np.int32)
+    labels[~np.isfinite(views.costs).any(axis=1)] = -1
+    energies = [labelling.energy(graph, views, labels)]
+    while labelling._move(graph, views, labels):
+        energies.append(labelling.energy(graph, views, labels))
+    assert len(energies) > 2
+    assert (np.diff(energies) < 0).all()
+    assert labelling.energy(graph, views, labelling.passed(graph, views)) < energies[-1]
+
+
+def test_what_levels_borders_is_that_of_least_squares() -> None:
+    random = np.random.default_rng(2)
+    surface = ball(rings=6)
+    sheets, _ = cut(surface, 3)
+    count = len(sheets.codes)
+    labels = random.integers(-1, 3, count).astype(np.int32)
+    paint = random.random((3, count, 3)).astype(np.float32)
+    weights = (random.random((3, count)) < 0.7).astype(np.float32)
+    found = labelling.levelling(sheets.pairs, sheets.ties, sheets.codes, sheets.level, labels, paint, weights)
+    expected = naive_labels.levelling(sheets.pairs, sheets.ties, labels, paint, weights, 1e-3)
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def test_labels_fade_into_those_beside_them() -> None:
+    random = np.random.default_rng(5)
+    surface = ball(rings=6)
+    sheets, _ = cut(surface, 3)
+    count = len(sheets.codes)
+    labels = random.integers(-1, 3, count).astype(np.int32)
+    exposures = random.normal(size=(count, 3))
+    weights = (random.random((3, count)) < 0.7).astype(np.float32)
+    graph = graph_of(sheets.pairs, sheets.ties, count)
+    shares, means = labelling.feathered(graph, labels, exposures, weights)
+    naive = naive_labels.feathered(
+        sheets.pairs, sheets.ties, labels, exposures, weights > 0, labelling._FEATHER
+    )
+    np.testing.assert_allclose(shares, naive[0], atol=1e-6)
+    np.testing.assert_allclose(means[shares > 0], naive[1][shares > 0], atol=1e-5)
+
+
+def test_borders_of_other_exposures_are_levelled() -> None:
+    random = np.random.default_rng(4)
+    surface = ball(rings=24)
+    sheets, _ = cut(surface, 5)
+    points = places(surface, sheets)
+    labels = ((points > 0) @ [1, 2, 4]).astype(np.int32)
+    light = 0.4 + 0.3 * np.sin(3 * points)
+    gains = random.uniform(0.85, 1.15, (8, 1, 3))
+    paint = (gains * light).astype(np.float32)
+    weights = np.ones((8, len(points)), np.float32)
+    pairs = sheets.pairs
+    found = labelling.levelling(pairs, sheets.ties, sheets.codes, 5, labels, paint, weights)
+    one, other = pairs[labels[pairs[:, 0]] != labels[pairs[:, 1]]].T
+    own = np.take_along_axis(paint, labels[None, :, None], axis=0)[0]
+    made = labelling.exposed(own, found) / light
+    before, after = (np.abs(each[one] - each[other]).mean() for each in (own / light, made))
+    assert after < 0.3 * before
+    assert np.abs(made - 1).mean() < 1.1 * np.abs(own / light - 1).mean()
+
+
+@needs_jit
+def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
+    """A smooth ball seen by six pictures of other colour casts: what is out of place shows in an average."""
+    surface = ball(rings=32)
+    cameras = [
+        octex.Camera.fitted(surface.vertices, (np.sin(turn), 0.3 * (-1) ** n, np.cos(turn)), size=(96, 96))
+        for n, turn in enumerate(np.arange(6) * np.pi / 3)
+    ]
+    images = [picture_of(surface, camera) for camera in cameras]
+    shots = [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
+    samples = surface.scatter(5000)
+    truth = codes(surface.evaluate(samples))
+
+    def painted(pictures: list[octex.Projection], mode: Any) -> tuple[Array, Array]:
+        texture = octex.paint(None, surface, pictures, max_depth=6, holes="leave", pictures=mode)
+        texture.validate()
+        return codes(texture.sample(samples.rest)), texture.contains(samples.rest)
+
+    average, seen = painted(shots, "average")
+    found, also = painted(shots, "best")
+    np.testing.assert_array_equal(seen, also)
+    rms = [float(np.sqrt(((each - truth)[seen] ** 2).mean())) for each in (average, found)]
+    assert rms[1] < rms[0] + 0.5
+    np.testing.assert_array_equal(painted(shots[::-1], "best")[0], found)
+    casts = np.random.default_rng(3).uniform(0.9, 1.1, (6, 3))
+    changed = [
+        octex.Projection(np.dstack([image[..., :3] * cast, image[..., 3:]]).astype(np.float32), camera)
+        for image, camera, cast in zip(images, cameras, casts, strict=True)
+    ]
+    found, _ = painted(changed, "best")
+    assert np.sqrt(((found - truth)[seen] ** 2).mean()) < 10
+
+
+class _TwoPictures:
+    """Stands for the shots of a paint source: one paints 0.2, the other 0.8, all of them 0.5."""
+
+    channels = (BASE_COLOR,)
+    shots = (0.2, 0.8)
+
+    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
+        return np.tile(np.float32([0.5, 0.5, 0.5, 1.0]), (len(triangles), 1))
+
+    def with_shots(self, shots: list[float], numbers: list[int]) -> _TwoPictures:  # noqa: ARG002
+        alone = _TwoPictures()
+        alone.shots = tuple(shots)  # type: ignore[assignment]
+        return alone
+
+    def each(self, triangles: Array, barycentric: Array, widths: Array) -> tuple[Array, Array]:  # noqa: ARG002
+        count = len(triangles)
+        return np.full((1, count, 3), self.shots[0], np.float32), np.ones((1, count), np.float32)
+
+
+class _Sheets:
+    """Says for each point its triangle's number as the sheet; −1 for triangle 2."""
+
+    def at(self, grid: Array, faces: Array, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
+        return np.where(triangles == 2, -1, triangles)
+
+
+def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
+    shares = np.array([[1, 0], [0, 1]], np.float32)
+    none: Any = np.zeros((0, 3), np.int32)
+    source: Any = _TwoPictures()
+    sheets: Any = _Sheets()
+    own = np.arange(3, dtype=np.int32)
+    paint = Patches(source, sheets, shares, np.zeros((2, 2, 3), np.float32), (none, none), own)
+    found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
+    np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
+    assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()

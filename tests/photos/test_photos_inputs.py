@@ -1,0 +1,163 @@
+"""Photographs as they come: turned, masked, cut out, before a backdrop, deep, with cameras in arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+
+from octex.channels import BASE_COLOR, srgb_to_linear
+from octex.cli.paint import main
+from octex.errors import ArgumentError
+from octex.painting.pictures import Projection, levels_of
+from octex.painting.sharpened import sharpened
+from octex.source.images.decode import orientation_of, turned
+from octex.source.images.png import SIGNATURE
+from octex.texture import open_texture
+from octex.view.camera import Camera
+from tests.make.painted import above
+
+Array = npt.NDArray[Any]
+
+
+def wide(width: int = 6, height: int = 4) -> Camera:
+    return Camera.pinhole((width, height), pose=np.eye(4), convention="opencv", focal=8.0)
+
+
+def pixels_of(projection: Projection) -> Array:
+    camera = projection.camera
+    rows = levels_of(projection, BASE_COLOR).pixels[: camera.width * camera.height]
+    return rows.reshape(camera.height, camera.width, 4)
+
+
+def held(light: Array) -> Array:
+    """What the finest level of an opaque picture of so much light holds."""
+    return sharpened(np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pictures_are_turned_as_pillow_turns_them(tmp_path: Path, orientation: int) -> None:
+    image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    image.save(tmp_path / "a.png", exif=exif)
+    data = (tmp_path / "a.png").read_bytes()
+    assert orientation_of(data) == orientation
+    from PIL.ImageOps import exif_transpose
+
+    upright = np.asarray(exif_transpose(PIL.Image.open(tmp_path / "a.png")))
+    np.testing.assert_array_equal(turned(np.asarray(image), orientation), upright)
+    camera = wide(upright.shape[1], upright.shape[0])
+    found = pixels_of(Projection(tmp_path / "a.png", camera))
+    np.testing.assert_allclose(found, held(srgb_to_linear(upright / 255)), atol=1e-5)
+
+
+def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path: Path) -> None:
+    image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(tmp_path / "a.jpg", exif=exif)
+    stored = np.asarray(PIL.Image.open(tmp_path / "a.jpg"))
+    found = pixels_of(Projection(tmp_path / "a.jpg", wide()))
+    np.testing.assert_allclose(found, held(srgb_to_linear(stored / 255)), atol=1e-5)
+    with pytest.raises(ArgumentError, match="has 6×4 pixels, its camera 5×5"):
+        levels_of(Projection(tmp_path / "a.jpg", wide(5, 5)), BASE_COLOR)
+
+
+def test_what_is_no_photograph_has_no_orientation() -> None:
+    assert orientation_of(b"nothing") == orientation_of(SIGNATURE) == 1
+
+
+def test_a_cut_out_is_a_mask_by_its_alpha_whatever_its_colours() -> None:
+    random = np.random.default_rng(1)
+    cut_out = random.integers(0, 256, (4, 6, 4), np.uint8)
+    found = pixels_of(Projection(np.ones((4, 6, 3), np.float32), wide(), mask=cut_out))
+    np.testing.assert_allclose(found[..., 3], cut_out[..., 3] / 255, atol=1e-6)
+    grey = random.integers(0, 256, (4, 6), np.uint16) * 200
+    found = pixels_of(Projection(np.ones((4, 6, 3), np.float32), wide(), mask=grey))
+    np.testing.assert_allclose(found[..., 3], grey / 65535, atol=2e-5)
+
+
+def test_a_backdrop_is_keyed_out_as_codes_are_near() -> None:
+    image = np.full((4, 6, 3), (20, 200, 30), np.uint8)
+    image[0, 0], image[1, 1], image[2, 2] = (200, 100, 30), (44, 176, 54), (45, 200, 30)
+    linear = srgb_to_linear(image / 255).astype(np.float32)
+    for given in (image, linear, image.astype(np.uint16) * 257):
+        alpha = pixels_of(Projection(given, wide(), key=(20, 200, 30)))[..., 3]
+        assert (np.argwhere(alpha == 1) == [[0, 0], [2, 2]]).all()
+    with pytest.raises(ArgumentError, match="key must be"):
+        Projection(image, wide(), key=(1, 2))
+
+
+def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path: Path) -> None:
+    pytest.importorskip("OpenImageIO")
+    codes = np.random.default_rng(2).integers(0, 65536, (4, 6, 3), np.uint16)
+    write_deep(tmp_path / "a.png", codes)
+    found = pixels_of(Projection(tmp_path / "a.png", wide()))
+    np.testing.assert_allclose(found, held(srgb_to_linear(codes / 65535)), atol=2e-6)
+    light = np.random.default_rng(3).uniform(0, 4, (4, 6, 3)).astype(np.float32)
+    write_deep(tmp_path / "a.exr", light)
+    np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.exr", wide())), held(light))
+
+
+def write_deep(path: Path, values: Array) -> None:
+    import OpenImageIO
+
+    out = OpenImageIO.ImageOutput.create(str(path))
+    kind = "float" if values.dtype == np.float32 else "uint16"
+    assert out.open(str(path), OpenImageIO.ImageSpec(values.shape[1], values.shape[0], 3, kind))
+    assert out.write_image(values)
+    out.close()
+
+
+# From the shell
+
+
+def scene(folder: Path, **arrays: Any) -> list[str]:
+    """Write a square, and cameras above it without names."""
+    (folder / "square.obj").write_text(
+        "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n", encoding="utf-8"
+    )
+    camera = above(size=32)
+    matrices = np.stack([camera.world_to_camera] * 2)
+    np.savez(folder / "cameras.npz", viewmats=matrices, Ks=np.stack([camera.K] * 2), **arrays)
+    for name, color in (("red", (255, 0, 0)), ("blue", (0, 0, 255))):
+        PIL.Image.new("RGB", (32, 32), color).save(folder / f"{name}.png")
+    return [str(folder / "square.obj"), str(folder / "red.png"), str(folder / "blue.png")]
+
+
+def test_masks_are_found_by_the_pictures_names(tmp_path: Path) -> None:
+    files = scene(tmp_path)
+    (tmp_path / "masks").mkdir()
+    PIL.Image.new("L", (32, 32), 255).save(tmp_path / "masks" / "red.png")
+    PIL.Image.new("L", (32, 32), 0).save(tmp_path / "masks" / "blue.png")
+    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex"), "--quiet"]
+    pattern = str(tmp_path / "masks" / "{stem}.png")
+    assert main([*files, *words, "--masks", pattern]) == 0
+    found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(found, [[1, 0, 0]], atol=1e-3)
+
+
+def test_masks_that_are_missing_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = scene(tmp_path)
+    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex")]
+    assert main([*files, *words, "--masks", str(tmp_path / "{name}.mask.png")]) != 0
+    message = capsys.readouterr().err
+    assert "--masks: 2 of 2 masks are not there" in message
+    assert "red.png.mask.png" in message
+    for given, complaint in ((["--masks", "mask.png"], "has neither {stem} nor {name}"),
+                             (["--masks", "{stem}.png", "--mask", "m.png"], "give one of them")):  # fmt: skip
+        assert main([*files, *words, *given]) != 0
+        assert complaint in capsys.readouterr().err
+
+
+def test_a_key_keeps_a_backdrop_from_being_painted(tmp_path: Path) -> None:
+    files = scene(tmp_path, names=["red.png", "blue.png"], width=32, height=32)
+    words = ["--camera", str(tmp_path / "cameras.npz"), "--out", str(tmp_path / "out.octex"), "--quiet"]
+    assert main([*files, *words, "--key", "#ff0000"]) == 0
+    found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(found, [[0, 0, 1]], atol=1e-3)

@@ -1,0 +1,253 @@
+"""Cameras that are a little off find back to where their pictures agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+
+import octex
+from octex.channels import BASE_COLOR, encode
+from octex.cli.paint import main
+from octex.painting import refine
+from octex.painting.ground import Ground
+from octex.painting.moved import _read, moved, pixel_at
+from octex.painting.pictures import levels_of
+from octex.painting.refine import _better
+from octex.parallel import workers
+from tests.conftest import needs_jit
+from tests.make.painted import above, ball, picture_of
+from tests.photos.test_agreement import ring
+
+Array = npt.NDArray[Any]
+pytestmark = needs_jit
+
+
+def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
+    return moved(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
+
+
+def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
+    """A ball with waves of many lengths, and pictures all around."""
+    plain, random = ball(rings=64), np.random.default_rng(5)
+    colors = np.full(plain.vertices.shape, 0.5)
+    for _ in range(24):
+        along = random.normal(size=3)
+        waves = random.uniform(4, 22) * (plain.vertices @ along) / np.linalg.norm(along)
+        colors += 0.12 * np.sin(waves + random.uniform(0, 6))[:, None] * random.normal(size=3)
+    surface = octex.Surface.from_arrays(plain.vertices, plain.triangles, colors=np.clip(colors, 0.05, 0.95))
+    cameras = ring(count, size)[1]
+    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+
+
+def test_points_are_compared_at_the_coarsest_level_too() -> None:
+    surface, cameras, images = textured(5, 96)
+    samples = surface.scatter(500)
+    with workers(1) as executor:
+        levels = [
+            levels_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)
+        ]
+        source = refine._source(Ground(surface), cameras, levels, executor)
+    counts = []
+    for level in (0, max(refine._LEVELS)):
+        rim = refine._RIM * 2**level
+        says = refine._says(source, samples.triangles, samples.barycentric, rim)
+        counts.append(np.count_nonzero(says))
+        for shot, own in zip(source.shots, says > 0, strict=True):
+            assert (refine._margins(shot, samples.points[own]) >= rim).all()
+    assert 0.1 * counts[0] < counts[1] < counts[0]
+
+
+def disturbed(camera: octex.Camera, number: int, pixels: float) -> octex.Camera:
+    """A camera turned and moved by about so many pixels, its focal length by 0.5 %."""
+    random, view, K = np.random.default_rng(number), camera.world_to_camera.copy(), camera.K.copy()
+    turn, shift = (each / np.linalg.norm(each) for each in random.normal(size=(2, 3)))
+    turn *= pixels / K[0, 0]
+    x, y, z = 0.7 * turn
+    nearly = np.array([[1, -z, y], [z, 1, -x], [-y, x, 1]])
+    u, _, v = np.linalg.svd(nearly)
+    view[:3] = (u @ v) @ view[:3]
+    view[:3, 3] += 0.7 * shift * pixels / K[0, 0] * np.linalg.norm(camera.position)
+    K[[0, 1], [0, 1]] *= 1 + 0.005 * random.choice([-1, 1])
+    return replace(camera, world_to_camera=view, K=K)
+
+
+def shift(camera: octex.Camera, truth: octex.Camera, points: Array) -> float:
+    """By how many pixels points land elsewhere, of those that a camera sees of the ball (not behind it).
+
+    What is painted is where cameras see; how a camera would see the far side, no picture can tell.
+    """
+    toward = truth.position - points
+    cosines = (toward * points).sum(axis=1) / np.linalg.norm(toward, axis=1) / np.linalg.norm(points, axis=1)
+    seen = points[cosines > np.cos(np.radians(75))]
+    apart = camera.project(seen)[0] - truth.project(seen)[0]
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("pixels", [1.0, 2.0])
+def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(pixels: float) -> None:
+    surface, cameras, images = textured(6, 128)
+    points = surface.scatter(1000).points
+    moved = [disturbed(camera, n, pixels) if n else camera for n, camera in enumerate(cameras)]
+    light = np.random.default_rng(9).uniform(0.8, 1.2, 6)
+    light[0] = 1
+    shots = [
+        octex.Projection(image * np.array([gain, gain, gain, 1], np.float32), camera)
+        for image, camera, gain in zip(images, moved, light, strict=True)
+    ]
+    found = octex.refine_cameras(surface, shots, reference=0)
+    before = np.array([shift(*each, points) for each in zip(moved, cameras, strict=True)])
+    after = np.array([shift(*each, points) for each in zip(found, cameras, strict=True)])
+    assert np.array_equal(found[0].world_to_camera, cameras[0].world_to_camera)
+    assert np.median(before[1:]) > 0.6 * pixels
+    assert (after[1:] < before[1:]).all()
+    assert np.median(after[1:]) < 0.25
+
+
+class _Told:
+    """What three pictures show of 1000 points, and how much that tells of where the cameras are."""
+
+    says = np.ones((3, 1000))
+
+    def __init__(self, values: Array, tells: Array) -> None:
+        self._values, self._tells = values, tells
+
+    def seen(self, _numbers: Array) -> tuple[Array, Array]:
+        slopes = np.repeat(np.broadcast_to(self._tells, (3, 1000)), 3, axis=1)[..., None]
+        return np.repeat(self._values, 3, axis=1), np.repeat(slopes, 7, axis=2)
+
+
+def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest() -> None:
+    tells, is_edge = np.full(1000, 0.001), np.arange(1000) < 50
+    tells[is_edge] = 1.0
+    before, after = np.zeros((2, 3, 1000))
+    before[2, is_edge], after[2] = 0.3, np.where(is_edge, 0.02, 0.04)  # the rest in a little other light
+    given, found = _Told(before, tells), _Told(after, tells)
+    numbers = np.zeros((3, 7))
+    assert _better(given, found, numbers).tolist() == [False, False, True]  # type: ignore[arg-type]
+    assert not _better(found, given, numbers).any()  # type: ignore[arg-type]
+    assert not _better(found, found, numbers).any()  # type: ignore[arg-type]
+
+
+def test_the_order_of_pictures_does_not_matter() -> None:
+    _, cameras, images = textured(4, 48)
+    surface, order = ball(), [3, 1, 0, 2]
+    moved = [disturbed(camera, n, 1.0) for n, camera in enumerate(cameras)]
+    shots = [octex.Projection(*each) for each in zip(images, moved, strict=True)]
+    found = octex.refine_cameras(surface, shots, reference=0)
+    again = octex.refine_cameras(surface, [shots[n] for n in order], reference=2)
+    assert not all(a is b for a, b in zip(found, moved, strict=True))
+    for n, camera in zip(order, again, strict=True):
+        assert np.array_equal(camera.world_to_camera, found[n].world_to_camera)
+        assert np.array_equal(camera.K, found[n].K)
+
+
+@pytest.mark.parametrize("has_other_light", [False, True])
+def test_smooth_colours_make_no_camera_worse(has_other_light: bool) -> None:
+    surface, cameras, images = ring(6, 128)
+    points, random = surface.scatter(1000).points, np.random.default_rng(9)
+    moved = [disturbed(camera, n, 1.5) if n else camera for n, camera in enumerate(cameras)]
+    if has_other_light:  # gains, vignetting and noise
+        y, x = (np.mgrid[:128, :128] + 0.5 - 64) / np.hypot(64, 64)
+        for n, image in enumerate(images[1:], 1):
+            lost = 1 - random.uniform(0, 0.4) * (x**2 + y**2)[..., None]
+            seen = image[..., :3] * random.uniform(0.7, 1.3) * lost
+            seen += random.normal(0, 0.01, seen.shape) * image[..., 3:]
+            images[n] = np.concatenate([np.maximum(seen, 0), image[..., 3:]], axis=2).astype(np.float32)
+    shots = [octex.Projection(*each) for each in zip(images, moved, strict=True)]
+    for given, truth, found in zip(
+        moved, cameras, octex.refine_cameras(surface, shots, reference=0), strict=True
+    ):
+        assert shift(found, truth, points) <= shift(given, truth, points)
+
+
+def test_one_picture_has_nothing_to_agree_with() -> None:
+    surface, cameras, images = ring(1, 16)
+    assert octex.refine_cameras(surface, octex.Projection(images[0], cameras[0])) == cameras
+
+
+@pytest.mark.parametrize("is_parallel", [False, True])
+def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
+    camera = above(3.0, 64)
+    if is_parallel:
+        camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (50, 3))
+    for number in range(7):
+        there = moved(camera, pixel_at(camera, points), np.eye(7)[number])
+        if number not in (2, 5):  # about the axis of the view and along it, where less changes
+            assert 0.2 < shift(there, camera, points) < 3
+    assert np.array_equal(moved(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
+
+
+def test_pictures_are_read_with_their_slopes() -> None:
+    random = np.random.default_rng(4)
+    image = random.uniform(0.1, 1, (6, 9, 4)).astype(np.float32)
+    image[..., 3] = 1
+    image[2, 3, 3] = 0  # no paint
+    pixels = image.reshape(-1, 4) * image.reshape(-1, 4)[:, 3:]
+    places = random.uniform([-1, -1], [10, 7], (400, 2))
+    found = np.empty((400, 9))
+    _read(np.concatenate([pixels[:5], pixels]), np.array([5, 9, 6]), places, found)
+    light = np.where(image[..., 3:] > 0, np.sqrt(image[..., :3]).astype(np.float64), np.nan)
+    ringed = np.pad(light, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    across = (ringed[1:-1, 2:] - ringed[1:-1, :-2]) / 2
+    down = (ringed[2:, 1:-1] - ringed[:-2, 1:-1]) / 2
+    each = np.concatenate([light, across, down], axis=2)
+    expected = np.full((400, 9), np.nan)
+    for n, (x, y) in enumerate(places - 0.5):
+        if 0 <= x <= 8 and 0 <= y <= 5:
+            left, top = min(int(x), 7), min(int(y), 4)
+            u, v = x - left, y - top
+            upper = each[top, left] * (1 - u) + each[top, left + 1] * u
+            lower = each[top + 1, left] * (1 - u) + each[top + 1, left + 1] * u
+            expected[n] = upper * (1 - v) + lower * v
+    assert np.isfinite(expected).all(axis=1).sum() > 100
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
+    surface, cameras, images = ring(4, 64)
+    (tmp_path / "ball.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices.tolist())
+        + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in surface.triangles.tolist()),
+        encoding="utf-8",
+    )
+    points = surface.scatter(300).points
+    names = [f"{n}.png" for n in range(4)]
+    for name, image in zip(names, images, strict=True):
+        PIL.Image.fromarray(encode(image, "uint8", "srgb")).save(tmp_path / name)
+    moved = {
+        name: off(camera, n, points) for n, (name, camera) in enumerate(zip(names, cameras, strict=True))
+    }
+    octex.write_cameras(tmp_path / "cameras.json", moved)
+    words = [
+        "--camera",
+        tmp_path / "cameras.json",
+        "--out",
+        tmp_path / "out.octex",
+        "--max-depth",
+        4,
+        "--quiet",
+    ]
+    words += ["--refine-cameras", "--save-cameras", tmp_path / "refined.json"]
+    files = [tmp_path / "ball.obj", *(tmp_path / name for name in names)]
+    assert main([str(word) for word in [*files, *words]]) == 0
+    frames = octex.read_cameras(tmp_path / "refined.json")
+    assert [frame.name for frame in frames] == names
+    assert not all(
+        np.array_equal(frame.camera().world_to_camera, moved[frame.name].world_to_camera) for frame in frames
+    )
+
+
+def test_what_makes_no_sense_without_refining_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, complaint in (
+        ("--save-cameras c.json", "--save-cameras has no meaning without --refine-cameras"),
+        ("--reference a.png", "--reference has no meaning without --balance or --refine-cameras"),
+    ):
+        assert main(f"m.obj a.png --camera c.json --out o.octex {words}".split()) != 0
+        assert complaint in capsys.readouterr().err

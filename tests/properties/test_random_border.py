@@ -1,0 +1,88 @@
+"""The border, called with odd arguments."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import octex
+from octex import jit
+from tests.properties import random_border
+
+SEEDS = range(300 if jit.DISABLED else 1500)
+
+
+@pytest.mark.parametrize("part", range(10))
+def test_odd_arguments_give_a_result_or_an_error_of_octex(part: int) -> None:
+    for seed in SEEDS[part::10]:
+        random_border.check(seed)
+
+
+def test_all_that_octex_exports_is_called() -> None:
+    called = {call.name for call in random_border.calls()}
+    for name in {*octex.__all__, "map", "open"} - {"__version__", "OctexError"}:
+        exported = getattr(octex, name)
+        if exported is octex.Transfer or exported is octex.MappedImage or not inspect.isclass(exported):
+            assert exported.__qualname__ in called
+            continue
+        methods = {
+            f"{name}.{own}"
+            for own, each in vars(exported).items()
+            if not own.startswith("_") and (inspect.isfunction(each) or isinstance(each, classmethod))
+        }
+        # The first two check nothing, and surfaces call the others.
+        assert methods | {name} <= called | {"Surface.evaluate_all", "Creases", "PointCloud.on", "Ptex.on"}
+
+
+def test_a_fault_is_told_with_its_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    def faulty(depth: object) -> None:
+        raise KeyError(depth)
+
+    monkeypatch.setattr(random_border, "calls", lambda: [random_border.Call(faulty, {"depth": 2})])
+    with pytest.raises(AssertionError, match=r"faulty\(depth=.*\): KeyError"):
+        for seed in range(20):
+            random_border.check(seed)
+
+
+REFUSED: list[tuple[Callable[..., object], dict[str, object], str]] = [
+    (octex.convert, {"sources": 5}, "sources must be a dict, with names, not 5"),
+    (octex.convert, {"depth": 2.0}, "depth must be a whole number from 0 to 21, not 2.0"),
+    (octex.convert, {"fit": "no"}, "fit must be True or False, not 'no'"),
+    (octex.convert, {"model": "a\0.glb"}, "no file can be named 'a.x00.glb'"),
+    (octex.convert, {"executor": 4}, r"executor must be a concurrent\.futures\.Executor, not 4"),
+    (octex.convert, {"progress": True}, "progress must be a function"),
+    (octex.open, {"path": 3}, "path must be a path, not 3"),
+    (octex.open, {"path": b"\0"}, "no file can be named b'.x00'"),
+    (octex.blur, {"texture": None}, r"texture must be an octex\.OctreeTexture, not None"),
+    (octex.fill, {"surface": "a.glb"}, r"surface must be an octex\.Surface, not 'a\.glb'"),
+    (octex.map, {"f": 2}, "f must be a function of values, not 2"),
+]
+
+
+@pytest.mark.parametrize(("function", "odd", "message"), REFUSED)
+def test_what_is_odd_is_named_in_the_refusal(
+    function: Callable[..., object], odd: dict[str, object], message: str
+) -> None:
+    call = next(each for each in random_border.calls() if each.function is function)
+    with pytest.raises(octex.OctexError, match=message):
+        function(**{**call.arguments, **odd})
+
+
+def test_numbers_of_numpy_and_paths_of_any_kind_are_taken(tmp_path: Path) -> None:
+    surface = random_border.world().surface
+    one = octex.convert(surface, np.int64(2), fit=np.bool_(False), separate=np.bool_(False))
+    one.save(os.fsencode(tmp_path / "one.octex"))
+    octex.convert(surface, 2, fit=False).save(tmp_path / "other.octex")
+    assert (tmp_path / "one.octex").read_bytes() == (tmp_path / "other.octex").read_bytes()
+    for path in (tmp_path / "one.octex", str(tmp_path / "one.octex"), os.fsencode(tmp_path / "one.octex")):
+        assert octex.open(path).info() == one.info()
+    finer = octex.convert(surface, cell=np.float32(0.5), fit=False, max_error=np.float64(2))
+    assert finer.metadata["convert"].startswith('{"cell": 0.5, "fit": false, "max_error": 2.0')
+    assert octex.resize(one, np.uint8(1)).tree.max_depth == 1
+    octex.TextureSet({"a": one}).save(os.fsencode(tmp_path / "set"))
+    assert octex.TextureSet.open(os.fsencode(tmp_path / "set")).names == ("a",)

@@ -1,0 +1,177 @@
+"""Something thin: its sides at any footprint, and what cannot be told apart; averages beside the source."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.source.surface import Surface
+from octex.texture import FILTERS
+from octex.tree.layout import SPLIT
+from tests.conftest import needs_jit
+from tests.make.small_surfaces import bent, sheet, turned
+from tests.make.small_textures import unit
+
+
+@needs_jit
+@pytest.mark.parametrize("fit", [False, True])
+@pytest.mark.parametrize("thickness", [0.0, 0.004, 0.02, 0.035])  # cells are 0.038 or so wide
+@pytest.mark.parametrize("seed", range(5))
+def test_each_side_of_something_thin_shows_its_own_colour(seed: int, thickness: float, fit: bool) -> None:
+    turn = turned(seed)
+    surface = sheet(turn, thickness)
+    texture = octex.convert(surface, depth=5, fit=fit)
+    texture.validate()
+    cell = texture.placement.size / 32
+    samples = surface.scatter(150)
+    is_front = (samples.triangles < len(surface.triangles) // 2)[:, None]
+    normals = np.where(is_front, turn[:, 2], -turn[:, 2])
+    expected = np.where(is_front, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    tangents = unit(np.cross(normals, [0.3, 0.5, 0.8]))
+    across = np.cross(normals, tangents)
+    for cells in (0.1, 0.7, 1, 3, 10, 40):
+        width = cells * cell
+        for filter in FILTERS:
+            found = texture.sample(samples.rest, filter=filter, width=width, normals=normals)
+            assert np.abs(found - expected).max() <= 1 / 255
+        found = texture.sample(samples.rest, dPdx=5 * width * tangents, dPdy=width * across, normals=normals)
+        assert np.abs(found - expected).max() <= 1 / 255
+    away = np.cross(normals, [[0.3, -0.5, 0.1]])  # what faces neither shows both
+    both = texture.sample(samples.rest, width=40 * cell, normals=1e-3 * away)
+    assert (both[:, 2] < 0.01).all()
+
+
+def test_the_papers_rule_goes_down_to_where_sides_are_apart() -> None:
+    surface = sheet(np.eye(3), 0.2)
+    texture = octex.convert(surface, depth=6, fit=False)
+    samples = surface.scatter(300)
+    is_front = (samples.triangles < len(surface.triangles) // 2)[:, None]
+    expected = np.where(is_front, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    for width in (0.01, 0.2, 1.0, 10.0):
+        found = texture.sample(samples.rest, filter="nearest", width=width)
+        assert np.abs(found - expected).max() <= 1 / 255
+        # The spline between cells reaches the other side's cells where they are the next ones.
+        assert np.abs(texture.sample(samples.rest, width=width) - expected).max() < 0.45
+    blind = texture.sample(samples.rest, width=10.0, bleed_threshold=2.0)
+    np.testing.assert_allclose(blind, [[0.5, 0.5, 0.0]] * 300, atol=0.01)
+
+
+def test_a_front_and_a_back_that_are_nearly_alike_may_mix() -> None:
+    surface = sheet(np.eye(3), 0.2)
+    half = len(surface.triangles) // 2
+    colors = np.where(np.arange(2 * half)[:, None] < half, 0.5, 0.52) * np.ones(3)
+    alike = Surface.from_arrays(surface.vertices, surface.triangles, face_colors=colors)
+    texture = octex.convert(alike, depth=6, fit=False)
+    assert texture.tree.arrays.flags[0] & SPLIT
+    rest = alike.scatter(50).rest
+    np.testing.assert_allclose(texture.sample(rest, width=10.0), 0.51, atol=0.003)
+    apart = texture.sample(rest, filter="nearest", width=10.0, bleed_threshold=0.01)
+    assert (np.abs(apart - 0.51) > 0.006).all()
+
+
+def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
+    below, above = sheet(np.eye(3), 0.0), sheet(np.eye(3), 0.0, gap=0.01)
+    half = len(below.triangles) // 2
+    vertices = np.concatenate([below.vertices, above.vertices])
+    triangles = np.concatenate([below.triangles[:half], above.triangles[:half] + len(below.vertices)])
+    colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], len(below.vertices), axis=0)
+    surface = Surface.from_arrays(vertices, triangles, colors=colors)
+    texture = octex.convert(surface, depth=5)
+    found = texture.sample([[0.0, 0.0, 0.0]], width=0.1, normals=[[0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(found, [[0.5, 0.0, 0.5]], atol=0.1)
+
+
+def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
+    upper, lower = sheet(np.eye(3), 0.004, gap=0.01), sheet(np.diag([1.0, -1.0, -1.0]), 0.004, gap=0.01)
+    surface = Surface.from_arrays(
+        np.concatenate([upper.vertices, lower.vertices]),
+        np.concatenate([upper.triangles, lower.triangles + len(upper.vertices)]),
+        colors=np.tile(np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0), (2, 1)),
+    )
+    texture = octex.convert(surface, depth=4)
+    outside = np.column_stack([np.linspace(-0.4, 0.4, 50), np.zeros(50), np.full(50, 0.012)])
+    found = texture.sample(outside, width=0.2, normals=np.tile([[0.0, 0.0, 1.0]], (50, 1)))
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0.0]] * 50, atol=0.05)
+
+
+@needs_jit
+def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> None:
+    steps = np.linspace(0, 2 * np.pi, 41)
+    u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))
+    vertices = np.column_stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
+    grid = np.arange(21 * 41).reshape(21, 41)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, c, b]), np.column_stack([a, d, c])])
+    surface = Surface.from_arrays(vertices, faces, colors=np.abs(np.sin(5 * vertices)))
+    texture = octex.convert(surface, depth=6)
+    assert (texture.tree.split.cells < texture.tree.arrays.level_cells[3]).all()
+
+
+@needs_jit
+def test_what_is_thin_is_fitted_on_each_of_its_sides() -> None:
+    surface = bent(0.02)
+    samples = surface.scatter(20_000)
+    source = linear_to_srgb(surface.evaluate(samples))
+
+    def error(fit: bool, normals: np.ndarray | None) -> float:
+        found = octex.convert(surface, depth=6, fit=fit).sample(samples.rest, normals=normals)
+        return float(np.sqrt(np.mean((linear_to_srgb(found) - source) ** 2)))
+
+    assert error(True, samples.normals) < 0.65 * error(False, samples.normals) < 0.01
+    assert error(True, None) < error(False, None)
+
+
+def test_leaves_that_only_look_moved_are_not_split() -> None:
+    tree = octex.convert(sheet(np.eye(3), 0.0), depth=4, fit=False).tree
+    assert np.array_equal(tree.split.cells, np.arange(tree.n_cells))
+
+
+@needs_jit
+def test_averages_are_the_sources_whether_fitted_or_not() -> None:
+    random = np.random.default_rng(3)
+    surface = sheet(turned(3), 0.3)
+    colors = random.random((len(surface.vertices), 3))
+    surface = Surface.from_arrays(surface.vertices, surface.triangles, colors=colors)
+    fitted, means = octex.convert(surface, depth=5), octex.convert(surface, depth=5, fit=False)
+    nodes = slice(0, int(means.tree.arrays.level_cells[5]))
+    a, b = (each.channels["base_color"].values for each in (fitted, means))
+    assert np.array_equal(a[nodes], b[nodes])
+    assert not np.array_equal(a, b)
+    samples = surface.scatter(400_000)
+    source = surface.evaluate(samples)
+    cells = np.floor((samples.rest - means.placement.origin) / means.placement.size * 2).astype(int) @ [
+        1,
+        2,
+        4,
+    ]
+    at_level_one = means.level(1)
+    for code, octant in enumerate(at_level_one.tree.level_codes(1).tolist()):
+        mean = source[cells == octant].mean(axis=0)
+        stored = at_level_one.channels["base_color"].values[1 + code]
+        assert np.abs(255 * linear_to_srgb(mean) - stored).max() < 1.0
+
+
+@needs_jit
+@pytest.mark.parametrize("facing", [False, True])
+def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
+    texture = octex.convert(bent(0.02), depth=5)
+    steps = 30_000
+    turn = np.linspace(0.3, 2.8, steps)
+    outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+    path = outward + np.array([0.0, 0.0, 0.43])
+    for width in (0.0, 0.05, 0.3, 1.0):
+        found = texture.sample(path, width=width, normals=outward if facing else None)
+        assert np.abs(np.diff(found, axis=0)).max() < 0.003
+        assert np.ptp(found) > 0.05
+    point = np.repeat(path[5000:5001], steps, axis=0)
+    normals = np.repeat(outward[5000:5001], steps, axis=0) if facing else None
+    widths = np.exp(np.linspace(np.log(0.005), np.log(9.0), steps))
+    zoom = texture.sample(point, width=widths, normals=normals)
+    assert np.abs(np.diff(zoom, axis=0)).max() < 0.003
+    right, down = np.array([[1.0, 0.3, 0.0]]), np.array([[0.0, 0.2, 0.2]])
+    long = texture.sample(point, dPdx=right * widths[:, None], dPdy=down * widths[:, None], normals=normals)
+    assert np.abs(np.diff(long, axis=0)).max() < 0.003
+    blind = texture.sample(point, width=widths, bleed_threshold=np.inf)
+    assert np.abs(np.diff(blind, axis=0)).max() < 0.003

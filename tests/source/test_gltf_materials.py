@@ -1,0 +1,368 @@
+"""The channels that glTF materials state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from octex.channels import srgb_to_linear
+from octex.errors import ImageError, ModelError
+from octex.source.images.decode import decode_image
+from octex.source.load import load_surface
+from octex.source.models import gltf_materials
+from octex.source.surface import Surface, SurfaceSamples
+from tests.make.agreement import assert_agrees
+from tests.make.fixtures import (
+    CLAMP,
+    LINEAR,
+    NEAREST,
+    SQUARE,
+    SQUARE_UV,
+    Gltf,
+    png,
+    random_image,
+    textured_square,
+)
+
+
+def test_opaque_materials_ignore_alpha(tmp_path: Path) -> None:
+    image = png(random_image(4, 4, 4))
+    surface = assert_agrees(textured_square(tmp_path / "a.glb", image, factor=(1, 1, 1, 0.2)))
+    assert [channel.name for channel in surface.channels] == ["base_color"]
+
+
+@pytest.mark.parametrize(
+    "options", [{"alphaMode": "BLEND"}, {"alphaMode": "MASK"}, {"alphaMode": "MASK", "alphaCutoff": 0.2}]
+)
+@pytest.mark.parametrize("mag", [NEAREST, LINEAR])
+def test_alpha_is_a_channel_where_a_material_uses_it(
+    tmp_path: Path, options: dict[str, Any], mag: int
+) -> None:
+    image = png(random_image(6, 6, 4))
+    surface = assert_agrees(
+        textured_square(tmp_path / "a.glb", image, mag=mag, factor=(1, 1, 1, 0.7), **options), 400
+    )
+    assert [channel.name for channel in surface.channels] == ["base_color", "alpha"]
+    samples = surface.scatter(100)
+    alpha = surface.evaluate(samples, "alpha")
+    assert alpha.shape == (100, 1)
+    assert options["alphaMode"] == "BLEND" or set(np.unique(alpha)) == {0.0, 1.0}
+
+
+@pytest.mark.parametrize(("mode", "alpha"), [("BLEND", 0.3), ("MASK", 0.0)])
+def test_alpha_of_materials_without_texture_counts_too(tmp_path: Path, mode: str, alpha: float) -> None:
+    gltf = Gltf()
+    gltf.show(gltf.primitive(material=gltf.material(factor=(1, 0, 0, 0.3), alphaMode=mode)))
+    gltf.show(gltf.primitive(), translation=[0, 0, 1])
+    surface = assert_agrees(gltf.save(tmp_path / "a.glb"))
+    samples = surface.scatter(50)
+    expected = np.where(samples.points[:, 2] < 0.5, np.float32(alpha), 1)
+    np.testing.assert_allclose(surface.evaluate(samples, "alpha")[:, 0], expected)
+
+
+def test_an_opaque_image_takes_part_in_masking_by_the_factor(tmp_path: Path) -> None:
+    path = textured_square(
+        tmp_path / "a.glb", png(random_image(4, 4)), factor=(1, 1, 1, 0.4), alphaMode="MASK"
+    )
+    assert (
+        assert_agrees(path).evaluate_all(np.zeros(1), np.full((1, 3), 1 / 3), np.ones(1))[:, 3] == 0
+    ).all()
+
+
+def test_a_material_that_no_triangle_uses_adds_no_channel(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.material(alphaMode="BLEND")
+    gltf.show(gltf.primitive(material=gltf.material()))
+    assert len(load_surface(gltf.save(tmp_path / "a.glb")).channels) == 1
+
+
+# Read without interpolation, so that a point's texel is known.
+IMAGE = random_image(4, 4, 4, seed=5)
+
+
+def model(path: Path, **material: Any) -> Path:
+    """A square with one material; its texture 0 has IMAGE."""
+    gltf = Gltf()
+    gltf.texture(gltf.image(png(IMAGE)), wrap=(CLAMP, CLAMP), mag=NEAREST)
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(**material)))
+    return gltf.save(path)
+
+
+def names(surface: Surface) -> list[str]:
+    return [channel.name for channel in surface.channels]
+
+
+def texels(samples: SurfaceSamples, lanes: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """The fractions of IMAGE at points of the square."""
+    column = np.minimum(4 * samples.points[:, 0], 3).astype(int)
+    row = np.minimum(4 * (1 - samples.points[:, 1]), 3).astype(int)
+    return IMAGE[row, column][:, lanes] / 255
+
+
+def assert_gives(surface: Surface, channel: str, expected: npt.ArrayLike, samples: SurfaceSamples) -> None:
+    np.testing.assert_allclose(surface.evaluate(samples, channel), expected, atol=2e-5)
+
+
+MAP = {"index": 0}
+OLDER, STRENGTH = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_emissive_strength"
+SPECULAR, INDEX = "KHR_materials_specular", "KHR_materials_ior"
+
+
+@pytest.mark.parametrize(
+    ("material", "stated"),
+    [
+        ({}, []),
+        ({"pbr": {"metallicFactor": 1.0}}, ["metallic"]),
+        ({"pbr": {"roughnessFactor": 0.5}}, ["roughness"]),
+        ({"pbr": {"metallicRoughnessTexture": MAP}}, ["metallic", "roughness"]),
+        ({"occlusionTexture": MAP}, ["occlusion"]),
+        ({"emissiveFactor": [0, 0, 0]}, ["emissive"]),
+        ({"emissiveTexture": MAP}, ["emissive"]),
+        ({"normalTexture": MAP}, ["normal"]),
+        ({"extensions": {STRENGTH: {"emissiveStrength": 5}}}, []),
+        ({"extensions": {OLDER: {}}}, ["metallic", "roughness"]),
+        ({"extensions": {OLDER: {"specularFactor": [1, 1, 1]}}}, ["metallic", "roughness", "specular"]),
+        (
+            {"extensions": {OLDER: {"specularGlossinessTexture": MAP}}},
+            ["metallic", "roughness", "specular"],
+        ),
+        ({"extensions": {SPECULAR: {"specularFactor": 1.0}}}, ["specular"]),
+        ({"extensions": {INDEX: {"ior": 1.5}}}, ["specular"]),
+        ({"extensions": {OLDER: {}, "KHR_materials_unlit": {}}, "normalTexture": MAP}, []),
+        ({"extensions": {"KHR_materials_clearcoat": {"clearcoatNormalTexture": {"index": 9}}}}, []),
+    ],
+)
+def test_a_channel_is_what_stands_in_the_file(
+    tmp_path: Path, material: dict[str, Any], stated: list[str]
+) -> None:
+    surface = load_surface(model(tmp_path / "a.glb", **material))
+    assert names(surface) == ["base_color", *stated]
+
+
+def test_metallic_is_blue_and_roughness_green_times_their_factors(tmp_path: Path) -> None:
+    pbr = {"metallicRoughnessTexture": MAP, "metallicFactor": 0.5, "roughnessFactor": 0.25}
+    surface = load_surface(model(tmp_path / "a.glb", pbr=pbr))
+    samples = surface.scatter(50)
+    assert_gives(surface, "metallic", 0.5 * texels(samples, (2,)), samples)
+    assert_gives(surface, "roughness", 0.25 * texels(samples, (1,)), samples)
+    surface = load_surface(model(tmp_path / "a.glb", pbr={"metallicFactor": 0.3}))
+    assert_gives(surface, "metallic", np.full((50, 1), 0.3), samples)
+
+
+@pytest.mark.parametrize("strength", [None, 0.0, 0.25])
+def test_occlusion_is_red_as_far_as_its_strength_goes(tmp_path: Path, strength: float | None) -> None:
+    info = MAP if strength is None else MAP | {"strength": strength}
+    surface = load_surface(model(tmp_path / "a.glb", occlusionTexture=info))
+    samples = surface.scatter(50)
+    expected = 1 + (1 if strength is None else strength) * (texels(samples, (0,)) - 1)
+    assert_gives(surface, "occlusion", expected, samples)
+
+
+def test_emissive_is_factor_times_texture_in_linear_light_and_black_without_a_factor(tmp_path: Path) -> None:
+    surface = load_surface(model(tmp_path / "a.glb", emissiveTexture=MAP, emissiveFactor=[1, 0.5, 0.25]))
+    samples = surface.scatter(50)
+    light = srgb_to_linear(texels(samples, (0, 1, 2)))
+    assert_gives(surface, "emissive", light * [1, 0.5, 0.25], samples)
+    surface = load_surface(model(tmp_path / "a.glb", emissiveTexture=MAP))
+    assert_gives(surface, "emissive", 0 * light, samples)
+
+
+def test_emissive_strength_goes_above_1_and_is_stored_so(tmp_path: Path) -> None:
+    extensions = {STRENGTH: {"emissiveStrength": 20}}
+    path = model(tmp_path / "a.glb", emissiveTexture=MAP, emissiveFactor=[1, 0.5, 0], extensions=extensions)
+    surface = load_surface(path)
+    samples = surface.scatter(50)
+    light = srgb_to_linear(texels(samples, (0, 1, 2))) * [20, 10, 0]
+    np.testing.assert_allclose(surface.evaluate(samples, "emissive"), light, atol=1e-3)
+    form = next(channel for channel in surface.channels if channel.name == "emissive")
+    assert (form.space, form.dtype) == ("linear", "float16")
+
+
+def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path: Path) -> None:
+    pbr = {"metallicFactor": 0.5, "baseColorFactor": [0.5, 1, 1, 0.5], "baseColorTexture": MAP}
+    entry = {"extensions": {"KHR_materials_unlit": {}}, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
+    surface = load_surface(model(tmp_path / "a.glb", pbr=pbr, **entry))
+    assert names(surface) == ["base_color", "alpha"]
+    samples = surface.scatter(50)
+    assert_gives(surface, "alpha", 0.5 * texels(samples, (3,)), samples)
+
+
+@pytest.mark.parametrize(
+    ("layer", "index", "along"),
+    [
+        ({}, {}, [0.04, 0.04, 0.04]),
+        ({"specularFactor": 0.5, "specularColorFactor": [1, 2, 100]}, {}, [0.02, 0.04, 1]),
+        ({"specularColorFactor": [0, 0.5, 1]}, {"ior": 2.0}, [0, 1 / 18, 1 / 9]),
+        ({}, {"ior": 0.0}, [1, 1, 1]),
+    ],
+)
+def test_specular_is_what_is_reflected_along_the_normal(
+    tmp_path: Path, layer: dict[str, Any], index: dict[str, Any], along: list[float]
+) -> None:
+    surface = load_surface(model(tmp_path / "a.glb", extensions={SPECULAR: layer, INDEX: index}))
+    samples = surface.scatter(50)
+    assert_gives(surface, "specular", np.tile(along, (50, 1)), samples)
+    textured = {**layer, "specularColorTexture": MAP}
+    surface = load_surface(model(tmp_path / "b.glb", extensions={SPECULAR: textured, INDEX: index}))
+    assert_gives(surface, "specular", srgb_to_linear(texels(samples, (0, 1, 2))) * along, samples)
+
+
+def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy(tmp_path: Path) -> None:
+    older = {
+        "diffuseFactor": [0.5, 1, 1, 1],
+        "diffuseTexture": MAP,
+        "specularFactor": [1, 0.5, 0.25],
+        "glossinessFactor": 0.5,
+        "specularGlossinessTexture": MAP,
+    }
+    surface = assert_agrees(model(tmp_path / "a.glb", extensions={OLDER: older}, pbr={"metallicFactor": 1.0}))
+    samples = surface.scatter(50)
+    light = srgb_to_linear(texels(samples, (0, 1, 2)))
+    assert_gives(surface, "base_color", light * [0.5, 1, 1], samples)
+    assert_gives(surface, "specular", light * [1, 0.5, 0.25], samples)
+    assert_gives(surface, "roughness", 1 - 0.5 * texels(samples, (3,)), samples)
+    assert_gives(surface, "metallic", np.zeros((50, 1)), samples)
+
+
+def test_older_materials_without_glossiness_are_smooth(tmp_path: Path) -> None:
+    surface = load_surface(model(tmp_path / "a.glb", extensions={OLDER: {}}))
+    samples = surface.scatter(5)
+    assert_gives(surface, "roughness", np.zeros((5, 1)), samples)
+
+
+def test_what_a_material_does_not_state_beside_one_that_does_is_the_default(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.texture(gltf.image(png(IMAGE)))
+    stating = gltf.material(
+        pbr={"metallicFactor": 0.1, "roughnessFactor": 0.1},
+        emissiveFactor=[0.5, 0.5, 0.5],
+        occlusionTexture=MAP,
+        extensions={STRENGTH: {"emissiveStrength": 1.5}},
+    )
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=stating), gltf.primitive(SQUARE + np.float32([0, 0, 1])))
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    samples = surface.scatter(40)
+    silent = samples.points[:, 2] > 0.5
+    for channel, default in (("metallic", 1), ("roughness", 1), ("occlusion", 1), ("emissive", 0)):
+        values = surface.evaluate(samples, channel)
+        assert (values[silent] == default).all()
+        assert (values[~silent] != default).any()
+
+
+def test_only_images_that_a_wanted_channel_needs_are_read(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.add("images", uri="not there.png")
+    there = gltf.texture(gltf.image(png(IMAGE)))
+    gone = gltf.add("textures", source=0)
+    pbr = {"baseColorTexture": {"index": there}, "metallicRoughnessTexture": {"index": gone}}
+    material = gltf.material(pbr=pbr, alphaMode="BLEND", emissiveTexture={"index": gone, "texCoord": 7})
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=material))
+    path = gltf.save(tmp_path / "a.glb")
+    with pytest.raises(ImageError, match=r"a\.glb: images\[0\] cannot be read: not there\.png"):
+        load_surface(path)
+    for wanted in (["base_color"], ["alpha"], ["base_color", "alpha"]):
+        assert names(load_surface(path, channels=wanted)) == wanted
+    with pytest.raises(ImageError, match="not there"):
+        load_surface(path, channels=["roughness"])
+
+
+def test_a_channel_that_the_model_lacks_is_refused_with_a_list_of_those_it_has(tmp_path: Path) -> None:
+    path = model(tmp_path / "a.glb", pbr={"metallicFactor": 0.5}, occlusionTexture=MAP)
+    with pytest.raises(ModelError, match=r"a\.glb .*specular; .*base_color, metallic, occlusion"):
+        load_surface(path, channels=["base_color", "specular"])
+
+
+def test_an_image_is_decoded_once_however_often_it_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded = []
+
+    def counted(data: bytes, name: str) -> npt.NDArray[Any]:
+        decoded.append(name)
+        return decode_image(data, name)
+
+    monkeypatch.setattr(gltf_materials, "decode_image", counted)
+    (tmp_path / "a.png").write_bytes(png(IMAGE))
+    gltf = Gltf()
+    image = gltf.image(png(IMAGE))
+    uses = [gltf.texture(image), gltf.texture(image, wrap=(CLAMP, CLAMP))]
+    uses += [gltf.texture(gltf.add("images", uri="a.png")) for _ in range(2)]
+    pbr = {"baseColorTexture": {"index": uses[0]}, "metallicRoughnessTexture": {"index": uses[1]}}
+    material = gltf.material(pbr=pbr, occlusionTexture={"index": uses[2]}, emissiveTexture={"index": uses[3]})
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=material))
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(uses[0])), translation=[2, 0, 0])
+    load_surface(gltf.save(tmp_path / "a.glb"))
+    assert sorted(decoded) == ["a.glb: images[0]", "a.glb: images[1] (a.png)"]
+
+
+def test_each_texture_of_a_material_has_its_own_coordinates(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.texture(gltf.image(png(IMAGE)), wrap=(CLAMP, CLAMP), mag=NEAREST)
+    halved = {"KHR_texture_transform": {"scale": [0.5, 0.5], "offset": [0.25, 0]}}
+    both = gltf.material(
+        pbr={"baseColorTexture": MAP, "metallicRoughnessTexture": MAP | {"texCoord": 1}},
+        occlusionTexture=MAP | {"extensions": halved},
+        emissiveTexture=MAP | {"texCoord": 1},
+        emissiveFactor=[1, 1, 1],
+    )
+    second = gltf.accessor(np.ascontiguousarray(SQUARE_UV[:, ::-1]))
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=both, TEXCOORD_1=second))
+    # One with fewer sets, of another number; its points must not read the other's.
+    single = gltf.material(pbr={"metallicRoughnessTexture": MAP | {"texCoord": 2}})
+    third = gltf.accessor(np.float32([1, 1]) - SQUARE_UV)
+    gltf.show(gltf.primitive(material=single, TEXCOORD_2=third), translation=[0, 0, 1])
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    samples = surface.scatter(100)
+    lower, upper = samples.points[:, 2] < 0.5, samples.points[:, 2] > 0.5
+    x, y = samples.points[:, 0], samples.points[:, 1]
+
+    def at(u: npt.NDArray[np.float64], v: npt.NDArray[np.float64], lane: int) -> npt.NDArray[np.float64]:
+        column, row = (np.minimum(4 * t, 3).astype(int) for t in (u, v))
+        return (IMAGE[row, column, lane] / 255)[:, None]
+
+    np.testing.assert_allclose(
+        surface.evaluate(samples)[lower, :1], srgb_to_linear(at(x, 1 - y, 0))[lower], atol=2e-5
+    )
+    roughness = surface.evaluate(samples, "roughness")
+    np.testing.assert_allclose(roughness[lower], at(1 - y, x, 1)[lower], atol=2e-5)
+    np.testing.assert_allclose(roughness[upper], at(1 - x, y, 1)[upper], atol=2e-5)
+    occlusion = surface.evaluate(samples, "occlusion")
+    np.testing.assert_allclose(occlusion[lower], at(0.25 + x / 2, (1 - y) / 2, 0)[lower], atol=2e-5)
+    assert (occlusion[upper] == 1).all()
+
+
+def test_the_surface_keeps_the_first_coordinates_as_they_stand_in_the_file(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.texture(gltf.image(png(IMAGE)))
+    turned = MAP | {"extensions": {"KHR_texture_transform": {"rotation": 1.0}}}
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(turned)))
+    uv = load_surface(gltf.save(tmp_path / "a.glb")).uv
+    assert uv is not None
+    np.testing.assert_array_equal(uv.values[uv.rows], SQUARE_UV[[[0, 1, 2], [0, 2, 3]]])
+
+
+def test_the_surface_has_no_coordinates_where_a_primitive_lacks_the_first(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.texture(gltf.image(png(IMAGE)))
+    second = gltf.primitive(
+        material=gltf.material(MAP | {"texCoord": 1}), TEXCOORD_1=gltf.accessor(SQUARE_UV)
+    )
+    gltf.show(second, gltf.primitive(uv=SQUARE_UV))
+    assert load_surface(gltf.save(tmp_path / "a.glb")).uv is None
+    gltf = Gltf()
+    gltf.show(gltf.primitive())
+    assert load_surface(gltf.save(tmp_path / "b.glb")).uv is None
+
+
+def test_extensions_of_materials_that_are_required_and_change_no_channel_are_passed_over(
+    tmp_path: Path,
+) -> None:
+    gltf = Gltf()
+    sheen = {"KHR_materials_sheen": {"sheenColorTexture": {"index": 3}}}
+    gltf.json["extensionsRequired"] = ["KHR_materials_sheen"]
+    gltf.show(gltf.primitive(material=gltf.material(extensions=sheen)))
+    assert names(load_surface(gltf.save(tmp_path / "a.glb"))) == ["base_color"]

@@ -1,0 +1,206 @@
+"""Images, samplers, texture coordinates and vertex colours of glTF against an independent reader."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from octex.source.load import load_surface
+from tests.make.agreement import assert_agrees
+from tests.make.fixtures import (
+    CLAMP,
+    LINEAR,
+    MIRROR,
+    NEAREST,
+    REPEAT,
+    SQUARE,
+    SQUARE_UV,
+    Gltf,
+    png,
+    random_image,
+    textured_square,
+)
+
+
+@pytest.mark.parametrize("wrap_v", [REPEAT, MIRROR, CLAMP])
+@pytest.mark.parametrize("wrap_u", [REPEAT, MIRROR, CLAMP])
+@pytest.mark.parametrize("mag", [NEAREST, LINEAR])
+def test_each_wrap_of_each_axis_agrees_with_the_specification(
+    tmp_path: Path, wrap_u: int, wrap_v: int, mag: int
+) -> None:
+    image = png(random_image(5, 8))
+    path = textured_square(tmp_path / "a.glb", image, wrap=(wrap_u, wrap_v), mag=mag, scale=5.0, shift=-2.3)
+    assert_agrees(path)
+
+
+def test_a_texture_without_a_sampler_repeats_and_is_linear(tmp_path: Path) -> None:
+    assert_agrees(textured_square(tmp_path / "a.glb", png(random_image(4, 4)), scale=3.0, shift=-1.0))
+
+
+def test_a_nearest_minification_alone_leaves_magnification_linear(tmp_path: Path) -> None:
+    image = png(random_image(4, 4))
+    assert_agrees(textured_square(tmp_path / "a.glb", image, wrap=(REPEAT, REPEAT), minify=NEAREST))
+
+
+def test_the_upper_left_texel_lies_at_coordinates_0_0_which_is_the_upper_left_corner(tmp_path: Path) -> None:
+    texels = np.zeros((2, 2, 3), np.uint8)
+    texels[0, 0] = 255
+    surface = load_surface(textured_square(tmp_path / "a.glb", png(texels), wrap=(CLAMP, CLAMP), mag=NEAREST))
+    samples = surface.scatter(200)
+    is_white = surface.evaluate(samples)[:, 0] > 0.5
+    np.testing.assert_array_equal(is_white, (samples.points[:, 0] < 0.5) & (samples.points[:, 1] > 0.5))
+
+
+def test_texel_centres_lie_half_a_texel_from_the_edge(tmp_path: Path) -> None:
+    ramp = np.array([[[0] * 3, [255] * 3]], np.uint8)
+    surface = load_surface(textured_square(tmp_path / "a.glb", png(ramp), wrap=(CLAMP, CLAMP)))
+    samples = surface.scatter(300)
+    expected = np.clip(2 * samples.points[:, 0] - 0.5, 0, 1)
+    np.testing.assert_allclose(surface.evaluate(samples)[:, 1], expected, atol=1e-5)
+
+
+def test_factor_vertex_colour_and_texture_multiply(tmp_path: Path) -> None:
+    gltf = Gltf()
+    material = gltf.material(gltf.texture(gltf.image(png(random_image(3, 3)))), factor=(0.5, 0.25, 1.0, 1.0))
+    colors = np.array([[255, 0, 128], [1, 255, 3], [7, 99, 255], [255, 255, 255]], np.uint8)
+    gltf.show(gltf.primitive(uv=SQUARE_UV, colors=colors, material=material))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+@pytest.mark.parametrize(
+    "colors",
+    [
+        np.array([[0, 0.5, 1], [1, 0.25, 0], [0.1, 0.2, 0.3], [1, 1, 1]], np.float32),
+        np.array(
+            [[0, 65535, 1000, 65535], [1, 2, 3, 65535], [65535, 5, 6, 65535], [9, 9, 9, 65535]], np.uint16
+        ),
+    ],
+)
+def test_vertex_colours_are_linear_light(tmp_path: Path, colors: np.ndarray) -> None:
+    gltf = Gltf()
+    gltf.show(gltf.primitive(colors=colors))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_coordinates_may_be_normalized_integers(tmp_path: Path) -> None:
+    gltf = Gltf()
+    material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4))), wrap=(CLAMP, CLAMP)))
+    gltf.show(gltf.primitive(uv=(SQUARE_UV * 65535).astype(np.uint16), material=material))
+    gltf.show(gltf.primitive(uv=(SQUARE_UV * 255).astype(np.uint8), material=material), translation=[2, 0, 0])
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_several_materials_images_and_primitives_keep_their_own(tmp_path: Path) -> None:
+    gltf = Gltf()
+    images = [gltf.image(png(random_image(3 + i, 4, seed=i))) for i in range(2)]
+    materials = [
+        gltf.material(gltf.texture(images[0], wrap=(CLAMP, MIRROR)), factor=(1, 0.5, 1, 1)),
+        gltf.material(gltf.texture(images[1], mag=NEAREST)),
+        gltf.material(gltf.texture(images[0], wrap=(REPEAT, REPEAT))),
+        gltf.material(factor=(0.1, 0.2, 0.3, 1)),
+        None,
+    ]
+    shapes = [
+        gltf.primitive(SQUARE + np.float32([0, 0, i]), uv=SQUARE_UV * 2 - np.float32(0.5), material=material)
+        for i, material in enumerate(materials)
+    ]
+    gltf.show(*shapes[:2])
+    gltf.show(*shapes[2:])
+    assert_agrees(gltf.save(tmp_path / "a.glb"), 300)
+
+
+@pytest.mark.parametrize("through", ["texCoord", "extension"])
+def test_another_set_of_coordinates_is_used_when_the_material_names_it(tmp_path: Path, through: str) -> None:
+    gltf = Gltf()
+    info: dict[str, Any] = {"index": gltf.texture(gltf.image(png(random_image(4, 4))))}
+    if through == "texCoord":
+        info["texCoord"] = 1
+    else:
+        info["extensions"] = {"KHR_texture_transform": {"texCoord": 1}}
+    second = gltf.accessor((SQUARE_UV[::-1] * 3).astype(np.float32))
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(info), TEXCOORD_1=second))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_texture_transforms_scale_then_rotate_then_move(tmp_path: Path) -> None:
+    change = {"offset": [0.3, -0.2], "rotation": 0.7, "scale": [2.0, 0.5]}
+    gltf = Gltf()
+    texture = gltf.texture(gltf.image(png(random_image(4, 6))), wrap=(REPEAT, CLAMP))
+    info = {"index": texture, "extensions": {"KHR_texture_transform": change}}
+    gltf.json["extensionsRequired"] = ["KHR_texture_transform"]
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(info)))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_path: Path) -> None:
+    # The lower left quadrant of the image, turned clockwise.
+    texels = np.zeros((2, 2, 3), np.uint8)
+    texels[1, 0] = 255
+    change = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}
+    gltf = Gltf()
+    info = {
+        "index": gltf.texture(gltf.image(png(texels)), mag=NEAREST),
+        "extensions": {"KHR_texture_transform": change},
+    }
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(info)))
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    assert (surface.evaluate(surface.scatter(50)) == 1).all()
+
+
+def test_webp_images_are_read(tmp_path: Path) -> None:
+    import io
+
+    import PIL.Image
+
+    stream = io.BytesIO()
+    PIL.Image.fromarray(random_image(4, 4)).save(stream, "WEBP", lossless=True)
+    gltf = Gltf()
+    image = gltf.image(stream.getvalue(), "image/webp")
+    texture = gltf.add("textures", extensions={"EXT_texture_webp": {"source": image}})
+    gltf.json["extensionsRequired"] = ["EXT_texture_webp"]
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(texture)))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "a ü.png").write_bytes(png(random_image(4, 4)))
+    gltf = Gltf()
+    image = gltf.add("images", uri="../maps/a%20%C3%BC.png")
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
+    assert_agrees(gltf.save(tmp_path / "model" / "a.gltf", external=True))
+
+
+def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path: Path) -> None:
+    data = png(random_image(4, 4))
+    (tmp_path / "50%25.png").write_bytes(data)
+    surfaces = []
+    for uri in ("50%25.png", "data:image/png;base64," + base64.b64encode(data).decode()):
+        gltf = Gltf()
+        image = gltf.add("images", uri=uri)
+        gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
+        surfaces.append(load_surface(gltf.save(tmp_path / "a.gltf")))
+    samples = surfaces[0].scatter(100)
+    values = [surface.evaluate(samples) for surface in surfaces]
+    assert values[0].std() > 0.05
+    np.testing.assert_array_equal(*values)
+
+
+@pytest.mark.parametrize("style", ["base64", "base64 with line ends and no padding", "percent"])
+def test_images_may_be_data_uris(tmp_path: Path, style: str) -> None:
+    data = png(random_image(4, 4))
+    text = base64.b64encode(data).decode()
+    uri = "data:image/png;base64," + text
+    if style == "percent":
+        uri = "data:image/png," + "".join(f"%{byte:02x}" for byte in data)
+    elif style != "base64":
+        uri = "data:image/png;base64," + text[:8] + "\n" + text[8:].rstrip("=")
+    gltf = Gltf()
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(gltf.add("images", uri=uri)))))
+    surface = load_surface(gltf.save(tmp_path / "a.gltf"))
+    assert surface.evaluate(surface.scatter(100)).std() > 0.05

@@ -1,0 +1,320 @@
+"""Image files of every kind become texels without loss, or are refused by name."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from octex.errors import ImageError
+from octex.source.images.decode import as_texels, decode_image, global_settings
+from octex.source.images.openimage import MAX_TEXELS
+from octex.source.models.reading import parse_numbers
+from tests.make.deep_images import tiff
+from tests.make.fixtures import _chunk, png, random_image
+
+
+def saved(image: PIL.Image.Image, kind: str, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def expected_texels(stored: np.ndarray) -> np.ndarray:
+    """Texels of stored codes (height, width, 1 to 4), by the definition."""
+    height, width, channels = stored.shape
+    unit = 257 if stored.dtype == np.uint8 else 1
+    texels = np.full((height, width, 4), 65535)
+    for y in range(height):
+        for x in range(width):
+            codes = [int(code) * unit for code in stored[y, x]]
+            texels[y, x, :3] = codes[:3] if channels >= 3 else codes[:1] * 3
+            if channels in (2, 4):
+                texels[y, x, 3] = codes[-1]
+    return texels
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_png_images_of_8_and_16_bits_keep_every_code(channels: int, dtype: str, interlaced: bool) -> None:
+    for height, width in ((5, 7), (1, 1), (9, 2)):
+        stored = random_image(height, width, channels, dtype)
+        found = decode_image(png(stored, interlaced=interlaced), "a.png")
+        assert found.dtype == np.uint16
+        np.testing.assert_array_equal(found, expected_texels(stored))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_transparent_colour_of_a_png_image_is_transparent(channels: int, dtype: str) -> None:
+    stored = random_image(3, 3, channels, dtype)
+    codes = stored[1, 2].tolist()
+    alpha = decode_image(png(stored, transparent=codes), "a.png")[..., 3]
+    np.testing.assert_array_equal(alpha == 0, (stored == stored[1, 2]).all(axis=2))
+
+
+def test_palettes_give_their_colours_and_transparencies() -> None:
+    palette = random_image(1, 5)[0]
+    indices = np.array([[[0], [1], [2]], [[3], [4], [0]]], np.uint8)
+    found = decode_image(png(indices, palette=palette, palette_alpha=[0, 128]), "a.png")
+    np.testing.assert_array_equal(found[..., :3], palette[indices[..., 0]].astype(int) * 257)
+    np.testing.assert_array_equal(found[..., 3] // 257, [[0, 128, 255], [255, 255, 0]])
+
+
+def test_bilevel_images_are_black_and_white() -> None:
+    image = PIL.Image.fromarray(np.array([[True, False]]))
+    np.testing.assert_array_equal(decode_image(saved(image, "PNG"), "a")[0, :, 0], [65535, 0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"), [("BMP", {}), ("TIFF", {}), ("TGA", {}), ("WEBP", {"lossless": True}), ("GIF", {})]
+)
+def test_other_formats_keep_their_codes(kind: str, options: dict[str, Any]) -> None:
+    stored = np.repeat(random_image(4, 4, 1), 3, axis=2)
+    image = PIL.Image.fromarray(stored[..., 0] if kind == "GIF" else stored)
+    np.testing.assert_array_equal(decode_image(saved(image, kind, **options), "a"), expected_texels(stored))
+
+
+def test_jpeg_images_are_read() -> None:
+    stored = np.full((16, 16, 3), 200, np.uint8)
+    found = decode_image(saved(PIL.Image.fromarray(stored), "JPEG", quality=95), "a")
+    assert abs(found[..., :3].astype(int) - 200 * 257).max() <= 2 * 257
+
+
+def test_colour_profiles_and_gamma_are_ignored() -> None:
+    stored = random_image(2, 2)
+    data = png(stored)
+    at = data.index(b"IDAT") - 4
+    gamma = _chunk(b"gAMA", struct.pack(">I", 100000))
+    np.testing.assert_array_equal(decode_image(data[:at] + gamma + data[at:], "a"), expected_texels(stored))
+
+
+@pytest.mark.parametrize("channels", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_arrays_are_taken_as_codes(channels: int, dtype: str) -> None:
+    stored = random_image(3, 4, max(channels, 1), dtype)
+    given = stored if channels else stored[..., 0]
+    np.testing.assert_array_equal(as_texels(given), expected_texels(stored))
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
+def test_arrays_of_floats_are_taken_as_linear_values(dtype: str) -> None:
+    for channels in (1, 2, 3, 4):
+        values = np.random.default_rng(channels).uniform(-1, 9, (3, 4, channels)).astype(dtype)
+        expected = np.ones((3, 4, 4), np.float32)
+        expected[..., :3] = values[..., : 3 if channels >= 3 else 1]
+        if channels in (2, 4):
+            expected[..., 3] = np.clip(values[..., -1], 0, 1)
+        found = as_texels(values)
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, expected)
+    grey = PIL.Image.fromarray(np.array([[0.5, 7.0]], np.float32))
+    np.testing.assert_array_equal(as_texels(grey)[..., 2:], [[[0.5, 1], [7, 1]]])
+
+
+def test_images_of_pillow_are_taken_as_they_are() -> None:
+    stored = random_image(3, 4, 4)
+    np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(stored)), expected_texels(stored))
+    grey = random_image(3, 4, 1, "uint16")
+    np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(grey[..., 0])), expected_texels(grey))
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((2, 2, 5), np.uint8), "shape"),
+        (np.zeros((0, 2, 3), np.uint8), "shape"),
+        (np.zeros(3, np.uint8), "shape"),
+        (np.zeros((2, 2, 3), np.int16), "uint8 or uint16"),
+        (np.zeros((2, 2, 3), bool), "uint8 or uint16"),
+        (np.full((1, 2, 3), np.nan, np.float16), "6 values that are infinite or not a number"),
+        (np.full((1, 2, 3), 1e300), "6 values that are infinite"),
+        (PIL.Image.new("I", (2, 2)), "depth"),
+    ],
+)
+def test_other_arrays_are_refused(image: Any, message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        as_texels(image)
+
+
+def without(data: bytes, count: int) -> bytes:
+    return data[:-count]
+
+
+def with_header(data: bytes, **changes: int) -> bytes:
+    """A PNG file with another header, its checksum right."""
+    fields = dict(
+        zip(
+            ("width", "height", "depth", "kind", "c", "f", "i"),
+            struct.unpack_from(">IIBBBBB", data, 16),
+            strict=True,
+        )
+    )
+    return data[:8] + _chunk(b"IHDR", struct.pack(">IIBBBBB", *(fields | changes).values())) + data[33:]
+
+
+DEEP = png(random_image(8, 8, 3, "uint16"))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "not an image"),
+        (b"nothing like it", "not an image"),
+        (png(random_image(64, 64))[:500], "truncated"),
+        (saved(PIL.Image.fromarray(random_image(64, 64)), "JPEG")[:500], "cannot be read as an image"),
+        (png(random_image(4, 4))[:60] + b"!" + png(random_image(4, 4))[61:], "checksum"),
+        (with_header(png(random_image(4, 4)), width=30000, height=20000), "30000 × 20000 texels"),
+        (with_header(png(random_image(4, 4)), width=16000, height=16000), "truncated"),
+        (tiff(np.ones((2, 2, 1), np.int32), 1), "no colours"),
+        (DEEP[:-12] + _chunk(b"tEXt", b"a\0b") + _chunk(b"IDAT", b"") + DEEP[-12:], "torn apart"),
+        (DEEP[:-40], "truncated"),
+        (with_header(DEEP, height=9), "truncated"),
+        (with_header(DEEP, kind=3), "cannot be read as an image"),
+        (DEEP.replace(b"IDAT", b"IDAT", 1)[:60] + b"!" + DEEP[61:], "checksum"),
+        (png(random_image(2, 2, 3, "uint16"), filters=[0]).replace(b"IEND", b"IEND"), ""),
+    ][:-1],
+)
+def test_bad_images_are_refused_in_one_line_that_names_them(data: bytes, message: str) -> None:
+    with pytest.raises(ImageError, match=message) as caught:
+        decode_image(data, "wood.png")
+    assert "wood.png" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def rebuilt(raw: bytes) -> bytes:
+    """A 16-bit PNG file of 1 × 1 grey texels with given compressed data."""
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 0, 0, 0, 0)
+    chunks = _chunk(b"IHDR", header) + _chunk(b"IDAT", raw) + _chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks
+
+
+def test_damaged_data_of_deep_images_are_refused() -> None:
+    import zlib
+
+    with pytest.raises(ImageError, match="wood: the image data are damaged"):
+        decode_image(rebuilt(b"not deflate"), "wood")
+    with pytest.raises(ImageError, match=r"wood: the image data are damaged .unknown filter"):
+        decode_image(rebuilt(zlib.compress(b"\x09\0\0")), "wood")
+
+
+def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("octex.source.images.decode._texels", exhausted)
+    with pytest.raises(ImageError, match="more memory"):
+        decode_image(png(random_image(2, 2)), "wood")
+
+
+@pytest.mark.parametrize("kind", ["ICO", "ICNS", "PCX"])
+def test_formats_that_are_not_listed_are_not_opened(kind: str) -> None:
+    data = saved(PIL.Image.fromarray(random_image(16, 16)), kind)
+    with pytest.raises(ImageError, match="not an image of a format that octex reads: PNG, JPEG"):
+        decode_image(data, "a")
+
+
+def test_a_pillow_without_some_formats_reads_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    PIL.Image.init()
+    for kind in ("AVIF", "WEBP"):
+        monkeypatch.delitem(PIL.Image.OPEN, kind)
+    assert decode_image(png(random_image(2, 2)), "a").shape == (2, 2, 4)
+
+
+def test_an_image_of_a_few_bytes_cannot_be_of_any_size() -> None:
+    data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "WEBP", lossless=True))
+    at = data.index(b"VP8L") + 9  # after the signature: 14 bits of width − 1, 14 of height − 1
+    data[at : at + 4] = (int.from_bytes(data[at : at + 4], "little") | (1 << 28) - 1).to_bytes(4, "little")
+    with pytest.raises(ImageError, match="it cannot hold 16384 × 16384 texels"):
+        decode_image(bytes(data), "a")
+
+
+def test_the_size_of_a_jpeg_2000_image_is_that_of_its_codestream() -> None:
+    data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "JPEG2000"))
+    at = data.index(b"\xff\x4f\xff\x51") + 8  # the right and lower end of the picture
+    data[at : at + 8] = struct.pack(">II", 16000, 16000)
+    with pytest.raises(ImageError, match="it cannot hold 16000 × 16000 texels"):
+        decode_image(bytes(data), "a")
+
+
+def test_plain_images_of_formats_that_pack_well_are_read() -> None:
+    plain = PIL.Image.new("RGB", (1024, 1024), (10, 20, 30))
+    for kind in ("WEBP", "JPEG2000"):
+        assert decode_image(saved(plain, kind), "a").shape == (1024, 1024, 4)
+
+
+@pytest.mark.parametrize("compression", ["tiff_adobe_deflate", "tiff_lzw", "jpeg"])
+def test_nothing_is_printed_of_a_damaged_tiff_image(
+    compression: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = PIL.Image.fromarray(random_image(16, 16))
+    data = bytearray(saved(image, "TIFF", compression=compression))
+    refused = 0
+    for at in range(8, len(data) - 8, 16):
+        damaged = bytearray(data)
+        damaged[at : at + 8] = bytes(byte ^ 0x55 for byte in damaged[at : at + 8])
+        try:
+            decode_image(bytes(damaged), "a")
+        except ImageError as error:
+            refused += "\n" not in str(error)
+    assert refused > 5
+    assert capfd.readouterr() == ("", "")
+
+
+def test_large_images_are_not_mistaken_for_bombs() -> None:
+    before = PIL.Image.MAX_IMAGE_PIXELS
+    image = PIL.Image.new("1", (16384, 11000))
+    assert MAX_TEXELS > 11000 * 16384
+    from octex.source.images import decode as images
+
+    with images._open(io.BytesIO(saved(image, "PNG"))) as opened:
+        assert opened.size == (16384, 11000)
+    after = PIL.Image.MAX_IMAGE_PIXELS
+    assert after == before
+
+
+def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_refused(models: Path) -> None:
+    folder = models / "fragile" / "png-suite" / "tests"
+    if not folder.is_dir():
+        pytest.skip("the png suite is not there")
+    read = 0
+    for path in sorted(folder.rglob("*.png")):
+        data = path.read_bytes()
+        try:
+            texels = decode_image(data, path.name)
+        except ImageError as error:
+            assert path.name in str(error)
+            assert path.parent.name != "pngsuite" or path.name.startswith("x"), path.name
+            continue
+        assert path.parent.name != "pngsuite" or path.name[0] != "x", path.name
+        with PIL.Image.open(io.BytesIO(data)) as image:
+            try:
+                whole = np.asarray(image.convert("RGBA"))
+            except OSError:  # Pillow stops at other chunks between those of the data
+                continue
+        if image.mode != "I;16":  # of which Pillow's own conversion keeps the wrong byte
+            difference = (texels >> 8).astype(int) - whole
+            assert abs(difference).max() <= (1 if data[24] == 16 else 0), path.name
+        read += 1
+    assert read > 150
+
+
+def test_threads_change_the_warning_filters_one_at_a_time() -> None:
+    before = list(warnings.filters)
+    for read in (partial(parse_numbers, "1 2 x"), partial(decode_image, png(random_image(4, 4)), "a")):
+        with ThreadPoolExecutor(1) as pool:
+            with global_settings():
+                other = pool.submit(read)
+                with pytest.raises(TimeoutError):
+                    other.result(timeout=0.02)
+            other.result()
+    assert list(warnings.filters) == before

@@ -1,0 +1,305 @@
+"""glTF models posed by their animations, skins and morph targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.cli.main import main
+from octex.errors import ArgumentError, ModelError, ModelWarning
+from octex.preview.hits import rest_normals, visible_hits
+from octex.source.load import load_motion
+from octex.view.shading import face_normals
+from octex.view.zbuffer import z_buffer
+from tests.conftest import needs_jit
+from tests.make.fixtures import SQUARE, Gltf
+from tests.oracles.naive_poses import posed
+
+WEIGHTS = np.float32([[1, 0, 0, 0], [0.25, 0.75, 0, 0], [0.5, 0.25, 0.25, 0], [0, 0, 1, 0]])
+JOINTS = np.uint8([[0, 0, 0, 0], [0, 1, 0, 0], [2, 1, 0, 0], [0, 0, 1, 0]])
+TIMES = np.float32([0.25, 0.5, 1.5, 2.0])
+
+
+def unit(rows: np.ndarray) -> np.ndarray:
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
+def moving(path: str, mode: str, seed: int = 0) -> Gltf:
+    """A skinned, morphed square below a node that an animation moves, beside one without a skin."""
+    random = np.random.default_rng(seed)
+    gltf = Gltf()
+    offsets = [{"POSITION": gltf.accessor(random.normal(size=(4, 3)).astype(np.float32))} for _ in range(2)]
+    targets: dict[str, Any] = {"targets": offsets}
+    attributes = {"JOINTS_0": gltf.accessor(JOINTS), "WEIGHTS_0": gltf.accessor(WEIGHTS)}
+    moved = gltf.show(gltf.primitive(**attributes) | targets, translation=[5, 5, 5])
+    rigid = gltf.show(gltf.primitive() | targets, scale=[1, 2, 1], weights=[0.5, 0.25])
+    gltf.json["meshes"][0]["weights"] = [0.5, -1.0]
+    last = gltf.add("nodes", translation=[0, 1, 0])
+    middle = gltf.add("nodes", children=[last, rigid], rotation=[0, 0.6, 0, 0.8])
+    first = gltf.add("nodes", children=[middle], matrix=[*np.eye(4)[[1, 0, 2, 3]].ravel().tolist()])
+    gltf.json["scenes"][0]["nodes"] = [moved, first]
+    inverses = random.normal(size=(3, 16)).astype(np.float32)
+    inverses[:, 3:12:4], inverses[:, 15] = 0, 1
+    number = gltf.accessor(inverses.reshape(-1, 4))
+    gltf.json["accessors"][number] |= {"type": "MAT4", "count": 3}
+    gltf.json["nodes"][moved]["skin"] = gltf.add(
+        "skins", joints=[first, middle, last], inverseBindMatrices=number
+    )
+    width = {"rotation": 4, "weights": 1}.get(path, 3)
+    keys = len(TIMES) * (3 if mode == "CUBICSPLINE" else 1) * (2 if path == "weights" else 1)
+    values = random.normal(size=(keys, width)).astype(np.float32)
+    if path == "rotation" and mode != "CUBICSPLINE":
+        values = unit(values)
+    sampler = {"input": gltf.accessor(TIMES), "output": gltf.accessor(values), "interpolation": mode}
+    target = {"node": moved if path == "weights" else middle, "path": path}
+    gltf.add("animations", name="A", channels=[{"sampler": 0, "target": target}], samplers=[sampler])
+    return gltf
+
+
+@pytest.mark.parametrize("mode", ["STEP", "LINEAR", "CUBICSPLINE"])
+@pytest.mark.parametrize("path", ["translation", "rotation", "scale", "weights"])
+def test_vertices_are_where_the_specification_puts_them(tmp_path: Path, path: str, mode: str) -> None:
+    file = moving(path, mode).save(tmp_path / "a.glb")
+    rest = octex.load_surface(file)
+    for time in (0.0, 0.3, 0.5, 1.2, 1.9, 2.0):
+        surface = octex.load_surface(file, pose=f"A@{time}")
+        np.testing.assert_allclose(surface.vertices, posed(file, 0, np.float32(time)), atol=1e-5)
+        np.testing.assert_array_equal(surface.rest, rest.vertices)
+        np.testing.assert_array_equal(surface.triangles, rest.triangles)
+        assert surface.provenance["pose"] == f"A@{time}"
+
+
+def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path: Path) -> None:
+    gltf = moving("rotation", "LINEAR")
+    attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["WEIGHTS_0"] = gltf.accessor(WEIGHTS * np.float32([[2], [0.18], [0], [1]]))
+    file = gltf.save(tmp_path / "a.glb")
+    octex.load_surface(file)  # as it rests they do not matter
+    words = r"primitives\[0\]: the weights of 3 of 4 vertices do not sum to 1; octex normalizes them"
+    with pytest.warns(ModelWarning, match=words):
+        surface = octex.load_surface(file, pose="A@1.2")
+    np.testing.assert_allclose(surface.vertices, posed(file, 0, np.float32(1.2)), atol=1e-5)
+    with pytest.warns(ModelWarning, match=words):
+        motion = load_motion(file)
+    assert motion is not None
+    np.testing.assert_allclose(np.add.reduceat(motion.bones.shares, motion.bones.first[:-1]), 1, atol=1e-12)
+
+
+def test_an_animation_without_a_name_is_called_by_its_number(tmp_path: Path) -> None:
+    gltf = moving("scale", "LINEAR")
+    del gltf.json["animations"][0]["name"]
+    file = gltf.save(tmp_path / "a.glb")
+    found = octex.load_surface(file, pose="0@1").vertices
+    np.testing.assert_allclose(found, posed(file, 0, 1.0), atol=1e-5)
+
+
+def test_posed_normals_turn_with_the_joints(tmp_path: Path) -> None:
+    gltf = Gltf()
+    up = np.tile(np.float32([0, 0, 1]), (4, 1))
+    alone = np.zeros((4, 4), np.float32)
+    alone[:, 0] = 1
+    given = {"NORMAL": up, "JOINTS_0": np.zeros((4, 4), np.uint8), "WEIGHTS_0": alone}
+    node = gltf.show(gltf.primitive(**{name: gltf.accessor(rows) for name, rows in given.items()}))
+    joint = gltf.add("nodes")
+    gltf.json["scenes"][0]["nodes"].append(joint)
+    gltf.json["nodes"][node]["skin"] = gltf.add("skins", joints=[joint])
+    turns = unit(np.float32([[0, 0, 0, 1], [0.5, 0, 0, 0.5]]))  # 90° about x
+    sampler = {"input": gltf.accessor(np.float32([0, 1])), "output": gltf.accessor(turns)}
+    channel = {"sampler": 0, "target": {"node": joint, "path": "rotation"}}
+    gltf.add("animations", name="turn", channels=[channel], samplers=[sampler])
+    surface = octex.load_surface(gltf.save(tmp_path / "a.glb"), normals=True, pose="turn@0.5")
+    frames = surface.posed_frames()
+    assert frames is not None
+    normals = frames.normals.values[frames.normals.rows]
+    np.testing.assert_allclose(normals, np.broadcast_to([0, -(0.5**0.5), 0.5**0.5], (2, 3, 3)), atol=1e-6)
+    np.testing.assert_allclose(surface.scatter(9).normals, normals[0, :1].repeat(9, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ("B@1", r"has no animation 'B'; it has A \(0 to 2\.0 s\)"),
+        ("1@1", r"has no animation '1'"),
+        ("A", r"cannot be posed as 'A': give NAME@SECONDS; it has A \(0 to 2\.0 s\)"),
+        ("A@2.5", r"animation 'A' has no time '2\.5': seconds from 0 to 2\.0; it has A"),
+        ("A@-1", "has no time '-1'"),
+        ("A@nan", "has no time 'nan'"),
+        ("A@soon", "has no time 'soon'"),
+        (3, "pose must be text"),
+    ],
+)
+def test_a_pose_that_the_model_lacks_is_refused(tmp_path: Path, pose: Any, message: str) -> None:
+    file = moving("scale", "STEP").save(tmp_path / "a.glb")
+    with pytest.raises(ArgumentError, match=message):
+        octex.load_surface(file, pose=pose)
+
+
+def test_what_has_no_animation_is_not_posed(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.show(gltf.primitive())
+    with pytest.raises(ArgumentError, match=r"a\.glb has no animations; leave the pose 'A@0' out"):
+        octex.load_surface(gltf.save(tmp_path / "a.glb"), pose="A@0")
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(ArgumentError, match="only glTF models can"):
+        octex.load_surface(tmp_path / "a.obj", pose="A@0")
+
+
+def broken(change: str) -> Gltf:
+    """A model with one thing wrong."""
+    gltf = moving("weights" if "weights of" in change else "rotation", "LINEAR")
+    primitive = gltf.json["meshes"][0]["primitives"][0]
+    attributes, animation = primitive["attributes"], gltf.json["animations"][0]
+    sampler, target = animation["samplers"][0], animation["channels"][0]["target"]
+    if change == "negative weights":
+        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[2, -1, 0, 0]] * 4))
+    elif change == "weights that are not finite":
+        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.inf, 1, 0, 0]] * 4))
+    elif change == "weights that are no numbers":
+        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.nan, 1, 0, 0]] * 4))
+    elif change == "no weights":
+        del attributes["WEIGHTS_0"]
+    elif change == "no joints":
+        del attributes["JOINTS_0"]
+    elif change == "a joint out of range":
+        attributes["JOINTS_0"] = gltf.accessor(JOINTS + np.uint8(1))
+    elif change == "few inverse matrices":
+        gltf.json["accessors"][gltf.json["skins"][0]["inverseBindMatrices"]]["count"] = 2
+    elif change == "a joint beside the scene":
+        gltf.json["skins"][0]["joints"][1] = gltf.add("nodes")
+    elif change == "an empty skin":
+        gltf.json["skins"][0]["joints"] = []
+    elif change == "no skin":
+        gltf.json["skins"] = []
+    elif change == "weights of three targets":
+        gltf.json["nodes"][0]["weights"] = [0, 0, 0]
+        target["path"] = "unknown"
+    elif change == "a target of few vertices":
+        primitive["targets"][0]["POSITION"] = gltf.accessor(SQUARE[:2])
+    elif change == "an unknown interpolation":
+        sampler["interpolation"] = "WAVY"
+    elif change == "times that go back":
+        sampler["input"] = gltf.accessor(TIMES[::-1].copy())
+    elif change == "no times":
+        sampler["input"] = gltf.accessor(TIMES[:0])
+    elif change == "few values":
+        sampler["output"] = gltf.accessor(unit(np.ones((3, 4))))
+    elif change == "values of another width":
+        sampler["output"] = gltf.accessor(np.ones((4, 3), np.float32))
+    elif change == "values that are not finite":
+        sampler["output"] = gltf.accessor(np.full((4, 4), np.inf, np.float32))
+    elif change == "a sampler that is not there":
+        animation["channels"][0]["sampler"] = 1
+    elif change == "a node with a matrix":
+        target["node"] = gltf.json["skins"][0]["joints"][0]
+    elif change == "one field twice":
+        animation["channels"] *= 2
+    else:
+        target["node"] = 99
+    return gltf
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            "negative weights",
+            r"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], which must be finite and not below 0",
+        ),
+        ("weights that are not finite", "which must be finite and not below 0"),
+        ("weights that are no numbers", "which must be finite and not below 0"),
+        ("no weights", "has JOINTS_0 without weights"),
+        ("no joints", "has a skin but no JOINTS_0"),
+        ("a joint out of range", "vertex 2 is moved by joint 3, but its skin has 3"),
+        ("few inverse matrices", "has 2 inverse bind matrices for 3 joints"),
+        ("a joint beside the scene", r"joint nodes\[5\], which the scene does not show"),
+        ("an empty skin", "has no joints"),
+        ("no skin", r"refers to skins\[0\]"),
+        ("weights of three targets", r"has 2 morph targets, and nodes\[0\] weights of 3"),
+        ("a target of few vertices", r"targets\[0\] moves 2 of 4 vertices"),
+        ("an unknown interpolation", "interpolates by 'WAVY'"),
+        ("times that go back", "times that do not ascend from 0 on"),
+        ("no times", "times that do not ascend"),
+        ("few values", "has 3 values for 4 times"),
+        ("values of another width", "has type VEC3"),
+        ("values that are not finite", "has values that are not finite"),
+        ("a sampler that is not there", r"refers to samplers\[1\]"),
+        ("a node with a matrix", "which has a matrix"),
+        ("one field twice", "its rotation twice"),
+        ("a node that is not there", r"refers to nodes\[99\]"),
+    ],
+)
+def test_a_broken_animation_is_refused_in_one_line(tmp_path: Path, change: str, message: str) -> None:
+    file = broken(change).save(tmp_path / "a.glb")
+    octex.load_surface(file)  # as it rests it is read
+    with pytest.raises(ModelError, match=message) as refused:
+        octex.load_surface(file, pose="A@0")
+    assert "\n" not in str(refused.value)
+
+
+def test_broken_files_of_others_are_refused_or_posed(models: Path) -> None:
+    count = 0
+    for path in sorted((models / "fragile" / "gltf-validator").rglob("*.gltf")):
+        try:
+            octex.load_surface(path, pose="0@0")
+        except octex.OctexError as error:
+            assert "\n" not in str(error)
+        count += 1
+    assert count > 100
+
+
+@needs_jit
+def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models: Path) -> None:
+    path = models / "animated" / "Fox.glb"
+    running, looking = (octex.load_surface(path, pose=pose) for pose in ("Run@0.5", "Survey@1.2"))
+    size = (256, 256)
+    camera = octex.Camera.fitted(running.vertices, (1, 0.3, 0.2), size=size)
+    down, across = np.mgrid[:256, :256] / 255.0
+    picture = np.stack([across, down, 0.5 + 0 * down, 1 + 0 * down], axis=-1)
+    codes = np.rint(255 * picture).astype(np.uint8)
+    texture = octex.convert(octex.load_surface(path, channels=["base_color"]), 8)
+    painted = octex.paint(texture, running, octex.Projection(codes, camera))
+    seen = z_buffer(running.vertices, running.triangles, camera).triangle
+    other = octex.Camera.fitted(looking.vertices, (1, 0.5, 0.5), size=size)
+    off = []
+    for _, hits in visible_hits(looking, other, rest_normals(looking)):
+        x, y = camera.project(running.points_at(hits.triangles, hits.barycentric))[0].T
+        column, row = np.clip(np.stack([x, y]).astype(int), 2, 253)
+        # Well inside of triangles that the first camera sees, and faces.
+        inside = np.all([seen[row + i, column + j] == hits.triangles for i in (-2, 2) for j in (-2, 2)], 0)
+        faces, _ = face_normals(running.vertices, running.triangles)
+        inside &= faces[hits.triangles] @ [0.93, 0.28, 0.19] > 0.6
+        found = painted.sample(hits.rest[inside])
+        wanted = (np.stack([x, y], axis=1)[inside] - 0.5) / 255
+        off.append(255 * (linear_to_srgb(found[:, :2]) - wanted))
+    errors = np.concatenate(off)
+    assert len(errors) > 1000
+    assert np.sqrt((errors**2).mean()) < 2
+
+
+def test_a_pose_is_an_option_of_each_command_that_reads_models(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(moving("rotation", "LINEAR").save(tmp_path / "a.glb"))
+    out = str(tmp_path / "a.octex")
+    for words in (
+        ["convert", file, out],
+        ["paint", file, "--view", str(tmp_path / "view.png"), "--camera-out", str(tmp_path / "c.json")],
+    ):
+        assert main([*words, "--pose", "B@1"]) == 2
+        assert "has no animation 'B'; it has A (0 to 2.0 s)" in capsys.readouterr().err
+    assert main(["convert", file, out, "--also", file, "--pose", "A@1"]) == 2
+    assert "--pose is of one model" in capsys.readouterr().err
+    assert main(["convert", f"{tmp_path}/f.py:g", out, "--pose", "A@1"]) == 2
+    assert "--pose is of glTF models" in capsys.readouterr().err
+
+
+def test_the_fox_runs_as_a_naive_reader_has_it(models: Path) -> None:
+    path = models / "animated" / "Fox.glb"
+    surface = octex.load_surface(path, pose="Run@0.5")
+    size = np.ptp(surface.vertices, axis=0).max()
+    np.testing.assert_allclose(surface.vertices, posed(path, 2, 0.5), atol=1e-6 * size)

@@ -1,0 +1,285 @@
+"""Stored images and their levels, against sums written out; footprints of surfaces."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.channels import linear_to_srgb, srgb_to_linear
+from octex.source.images.decode import as_texels
+from octex.source.images.pyramid import (
+    AREAS,
+    DATA,
+    FLOAT,
+    MIPS,
+    RIPS,
+    SRGB,
+    SUMS,
+    WHOLE,
+    Images,
+    Picture,
+    store,
+)
+from octex.source.surface import Surface
+from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
+from tests.oracles.naive_filters import halved, reduction
+
+Floats = npt.NDArray[np.float64]
+UV_UP = SQUARE_UV * [1, -1] + [0, 1]
+
+
+def square(image: npt.NDArray[Any], *, size: tuple[float, float] = (1.0, 1.0), **options: Any) -> Surface:
+    """A square of the given size in rest units, with an image."""
+    vertices = SQUARE * np.array([*size, 1.0])
+    return Surface.from_arrays(vertices, SQUARE_TRIANGLES, uv=UV_UP, image=image, **options)
+
+
+def read(surface: Surface, points: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float32]:
+    """Every channel at points of the unit square or beside it, in parts of its sides, y up."""
+    x, y = points[:, 0], points[:, 1]
+    barycentric = np.stack([1 - x, x - y, y], axis=1)
+    triangles = np.zeros(len(points), np.int32)
+    return surface.evaluate_all(triangles, barycentric, np.full(len(points), width, np.float32))
+
+
+def levels_of(images: Images, image: int = 0, layout: int = 0) -> list[Floats]:
+    """Each level (height + 2, width + 2, 4) of an image with its rim, decoded: light or fractions."""
+    first, across, down = images.layouts[layout].tolist()
+    count = across if across == down and len(images.levels) < across * down else across * down
+    kind, base = images.kinds[image], images.bases[image]
+    found = []
+    for start, width, height in images.levels[first : first + count].tolist():
+        stride = width + 2
+        corner = base + start - stride - 1
+        rows = slice(corner, corner + stride * (height + 2))
+        if kind == FLOAT:
+            values = images.floats[rows].astype(float)
+        else:
+            words = images.codes[rows]
+            lanes = [(words >> np.uint64(16 * lane)) & np.uint64(65535) for lane in range(4)]
+            values = np.stack(lanes, axis=1) / 65535
+            if kind == SRGB:
+                values[:, :3] = srgb_to_linear(values[:, :3])
+        found.append(values.reshape(height + 2, width + 2, 4))
+    return found
+
+
+def around(values: Floats) -> Floats:
+    """An image with its border's texels once more around it."""
+    return np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
+
+
+def shares(size: int, smaller: int) -> Floats:
+    """The reduction of a row with its rim, which stays."""
+    both = np.zeros((smaller + 2, size + 2))
+    both[0, 0] = both[-1, -1] = 1
+    both[1:-1, 1:-1] = reduction(size, smaller)
+    return both
+
+
+def reduced(values: Floats, height: int, width: int, covered: bool) -> Floats:
+    """A level with its rim reduced to a size: area means, colours weighed by alpha if ``covered``."""
+    across, down = shares(values.shape[1] - 2, width), shares(values.shape[0] - 2, height)
+    if not covered:
+        return np.einsum("yj,xi,jik->yxk", down, across, values)
+    alpha = down @ values[..., 3] @ across.T
+    colors = np.einsum("yj,xi,jik->yxk", down, across, values[..., :3] * values[..., 3:])
+    return np.concatenate([colors / np.where(alpha > 0, alpha, 1)[..., None], alpha[..., None]], axis=2)
+
+
+@st.composite
+def pictures(draw: st.DrawFn) -> Picture:
+    """Images of any size, of every kind; half of them hold how much they cover."""
+    height, width = draw(st.integers(1, 9)), draw(st.integers(1, 9))
+    texels: npt.NDArray[Any] = random_image(height, width, 4, "uint16", draw(st.integers(0, 99)))
+    texels[..., 3] |= 4096  # faint texels leave no bits of colour to compare
+    kind = draw(st.sampled_from([SRGB, DATA, FLOAT]))
+    if kind == FLOAT:
+        texels = (texels / 65535 * [9, 5, 1, 1]).astype(np.float32)
+    return Picture(texels, kind == SRGB, draw(st.booleans()))
+
+
+def decoded(picture: Picture) -> Floats:
+    values = np.asarray(picture.texels, float) / (1 if picture.texels.dtype == np.float32 else 65535)
+    if picture.is_light and picture.texels.dtype != np.float32:
+        values[..., :3] = srgb_to_linear(values[..., :3])
+    return values
+
+
+@given(pictures())
+def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture: Picture) -> None:
+    height, width = picture.texels.shape[:2]
+    levels = levels_of(store([picture], MIPS).images)
+    expected = around(decoded(picture))
+    assert len(levels) == len(halved(max(height, width)))
+    for number, level in enumerate(levels):
+        if number > 0:
+            height, width = max(height // 2, 1), max(width // 2, 1)
+            expected = reduced(expected, height, width, picture.covered)
+        np.testing.assert_allclose(level, expected, atol=4e-5)
+    assert (height, width) == (1, 1)
+
+
+@given(pictures())
+def test_a_ripmap_has_every_width_with_every_height(picture: Picture) -> None:
+    height, width = picture.texels.shape[:2]
+    stored = store([picture], RIPS).images
+    sizes = list(product(halved(height), halved(width)))
+    assert stored.levels[:, [2, 1]].tolist() == [list(size) for size in sizes]
+    assert stored.layouts.tolist() == [[0, len(halved(width)), len(halved(height))]]
+    finest = around(decoded(picture))
+    for (high, wide), level in zip(sizes, levels_of(stored), strict=True):
+        expected = finest
+        for smaller in halved(width)[1 : halved(width).index(wide) + 1]:
+            expected = reduced(expected, height, smaller, picture.covered)
+        for smaller in halved(height)[1 : halved(height).index(high) + 1]:
+            expected = reduced(expected, smaller, wide, picture.covered)
+        np.testing.assert_allclose(level, expected, atol=4e-5)
+
+
+@given(pictures(), st.sampled_from([-1.0, 0.4, np.inf]))
+def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(
+    picture: Picture, threshold: float
+) -> None:
+    picture = picture._replace(threshold=threshold)
+    height, width = picture.texels.shape[:2]
+    images = store([picture], AREAS).images
+    assert (images.kinds.tolist(), images.levels.tolist()) == ([SUMS], [[0, width, height]])
+    values = decoded(picture)
+    if picture.covered:
+        if threshold >= 0:
+            values[..., 3] = values[..., 3] >= threshold
+        values[..., :3] *= values[..., 3:]
+    table = images.sums.reshape(height + 1, width + 1, 4)
+    for y, x in product(range(height + 1), range(width + 1)):
+        np.testing.assert_allclose(table[y, x], values[:y, :x].sum((0, 1)), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("what", [MIPS, RIPS])
+def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is(what: int) -> None:
+    texels = random_image(7, 6, 4, "uint16")
+    threshold = 0.6
+    levels = levels_of(store([Picture(texels, True, True, threshold)], what).images)
+    values = decoded(Picture(texels, True))
+    np.testing.assert_allclose(levels[0], around(values), atol=1e-6)
+    values[..., 3] = values[..., 3] >= threshold
+    height, width = levels[1].shape[0] - 2, levels[1].shape[1] - 2
+    expected = reduced(around(values), height, width, True)
+    np.testing.assert_allclose(levels[1][..., 3], expected[..., 3], atol=1e-5)
+    seen = expected[..., 3] > 0
+    np.testing.assert_allclose(levels[1][seen], expected[seen], atol=1e-4)
+
+
+def test_averages_are_of_light_and_not_of_codes() -> None:
+    checker = np.array([[[0] * 3, [255] * 3]], np.uint8)
+    half = levels_of(store([Picture(as_texels(checker), True)], MIPS).images)[1][1, 1, 0]
+    assert round(float(linear_to_srgb(half)) * 255) == 188
+    fraction = levels_of(store([Picture(as_texels(checker), False)], MIPS).images)[1][1, 1, 0]
+    assert abs(fraction - 0.5) < 1e-5
+
+
+def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside() -> None:
+    texels = random_image(8, 8, 4, "uint16")
+    for level in levels_of(store([Picture(texels, False)], MIPS).images):
+        rows = texels[:, 0].reshape(len(level) - 2, -1, 4).mean(axis=1) / 65535
+        np.testing.assert_allclose(level[1:-1, 0], rows, atol=1e-4)
+        np.testing.assert_allclose(level[0, 0], texels[0, 0] / 65535, atol=1e-6)
+        np.testing.assert_allclose(level[-1, -1], texels[-1, -1] / 65535, atol=1e-6)
+
+
+def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None:
+    small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
+    light = random_image(2, 3, 4).astype(np.float32)
+    given = [
+        Picture(small, True),
+        Picture(large, False, True),
+        Picture(light, True),
+        Picture(small[::-1], False),
+        Picture(light * 2, True),
+    ]
+    stored = store(given, WHOLE)
+    images = stored.images
+    assert stored.layout_of == [0, 1, 0, 0, 0]
+    assert images.kinds.tolist() == [SRGB, DATA, FLOAT, DATA, FLOAT]
+    assert images.covered.tolist() == [False, True, False, False, False]
+    assert images.layouts.tolist() == [[0, 1, 1], [1, 1, 1]]
+    # A row is two texels wider than the image; the first texel comes after a rim's row and one texel.
+    assert images.levels.tolist() == [[6, 3, 2], [7, 4, 4]]
+    assert images.bases.tolist() == [0, 20, 0, 56, 20]
+    assert (len(images.codes), len(images.floats), len(images.sums)) == (76, 40, 0)
+    for number, picture in enumerate(given):
+        [level] = levels_of(images, number, stored.layout_of[number])
+        np.testing.assert_allclose(level, around(decoded(picture)), atol=1e-6)
+    word = int(images.codes[6])
+    assert [word >> 16 * lane & 65535 for lane in range(4)] == small[0, 0].tolist()
+
+
+def test_without_images_nothing_is_stored() -> None:
+    for what in (WHOLE, MIPS, RIPS, AREAS):
+        stored = store([], what)
+        assert stored.layout_of == []
+        assert [len(part) for part in stored.images[:-1]] == [0] * 8
+
+
+def test_a_long_footprint_does_not_blur_across() -> None:
+    # Stripes of one texel along u: a footprint 8 texels along u must leave rows apart.
+    rows = np.repeat(np.array([0, 255] * 8, np.uint8)[:, None, None], 16, axis=1).repeat(3, axis=2)
+    centres = np.stack([np.full(16, 0.4), (np.arange(16) + 0.5) / 16], axis=1)
+    surface = square(rows, size=(1.0, 12.0), mag_filter="nearest", filter="sat")
+    values = read(surface, centres, 8 / 16)[:, 0]
+    np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=1e-5)
+    values = read(surface.with_filter("ripmap"), centres, 8 / 16)[:, 0]
+    np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=0.2)
+
+
+def test_small_footprints_approach_points() -> None:
+    points = np.random.default_rng(0).random((100, 2))
+    for filter in ("trilinear", "ripmap", "ewa"):
+        for mag_filter in ("linear", "nearest"):
+            surface = square(random_image(8, 8), mag_filter=mag_filter, filter=filter)
+            np.testing.assert_allclose(read(surface, points, 1e-5), read(surface, points, 0), atol=2e-3)
+
+
+def test_widths_are_measured_on_rest_positions() -> None:
+    plain = square(random_image(32, 32))
+    points = np.random.default_rng(0).random((50, 2))
+    larger = plain.with_rest(plain.vertices * 10)
+    np.testing.assert_allclose(read(larger, points, 1.0), read(plain, points, 0.1), atol=1e-6)
+
+
+def test_turning_the_model_changes_no_footprint() -> None:
+    plain = square(random_image(32, 32), size=(1.0, 3.0))
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turned = plain.with_rest(plain.vertices @ turn.T + 5)
+    points = np.random.default_rng(0).random((50, 2))
+    np.testing.assert_allclose(read(turned, points, 0.2), read(plain, points, 0.2), atol=1e-4)
+
+
+def test_triangles_without_area_are_read_at_the_point() -> None:
+    plain = square(random_image(8, 8))
+    points = np.random.default_rng(0).random((20, 2))
+    for rest in (plain.vertices * 0, plain.vertices * [1, 0, 0], plain.vertices[[0, 0, 2, 3]]):
+        flat = plain.with_rest(rest)
+        np.testing.assert_array_equal(read(flat, points, 0.3), read(plain, points, 0.0))
+
+
+def test_coordinates_without_spread_are_read_at_the_point() -> None:
+    surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=np.full((4, 2), 0.3), image=random_image(8, 8))
+    points = np.random.default_rng(0).random((20, 2))
+    np.testing.assert_array_equal(read(surface, points, 0.3), read(surface, points, 0.0))
+
+
+@pytest.mark.parametrize("wrap", ["repeat", "mirror", "clamp"])
+def test_far_coordinates_stay_inside_the_image(wrap: str) -> None:
+    image = np.full((3, 5, 3), 77, np.uint8)
+    for far in (1e6, 1e15, 1e30, -1e30):
+        surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=UV_UP * far, image=image, wrap=wrap)
+        for width in (0.0, 0.1, 10.0):
+            values = read(surface, np.random.default_rng(0).random((20, 2)), width)
+            np.testing.assert_allclose(values, srgb_to_linear(77 / 255), rtol=1e-4)

@@ -1,0 +1,364 @@
+"""Surfaces from arrays: samples, values, errors."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from octex.channels import srgb_to_linear
+from octex.errors import ArgumentError, ImageError, ModelError
+from octex.source.corners import Corners, Frames
+from octex.source.images.filters import FILTERS
+from octex.source.surface import Surface, SurfaceSamples
+from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+CUBE_TRIANGLES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
+     [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def square(**options: Any) -> Surface:
+    return Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, **options)
+
+
+def test_samples_lie_on_their_triangles() -> None:
+    surface = Surface.from_arrays(CUBE, CUBE_TRIANGLES)
+    samples = surface.scatter(500)
+    corners = surface.vertices[surface.triangles[samples.triangles]]
+    np.testing.assert_allclose(samples.barycentric.sum(axis=1), 1)
+    assert (samples.barycentric >= 0).all()
+    np.testing.assert_allclose((samples.barycentric[:, :, None] * corners).sum(axis=1), samples.points)
+    np.testing.assert_allclose(np.linalg.norm(samples.normals, axis=1), 1)
+    outward = samples.points + 1e-3 * samples.normals
+    assert ((outward < 0) | (outward > 1)).any(axis=1).all()
+    assert samples.triangles.dtype == np.int32
+    np.testing.assert_array_equal(samples.rest, samples.points)
+
+
+def test_samples_are_uniform_by_posed_area() -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 3, 5]], float)
+    rest = vertices * [1, 1, 0] + [0, 0, 7]
+    surface = Surface.from_arrays(vertices, [[0, 1, 2], [3, 4, 5]], rest=rest)
+    np.testing.assert_allclose(surface.areas(), [0.5, 4.5])
+    samples = surface.scatter(20_000)
+    assert abs((samples.triangles == 1).mean() - 0.9) < 0.01
+    small = samples.points[samples.triangles == 0]
+    np.testing.assert_allclose(small.mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.02)
+    np.testing.assert_allclose(samples.rest[:, 2], 7)
+
+
+def test_the_same_seed_gives_the_same_samples() -> None:
+    first, again, other = square().scatter(10, 3), square().scatter(10, 3), square().scatter(10, 4)
+    np.testing.assert_array_equal(first.points, again.points)
+    assert (first.points != other.points).any()
+
+
+def test_no_samples_are_an_empty_batch() -> None:
+    samples = square().scatter(0)
+    assert samples.points.shape == (0, 3)
+    assert square().evaluate(samples).shape == (0, 3)
+
+
+def test_triangles_without_area_get_no_samples() -> None:
+    surface = Surface.from_arrays(SQUARE, [[0, 0, 1], [0, 1, 2], [2, 2, 2]])
+    assert set(surface.scatter(100).triangles) == {1}
+    with pytest.raises(ModelError, match="dot: all triangles are degenerate"):
+        Surface.from_arrays(SQUARE, [[0, 0, 1]], name="dot").scatter(1)
+
+
+def test_bounds_are_those_of_the_rest_positions_in_use() -> None:
+    vertices = np.append(SQUARE, [[100, 100, 100]], axis=0)
+    surface = Surface.from_arrays(vertices, SQUARE_TRIANGLES, rest=vertices * 2 + 1)
+    np.testing.assert_allclose(surface.bounds, [[1, 1, 1], [3, 3, 1]])
+
+
+def test_a_plain_surface_is_white() -> None:
+    assert (square().evaluate(square().scatter(10)) == 1).all()
+    assert [channel.name for channel in square().channels] == ["base_color"]
+
+
+def test_colours_of_vertices_are_interpolated_in_linear_light() -> None:
+    codes = np.array([[0, 0, 0], [255, 255, 255], [255, 0, 0], [0, 0, 128]], np.uint8)
+    surface = square(colors=codes, factor=(1, 1, 0.5))
+    samples = surface.scatter(50)
+    linear = srgb_to_linear(codes / 255) * [1, 1, 0.5]
+    expected = (samples.barycentric[:, :, None] * linear[SQUARE_TRIANGLES[samples.triangles]]).sum(axis=1)
+    np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
+    deep = square(colors=codes.astype(np.uint16) * 257, factor=(1, 1, 0.5))
+    np.testing.assert_allclose(deep.evaluate(samples), expected, atol=1e-6)
+    light = square(colors=srgb_to_linear(codes / 255), factor=(1, 1, 0.5))
+    np.testing.assert_allclose(light.evaluate(samples), expected, atol=1e-6)
+
+
+def test_colours_of_faces_are_constant_over_each() -> None:
+    colors = np.array([[1.0, 0, 0], [0, 0.5, 1]])
+    surface = square(face_colors=colors)
+    samples = surface.scatter(50)
+    np.testing.assert_allclose(surface.evaluate(samples), colors[samples.triangles])
+
+
+def test_alpha_below_1_makes_a_channel() -> None:
+    colors = np.array([[1, 1, 1, 0.0], [1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0]])
+    surface = square(colors=colors)
+    assert [channel.name for channel in surface.channels] == ["base_color", "alpha"]
+    samples = surface.scatter(50)
+    np.testing.assert_allclose(surface.evaluate(samples, "alpha")[:, 0], samples.points[:, 0], atol=1e-6)
+    assert len(square(factor=(1, 1, 1, 0.5)).channels) == 2
+    assert len(square(uv=SQUARE_UV, image=random_image(2, 2, 4)).channels) == 2
+    assert len(square(colors=colors, alpha="opaque").channels) == 1
+    masked = square(colors=colors, alpha="mask", cutoff=0.25)
+    np.testing.assert_array_equal(masked.evaluate(samples, "alpha")[:, 0], samples.points[:, 0] >= 0.25)
+
+
+def test_coordinates_have_v_up_and_may_be_given_by_corner() -> None:
+    image = np.array([[[255] * 3, [255] * 3], [[0] * 3, [0] * 3]], np.uint8)
+    by_vertex = SQUARE[:, :2]
+    for uv in (by_vertex, by_vertex[SQUARE_TRIANGLES]):
+        surface = square(uv=uv, image=image, mag_filter="nearest", wrap=("repeat", "clamp"))
+        samples = surface.scatter(100)
+        np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
+
+
+def test_images_of_pillow_are_taken() -> None:
+    image = PIL.Image.new("RGB", (2, 2), (255, 0, 0))
+    surface = square(uv=SQUARE_UV, image=image)
+    np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0]] * 5)
+
+
+def test_images_of_floats_are_light_of_any_size() -> None:
+    light = np.random.default_rng(0).random((4, 4, 3)).astype(np.float32) * 8
+    surface = square(uv=SQUARE_UV, image=light, factor=(0.5, 0.5, 0.5))
+    [form] = surface.channels
+    assert (form.name, form.space, form.dtype) == ("base_color", "linear", "float16")
+    values = surface.evaluate(surface.scatter(50))
+    assert (light.min() / 2 <= values).all()
+    assert 1 < values.max() <= light.max() / 2
+
+
+def test_coordinates_are_kept_with_v_down_without_an_image_too() -> None:
+    surface = square(uv=SQUARE_UV)
+    assert surface.uv is not None
+    np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
+    np.testing.assert_array_equal(surface.uv.rows, SQUARE_TRIANGLES)
+    for other in (surface.with_rest(SQUARE * 2), surface.with_filter("sat"), surface.with_sources({})):
+        assert other.uv is surface.uv
+    assert square().uv is None
+
+
+def test_some_channels_alone_are_those_values() -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
+    samples = surface.scatter(30)
+    for name in ("base_color", "alpha"):
+        alone = surface.with_channels([name])
+        assert [channel.name for channel in alone.channels] == [name]
+        for width in (0.0, 0.3):
+            expected = surface.evaluate(samples, name, width)
+            np.testing.assert_allclose(alone.evaluate(samples, name, width), expected, atol=1e-6)
+    both = surface.with_channels(["alpha", "base_color"])
+    assert both.channels == surface.channels
+    with pytest.raises(ArgumentError, match="unknown channel 'metallic'; there are: base_color, alpha"):
+        surface.with_channels(["alpha", "metallic"])
+    with pytest.raises(ArgumentError, match="channels must name one at least"):
+        surface.with_channels([])
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_images_are_read_by_the_filter_asked_for(filter: str) -> None:
+    usual = square(uv=SQUARE_UV, image=random_image(8, 8))
+    asked = square(uv=SQUARE_UV, image=random_image(8, 8), filter=filter)
+    samples = usual.scatter(30)
+    values = usual.with_filter(filter).evaluate(samples, width=0.4)
+    np.testing.assert_array_equal(values, asked.evaluate(samples, width=0.4))
+    assert (filter == "ewa") == np.array_equal(values, usual.evaluate(samples, width=0.4))
+    with pytest.raises(ArgumentError, match="unknown filter 'sharp'"):
+        usual.with_filter("sharp")
+
+
+def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own() -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
+    surface.provenance["source"] = "quad.glb"
+    derived = [
+        surface.with_rest(SQUARE * 2),
+        surface.with_channels(["alpha"]),
+        surface.with_filter("sat"),
+        surface.with_sources({"metallic": 0.5}),
+    ]
+    for other in derived:
+        assert other.provenance["source"] == "quad.glb"
+        other.provenance["rest"] = "another.glb"
+    assert surface.provenance == {"source": "quad.glb"}
+
+
+def test_shading_normals_are_kept_and_follow_the_rest_mesh() -> None:
+    triangles = SQUARE_TRIANGLES.astype(np.int32)
+    normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
+    tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
+    plain = square()
+    surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
+    assert surface.with_filter("sat").frames is surface.frames
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    turned = surface.with_rest(SQUARE @ turn.T).frames
+    assert turned is not None
+    np.testing.assert_allclose(turned.normals.values, [turn @ [0, 0.6, 0.8]] * 6, atol=1e-6)
+    np.testing.assert_allclose(turned.tangents.values[:, :3], [turn @ [1, 0, 0]] * 6, atol=1e-6)
+    assert plain.frames is None
+
+
+def test_samples_keep_their_values_at_other_rest_positions() -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4), name="quad")
+    surface.provenance["source"] = "quad.glb"
+    shift = np.array([5.0, 0, 0])
+    moved = surface.with_rest(surface.vertices + shift)
+    samples, moved_samples = surface.scatter(30), moved.scatter(30)
+    np.testing.assert_allclose(moved_samples.rest, samples.rest + shift)
+    np.testing.assert_array_equal(moved_samples.points, samples.points)
+    np.testing.assert_array_equal(moved.evaluate(moved_samples), surface.evaluate(samples))
+    assert (moved.name, moved.provenance) == ("quad", {"source": "quad.glb"})
+
+
+@given(st.integers(0, 40), st.floats(0, 1))
+def test_each_channel_is_its_columns_of_all(count: int, width: float) -> None:
+    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
+    samples = surface.scatter(count)
+    values = surface.evaluate_all(samples.triangles, samples.barycentric, np.full(count, width, np.float32))
+    np.testing.assert_array_equal(surface.evaluate(samples, "base_color", width), values[:, :3])
+    np.testing.assert_array_equal(surface.evaluate(samples, "alpha", width), values[:, 3:])
+    assert values.dtype == np.float32
+
+
+def test_threads_give_the_same_values() -> None:
+    surface = square(uv=SQUARE_UV * 3, image=random_image(16, 16))
+    samples = surface.scatter(4000)
+    widths = np.full(500, 0.1, np.float32)
+
+    def part(start: int) -> np.ndarray:
+        at = slice(start, start + 500)
+        return surface.evaluate_all(samples.triangles[at], samples.barycentric[at], widths)
+
+    with ThreadPoolExecutor(4) as pool:
+        together = np.concatenate(list(pool.map(part, range(0, 4000, 500))))
+    np.testing.assert_array_equal(together, surface.evaluate(samples, width=0.1))
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles", "message"),
+    [
+        (SQUARE, np.empty((0, 3), int), "no triangles"),
+        (SQUARE, [[0, 1, 4]], "uses vertex 4, but there are 4"),
+        (SQUARE, [[0, 1, -1]], "uses vertex -1"),
+        (SQUARE, [[0, 1]], "triangles must be whole numbers"),
+        (SQUARE, [[0.0, 1.0, 2.0]], "triangles must be whole numbers"),
+        (SQUARE[:, :2], SQUARE_TRIANGLES, r"vertices must have shape \(n, 3\)"),
+        (np.full((4, 3), np.nan), SQUARE_TRIANGLES, "vertices are not all finite.*number 0 is nan, nan, nan"),
+        (np.float64(SQUARE) * 1e80, SQUARE_TRIANGLES, "not all finite"),
+    ],
+)
+def test_broken_geometry_is_refused(vertices: Any, triangles: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        Surface.from_arrays(np.asarray(vertices, float), triangles, name="thing")
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"colors": np.zeros((3, 3))}, ArgumentError, r"colors must have shape \(4, 3\)"),
+        ({"colors": np.zeros((4, 2))}, ArgumentError, "colors must have shape"),
+        ({"colors": np.zeros((4, 3), int)}, ArgumentError, "uint8 or uint16"),
+        ({"face_colors": np.zeros((4, 3))}, ArgumentError, r"face_colors must have shape \(2, 3\)"),
+        ({"colors": np.zeros((4, 3)), "face_colors": np.zeros((2, 3))}, ArgumentError, "not both"),
+        ({"colors": np.full((4, 3), np.nan)}, ModelError, "colours are not all finite"),
+        ({"factor": (np.inf, 1, 1)}, ArgumentError, "factor must be finite numbers"),
+        ({"image": random_image(2, 2)}, ArgumentError, "needs uv"),
+        ({"image": random_image(2, 2), "uv": np.zeros((3, 2))}, ArgumentError, "uv must be numbers of shape"),
+        ({"image": random_image(2, 2), "uv": np.full((4, 2), np.nan)}, ModelError, "coordinates"),
+        ({"image": random_image(2, 2), "uv": np.full((4, 2), 1e300)}, ModelError, "coordinates"),
+        ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": "fold"}, ArgumentError, "unknown wrap"),
+        ({"image": random_image(2, 2), "uv": SQUARE_UV, "filter": "sharp"}, ArgumentError, "unknown filter"),
+        ({"image": np.zeros((2, 2), bool), "uv": SQUARE_UV}, ImageError, "uint8 or uint16"),
+        ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": ("clamp",)}, ArgumentError, "wrap must be"),
+        ({"rest": np.zeros((3, 3))}, ModelError, "3 rest positions for 4 vertices"),
+        ({"rest": [[0, 0, 0], [1]]}, ModelError, r"rest positions must be numbers of shape \(n, 3\)"),
+        ({"rest": np.full((4, 3), np.nan)}, ModelError, "rest positions are not all finite"),
+        ({"alpha": "glass"}, ArgumentError, "unknown alpha"),
+        ({"factor": (1, 1)}, ArgumentError, "factor must be finite numbers of shape"),
+    ],
+)
+def test_what_does_not_fit_the_surface_is_refused(
+    options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        square(**options)
+
+
+def test_coordinates_that_no_texture_uses_may_be_anything() -> None:
+    surface = square(uv=np.full((4, 2), np.nan), factor=(0.2, 0.5, 0.8, 1.0))
+    samples = surface.scatter(20)
+    np.testing.assert_allclose(surface.evaluate(samples), [(0.2, 0.5, 0.8)] * 20, atol=1e-6)
+
+
+def test_lookups_of_what_is_not_there_are_refused() -> None:
+    surface = square()
+    samples = surface.scatter(3)
+    with pytest.raises(ArgumentError, match="unknown channel 'metal'; there are: base_color"):
+        surface.evaluate(samples, "metal")
+    for width in (-1.0, np.nan, np.inf):
+        with pytest.raises(ArgumentError, match="width must be from 0 on"):
+            surface.evaluate(samples, width=width)
+    for number in (-1, 2):
+        other = samples._replace(triangles=np.full(3, number))
+        with pytest.raises(ArgumentError, match="triangles that surface does not have"):
+            surface.evaluate(other)
+    for far in (np.nan, np.inf, 1e300):
+        with pytest.raises(ArgumentError, match="barycentric coordinates that are not below 1e"):
+            surface.evaluate(samples._replace(barycentric=np.full((3, 3), far)))
+    with pytest.raises(ModelError, match="3 rest positions for 4 vertices"):
+        surface.with_rest(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("size", [1e-10, 1e29])
+def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
+    image = random_image(8, 8)
+    usual = square(image=image, uv=SQUARE_UV)
+    scaled = Surface.from_arrays(SQUARE * size, SQUARE_TRIANGLES, image=image, uv=SQUARE_UV)
+    samples = usual.scatter(20)
+    for width in (0.0, 0.2):
+        expected = usual.evaluate(samples, width=width)
+        np.testing.assert_allclose(scaled.evaluate(samples, width=width * size), expected, atol=1e-6)
+    with pytest.raises(ModelError, match=r"not all finite \(and below 1e\+30\)"):
+        Surface.from_arrays(SQUARE * 1e31, SQUARE_TRIANGLES)
+
+
+def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:
+    assert SurfaceSamples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
+
+
+def test_a_surface_introduces_itself() -> None:
+    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32), name="corner")
+    assert repr(surface) == "<Surface 'corner' of 1 triangles with base_color>"
+
+
+def test_a_negative_number_of_points_is_refused() -> None:
+    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(ArgumentError, match="must be a whole number from 0 to 4294967296, not -1"):
+        surface.scatter(-1)
+
+
+def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles() -> None:
+    standing = np.array(SQUARE) @ [[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]
+    flat = square().scatter(20)
+    np.testing.assert_array_equal(flat.rest_normals, flat.normals)
+    posed = square().with_rest(standing).scatter(20)
+    np.testing.assert_array_equal(posed.normals, flat.normals)
+    a, b, c = standing[square().triangles[0]]
+    expected = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+    np.testing.assert_allclose(posed.rest_normals, np.tile(expected, (20, 1)), atol=1e-12)
+    without_area = square().with_rest(np.zeros((4, 3))).scatter(5)
+    assert not without_area.rest_normals.any()

@@ -1,0 +1,501 @@
+"""USD: what is written as OpenUSD reads and validates it, and stages made by OpenUSD as octex reads them."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+
+import octex
+from octex.channels import srgb_to_linear
+from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
+from octex.source.materials import Input, Material, MaterialSource
+from octex.source.mesh import SurfaceSamples
+from octex.source.surface import Surface
+from tests.make import solids
+from tests.make.small_surfaces import whole
+
+Array = npt.NDArray[Any]
+
+pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdValidation, Vt  # noqa: E402
+
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+ST = [(0, 0), (1, 0), (1, 1), (0, 1)]
+
+
+@pytest.fixture(scope="module")
+def baked() -> Surface:
+    surface = whole()
+    return octex.bake(octex.convert(surface, 4), surface, texture_size=64)
+
+
+def validated(stage: Any) -> list[str]:
+    """What OpenUSD's own validators say against a stage."""
+    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    return [error.GetErrorAsString() for error in context.Validate(stage)]
+
+
+@pytest.mark.parametrize("ending", [".usdz", ".usda", ".usdc", ".usd"])
+def test_written_stages_are_valid_and_read_back_as_they_were(
+    baked: Surface, ending: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"whole{ending}"
+    octex.write_model(baked, path, unit="meter")
+    assert validated(Usd.Stage.Open(str(path))) == []
+    read = octex.load_surface(path, normals=True)
+    assert [form.name for form in read.channels] == [form.name for form in baked.channels]
+    np.testing.assert_allclose(read.vertices[read.triangles], baked.vertices[baked.triangles], atol=1e-7)
+    points = baked.scatter(2000)
+    for form in baked.channels:
+        np.testing.assert_allclose(
+            read.evaluate(points, form.name), baked.evaluate(points, form.name), atol=1e-3
+        )
+    assert read.frames is not None
+    assert baked.frames is not None
+    for mine, theirs in zip(read.frames, baked.frames, strict=True):
+        np.testing.assert_allclose(mine.values[mine.rows], theirs.values[theirs.rows], atol=1e-3)
+
+
+def test_materials_say_what_the_specification_asks_for(baked: Surface, tmp_path: Path) -> None:
+    octex.write_model(baked, tmp_path / "a.usda", unit="centimeter")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    (mesh,) = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
+    assert not mesh.GetDoubleSidedAttr().Get()
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    assert st.GetInterpolation() == "faceVarying"
+    assert st.GetTypeName() == Sdf.ValueTypeNames.TexCoord2fArray
+    assert baked.uv is not None
+    flat = np.array(st.ComputeFlattened()).reshape(-1, 3, 2)
+    np.testing.assert_allclose(flat * [1, -1] + [0, 1], baked.uv.values[baked.uv.rows], atol=1e-6)
+    material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+    surface = material.ComputeSurfaceSource()[0]
+    outputs, spaces = {}, {}
+    for entry in surface.GetInputs():
+        source = entry.GetConnectedSources()[0]
+        if source:
+            shader = UsdShade.Shader(source[0].source.GetPrim())
+            outputs[entry.GetBaseName()] = source[0].sourceName
+            spaces[entry.GetBaseName()] = shader.GetInput("sourceColorSpace").Get()
+            if entry.GetBaseName() == "normal":
+                assert tuple(shader.GetInput("scale").Get()) == (2, 2, 2, 1)
+                assert tuple(shader.GetInput("bias").Get()) == (-1, -1, -1, 0)
+    assert outputs == {
+        "diffuseColor": "rgb", "emissiveColor": "rgb", "metallic": "b", "roughness": "g", "normal": "rgb",
+    }  # fmt: skip
+    assert spaces == {
+        "diffuseColor": "sRGB", "emissiveColor": "sRGB", "metallic": "raw", "roughness": "raw",
+        "normal": "raw",
+    }  # fmt: skip
+
+
+def test_packages_hold_their_files_uncompressed_at_64_bytes(baked: Surface, tmp_path: Path) -> None:
+    octex.write_model(baked, tmp_path / "a.usdz", images="jpeg")
+    with zipfile.ZipFile(tmp_path / "a.usdz") as package, (tmp_path / "a.usdz").open("rb") as file:
+        entries = package.infolist()
+        assert entries[0].filename.endswith(".usdc")
+        for entry in entries:
+            assert entry.compress_type == zipfile.ZIP_STORED
+            file.seek(entry.header_offset + 26)
+            lengths = np.frombuffer(file.read(4), "<u2")
+            assert (entry.header_offset + 30 + int(lengths.sum())) % 64 == 0
+    with pytest.raises(ModelError, match="USD holds no webp images"):
+        octex.write_model(baked, tmp_path / "b.usdz", images="webp")
+
+
+@pytest.mark.parametrize("name", ["materials.glb", "1 droid²é.obj", ".glb", "a\ud800.glb"])
+def test_materials_are_kept_whatever_the_model_is_called(baked: Surface, name: str, tmp_path: Path) -> None:
+    surface = Surface(
+        baked.vertices, baked.triangles, baked.source, uv=baked.uv, frames=baked.frames, name=name
+    )
+    octex.write_model(surface, tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    assert validated(stage) == []
+    kinds = {str(prim.GetParent().GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdShade.Material)}
+    assert kinds == {"Scope"}
+    points = baked.scatter(500)
+    found = octex.load_surface(tmp_path / "a.usda").evaluate(points, "base_color")
+    np.testing.assert_allclose(found, baked.evaluate(points, "base_color"), atol=1e-3)
+
+
+@pytest.mark.parametrize("mode", ["opaque", "mask", "blend"])
+def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    image = random.integers(0, 256, (8, 8, 4)).astype(np.uint8)
+    surface = Surface.from_arrays(
+        SQUARE, [[0, 1, 2], [0, 2, 3]], uv=ST, image=image, alpha=mode, cutoff=0.25, factor=(0.5, 1, 1, 1)
+    )
+    octex.write_model(surface, tmp_path / "a.usdz")
+    read = octex.load_surface(tmp_path / "a.usdz")
+    assert read.source.materials[0].alpha_mode == mode  # type: ignore[attr-defined]
+    assert [form.name for form in read.channels] == [form.name for form in surface.channels]
+    points = surface.scatter(500)
+    for form in surface.channels:
+        np.testing.assert_allclose(
+            read.evaluate(points, form.name), surface.evaluate(points, form.name), atol=2e-3
+        )
+
+
+def test_several_materials_their_names_and_sides_are_kept(tmp_path: Path) -> None:
+    base = Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]])
+    colors = [(0.1, 0.2, 0.3), (0.7, 0.5, 0.3)]
+    materials = [
+        Material({"base_color": Input(color)}, name="worn steel", double_sided=True) for color in colors
+    ]
+    numbers = np.array([1, 0], np.int32)
+    source = MaterialSource(materials, numbers, base.rest, base.triangles)
+    octex.write_model(Surface(base.vertices, base.triangles, source), tmp_path / "a.usda")
+    assert validated(Usd.Stage.Open(str(tmp_path / "a.usda"))) == []
+    read = octex.load_surface(tmp_path / "a.usda")
+    found = [read.source.materials[number] for number in read.source.triangle_materials]  # type: ignore[attr-defined]
+    assert [each.name.rstrip("_") for each in found] == ["worn_steel"] * 2
+    assert found[0].name != found[1].name
+    assert all(each.double_sided for each in found)
+    np.testing.assert_allclose([each.inputs["base_color"].factor for each in found], colors[::-1], atol=1e-6)
+
+
+def test_vertex_colours_are_kept(tmp_path: Path) -> None:
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 6)
+    colors = np.random.default_rng(2).random((len(points), 4))
+    surface = Surface.from_arrays(points, triangles, colors=colors)
+    octex.write_model(surface, tmp_path / "a.usdz")
+    assert validated(Usd.Stage.Open(str(tmp_path / "a.usdz"))) == []
+    read = octex.load_surface(tmp_path / "a.usdz")
+    some = surface.scatter(500)
+    for name in ("base_color", "alpha"):
+        np.testing.assert_allclose(read.evaluate(some, name), surface.evaluate(some, name), atol=1e-5)
+
+
+class Stage:
+    """A stage with a square of one polygon, or of two triangles, whose image has a colour in each quarter."""
+
+    def __init__(self, folder: Path, name: str = "model.usda") -> None:
+        self.path = folder / name
+        self.stage = Usd.Stage.CreateNew(str(self.path))
+        UsdGeom.SetStageUpAxis(self.stage, "Y")
+        UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
+        self.codes = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [200, 100, 50]]], np.uint8)
+        PIL.Image.fromarray(self.codes).save(folder / "image.png")
+
+    def square(self, at: str = "/mesh", st: Any = ST, how: str = "vertex") -> Any:
+        mesh = UsdGeom.Mesh.Define(self.stage, at)
+        mesh.CreatePointsAttr(SQUARE)
+        mesh.CreateFaceVertexCountsAttr([4])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+        if st is not None:
+            kind = Sdf.ValueTypeNames.TexCoord2fArray
+            UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, how).Set(Vt.Vec2fArray(st))
+        return mesh
+
+    def material(self, mesh: Any, at: str = "/material", **inputs: Any) -> Any:
+        """Bind an image, whose shader has these inputs, as the diffuse colour."""
+        material = UsdShade.Material.Define(self.stage, at)
+        surface = UsdShade.Shader.Define(self.stage, f"{at}/surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        image = UsdShade.Shader.Define(self.stage, f"{at}/image")
+        image.CreateIdAttr("UsdUVTexture")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set("image.png")
+        for name, (kind, value) in inputs.items():
+            image.CreateInput(name, getattr(Sdf.ValueTypeNames, kind)).Set(value)
+        reader = UsdShade.Shader.Define(self.stage, f"{at}/reader")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+        color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+        color.ConnectToSource(image.ConnectableAPI(), "rgb")
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        return surface
+
+    def read(self, **options: Any) -> Surface:
+        self.stage.GetRootLayer().Save()
+        return octex.load_surface(self.path, **options)
+
+
+def colors_at(surface: Surface, places: Any) -> Array:
+    """The colours at places (n, 3) that lie on a surface."""
+    places = np.asarray(places, np.float64)
+    triangles, weights = np.empty(len(places), np.int32), np.empty((len(places), 3))
+    for n, place in enumerate(places):
+        best = -np.inf
+        for triangle, (a, b, c) in enumerate(surface.vertices[surface.triangles]):
+            shares, *_ = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), place - a, rcond=None)
+            own = np.array([1 - shares.sum(), *shares])
+            if own.min() > best:
+                best, triangles[n], weights[n] = own.min(), triangle, own
+        assert best > -1e-9
+    return surface.evaluate(SurfaceSamples(places, places, places, triangles, weights, places))
+
+
+#: Middles of the texels as the square shows them, v up: the image's last row is the lower one.
+QUARTERS = [(0.25, 0.75, 0), (0.75, 0.75, 0), (0.25, 0.25, 0), (0.75, 0.25, 0)]
+
+
+@pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed"])
+def test_images_are_read_at_primvars_however_these_are_spread(how: str, tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    mesh = made.square(st=ST, how="faceVarying" if how == "indexed" else how)
+    if how == "indexed":
+        primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+        primvar.Set(Vt.Vec2fArray([ST[n] for n in (2, 0, 3, 1)]))
+        primvar.SetIndices(Vt.IntArray([1, 3, 0, 2]))
+    made.material(mesh)
+    read = made.read()
+    expected = srgb_to_linear(made.codes.reshape(-1, 3) / 255.0)
+    np.testing.assert_allclose(colors_at(read, QUARTERS), expected, atol=1e-4)
+    assert read.polygons is not None
+    assert (read.polygons.numbers == 0).all()
+    *_, vertices = read.loops()
+    assert vertices.tolist() == [0, 1, 2, 3]
+    assert list(json.loads(read.provenance["files"])) == ["image.png"]
+
+
+def test_images_are_scaled_moved_and_read_in_the_space_that_is_said(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(
+        made.square(), scale=("Float4", Gf.Vec4f(0.5, 0.25, 1, 1)), bias=("Float4", Gf.Vec4f(0.1, 0, 0, 0)),
+        sourceColorSpace=("Token", "raw"),
+    )  # fmt: skip
+    expected = made.codes.reshape(-1, 3) / 255.0 * [0.5, 0.25, 1] + [0.1, 0, 0]
+    np.testing.assert_allclose(colors_at(made.read(), QUARTERS), expected, atol=1e-3)
+
+
+def test_a_transform_turns_coordinates_counter_clockwise(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(made.square())
+    turn = UsdShade.Shader.Define(made.stage, "/material/turn")
+    turn.CreateIdAttr("UsdTransform2d")
+    turn.CreateInput("rotation", Sdf.ValueTypeNames.Float).Set(90.0)
+    turn.CreateInput("translation", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(1, 0))
+    reader = UsdShade.Shader.Get(made.stage, "/material/reader")
+    turn.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    turn.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    image = UsdShade.Shader.Get(made.stage, "/material/image")
+    image.GetInput("st").ConnectToSource(turn.ConnectableAPI(), "result")
+    # (s, t) reads at (1 − t, s): the lower left shows the image's lower right, and so on around.
+    expected = srgb_to_linear(made.codes.reshape(-1, 3)[[2, 0, 3, 1]] / 255.0)
+    np.testing.assert_allclose(colors_at(made.read(), QUARTERS), expected, atol=1e-4)
+
+
+def test_stages_are_read_in_metres_with_y_up_as_their_transforms_place_them(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    UsdGeom.SetStageUpAxis(made.stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(made.stage, 0.01)
+    parent = UsdGeom.Xform.Define(made.stage, "/parent")
+    parent.AddTranslateOp().Set(Gf.Vec3d(100, 0, 50))
+    mesh = made.square("/parent/mesh")
+    mesh.AddScaleOp().Set(Gf.Vec3f(-100, 100, 100))  # a mirror turns it inside out, were it not turned back
+    read = made.read()
+    expected = np.array(SQUARE) * [-1, 1, 1] + [1, 0, 0.5]
+    np.testing.assert_allclose(read.vertices, expected[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
+    corners = read.vertices[read.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.testing.assert_allclose(
+        normals / np.linalg.norm(normals, axis=1, keepdims=True), [[0, 1, 0]] * 2, atol=1e-6
+    )
+
+
+def test_left_handed_meshes_are_turned_and_holes_left_out(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    mesh = made.square(st=None)
+    mesh.CreateOrientationAttr("leftHanded")
+    mesh.CreateFaceVertexCountsAttr([3, 3])
+    mesh.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 3, 2])
+    mesh.CreateHoleIndicesAttr([1])
+    read = made.read()
+    assert len(read.triangles) == 1
+    a, b, c = read.vertices[read.triangles[0]]
+    assert np.cross(b - a, c - a)[2] > 0.0
+
+
+def test_subsets_have_their_own_materials_and_constants_count(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    mesh = made.square()
+    mesh.CreateFaceVertexCountsAttr([3, 3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 0, 2, 3])
+    made.material(mesh)
+    plain = UsdShade.Material.Define(made.stage, "/plain")
+    surface = UsdShade.Shader.Define(made.stage, "/plain/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    # The colour comes from the material's own input.
+    public = plain.CreateInput("tint", Sdf.ValueTypeNames.Color3f)
+    public.Set(Gf.Vec3f(0.2, 0.4, 0.6))
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(public)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.3)
+    plain.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    subset = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).CreateMaterialBindSubset(
+        "half", Vt.IntArray([1])
+    )
+    UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(plain)
+    read = made.read()
+    found = colors_at(read, [(0.75, 0.25, 0), (0.25, 0.75, 0)])
+    np.testing.assert_allclose(found, [srgb_to_linear(made.codes[1, 1] / 255.0), [0.2, 0.4, 0.6]], atol=1e-4)
+    samples = read.scatter(200)
+    rough = read.evaluate(samples, "roughness")[:, 0]
+    np.testing.assert_allclose(rough[samples.triangles == 1], 0.3, atol=1e-6)
+
+
+@pytest.mark.parametrize("how", ["constant", "uniform", "vertex"])
+def test_display_colours_count_where_there_is_no_material(how: str, tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    mesh = made.square(st=None)
+    colors = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9], [0.4, 0.5, 0.6]], np.float32)
+    count = 4 if how == "vertex" else 1
+    mesh.CreateDisplayColorPrimvar(how).Set(Vt.Vec3fArray.FromNumpy(colors[:count]))
+    places = np.array(SQUARE) * 0.998 + 0.001 * np.array([1, 1, 0])
+    expected = colors if how == "vertex" else colors[[0] * 4]
+    np.testing.assert_allclose(colors_at(made.read(), places), expected, atol=2e-3)
+
+
+def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.square("/source/mesh", st=None)
+    made.stage.GetPrimAtPath("/source").SetSpecifier(Sdf.SpecifierClass)
+    for number in range(2):
+        copy = UsdGeom.Xform.Define(made.stage, f"/copy{number}")
+        copy.AddTranslateOp().Set(Gf.Vec3d(2.0 * number, 0, 0))
+        copy.GetPrim().GetReferences().AddInternalReference("/source")
+        copy.GetPrim().SetInstanceable(True)
+    UsdGeom.Imageable(made.square("/hidden", st=None)).MakeInvisible()
+    made.square("/proxy", st=None).CreatePurposeAttr("proxy")
+    UsdGeom.PointInstancer.Define(made.stage, "/many")
+    with pytest.warns(ModelWarning, match="/many is a point instancer"):
+        read = made.read()
+    np.testing.assert_allclose(read.bounds, [[0, 0, 0], [3, 1, 0]])
+    assert len(read.triangles) == 4
+
+
+def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) -> None:
+    def without(
+        change: Any, words: str, error: type[Exception] = ModelError, name: str = "model.usda"
+    ) -> None:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        made = Stage(folder, name)
+        mesh = made.square()
+        made.material(mesh)
+        change(made, mesh)
+        with pytest.raises(error, match=words) as caught:
+            made.read()
+        assert "\n" not in str(caught.value)
+
+    without(lambda _, mesh: mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 7]), "uses a point 7, but there are 4")
+    without(lambda _, mesh: mesh.CreateFaceVertexCountsAttr([3]), "its faces have 3 corners, its list 4")
+    without(lambda _, mesh: mesh.CreatePointsAttr([(0, 0, float("nan"))] * 4), "points that are not finite")
+    without(lambda made, _: made.stage.RemovePrim("/mesh"), "has no triangles")
+    without(
+        lambda _, mesh: UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Set(Vt.Vec2fArray(2)), "uses a value 3"
+    )
+    without(lambda made, _: (made.path.parent / "image.png").unlink(), "image.png is not there", ImageError)
+    without(
+        lambda made, _: UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set("/etc/a.png"),
+        "absolute paths are not followed", ImageError,
+    )  # fmt: skip
+    octex.write_model(baked, tmp_path / "whole.usdz")
+    data = (tmp_path / "whole.usdz").read_bytes()
+    for number, length in enumerate((10, 200, len(data) // 2)):
+        (tmp_path / f"cut{number}.usdz").write_bytes(data[:length])
+        words = rf"cut{number}\.usdz.* (is damaged, or no USD stage|is not there)"
+        with pytest.raises((ModelError, ImageError), match=words):
+            octex.load_surface(tmp_path / f"cut{number}.usdz")
+
+
+def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    surface = made.material(made.square())
+    surface.GetIdAttr().Set("ND_standard_surface_surfaceshader")
+    with pytest.warns(ModelWarning, match="is no UsdPreviewSurface, so it is white"):
+        read = made.read()
+    np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)
+
+
+def test_what_is_connected_and_not_read_is_said(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    surface = made.material(made.square())
+    reader = UsdShade.Shader.Define(made.stage, "/material/colors")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("Cd")
+    color = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
+    with pytest.warns(ModelWarning, match="what diffuseColor is connected to is not read; bake it"):
+        made.read()
+
+
+def test_images_without_coordinates_are_read_at_0_0(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(made.square(st=None))
+    with pytest.warns(ModelWarning, match=r"/mesh lack the primvar st: images are read at \(0, 0\)"):
+        read = made.read()
+    expected = srgb_to_linear(made.codes[1, 0] / 255.0)
+    np.testing.assert_allclose(colors_at(read, QUARTERS), [expected] * 4, atol=1e-3)
+
+
+def test_an_image_without_a_file_is_its_fallback(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.material(made.square(), fallback=("Float4", Gf.Vec4f(0.2, 0.4, 0.6, 1.0)))
+    UsdShade.Shader.Get(made.stage, "/material/image").GetPrim().RemoveProperty("inputs:file")
+    with pytest.warns(ModelWarning, match="/material/image names no image, so it is its fallback"):
+        read = made.read()
+    np.testing.assert_allclose(colors_at(read, QUARTERS), [[0.2, 0.4, 0.6]] * 4, atol=1e-6)
+
+
+def test_what_programs_write_besides_the_specification_is_read(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Paths with backslashes, bindings without their schema, shapes that are no meshes, missing files."""
+    made = Stage(tmp_path)
+    mesh = made.square()
+    made.material(mesh)
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "image.png").rename(tmp_path / "maps/image.png")
+    UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set(".\\maps\\image.png")
+    mesh.GetPrim().RemoveAPI(UsdShade.MaterialBindingAPI)
+    UsdGeom.Sphere.Define(made.stage, "/ball")
+    made.stage.DefinePrim("/part").GetReferences().AddReference("gone.usda")
+    made.stage.GetRootLayer().Save()
+    text = made.path.read_text().replace("metersPerUnit = 1", "metersPerUnit = 0.5")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    assert layer.ImportFromString(text)
+    made.path = tmp_path / "model.usdc"
+    layer.Export(str(made.path))
+    capfd.readouterr()
+    with pytest.warns(ModelWarning) as said:
+        read = octex.load_surface(made.path)
+    texts = " ".join(str(each.message) for each in said)
+    assert "leaves out 1 Sphere" in texts
+    assert "gone.usda" in texts
+    assert capfd.readouterr().err == ""
+    np.testing.assert_allclose(read.bounds, [[0, 0, 0], [0.5, 0.5, 0]])
+    found = colors_at(read, 0.5 * np.array(QUARTERS))
+    np.testing.assert_allclose(found, srgb_to_linear(made.codes.reshape(-1, 3) / 255.0), atol=1e-3)
+
+
+def test_without_usd_core_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.usda").write_text("#usda 1.0\n")
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    words = r"a.usda: to read USD, usd-core is needed; install it: pip install 'octex\[usd\]'"
+    with pytest.raises(MissingExtraError, match=words):
+        octex.load_surface(tmp_path / "a.usda")
+
+
+def test_images_inside_packages_are_read_from_there(baked: Surface, tmp_path: Path) -> None:
+    octex.write_model(baked, tmp_path / "a.usdz")
+    with zipfile.ZipFile(tmp_path / "a.usdz") as package:
+        (name, *_) = [each for each in package.namelist() if each.endswith("0.png")]
+        image = np.array(PIL.Image.open(io.BytesIO(package.read(name))))
+    read = octex.load_surface(tmp_path / "a.usdz", channels=["base_color"])
+    texels = read.source.materials[0].inputs["base_color"].texture.texels  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(texels[..., :3] // 257, image[..., :3])

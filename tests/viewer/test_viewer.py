@@ -1,0 +1,504 @@
+"""What a browser shows: each pixel as lookups have it; the page, its tools, and pages of one file."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import decode
+from octex.errors import ArgumentError
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer import Viewer, write_page
+from octex.viewer.export import MODULES, page_text
+from octex.viewer.pack import pack, prepared
+from tests.conftest import needs_jit
+from tests.make.browser import Probe, differences, file_url, opened, started
+from tests.make.command import refusal, result
+from tests.make.painted import ball
+from tests.make.small_surfaces import sheet
+from tests.make.small_textures import shell
+
+SIZE = 48, 36
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with started() as found:
+        yield found
+
+
+def colored(surface: Surface, **sources: object) -> Surface:
+    """A surface of colours that vary much within a cell, and of other channels."""
+    low, high = surface.bounds
+    waves = lambda p: 0.5 + 0.5 * np.sin(40 * (p - low) / (high - low).max() * [1.0, 1.3, 0.7])  # noqa: E731
+    return surface.with_sources({"base_color": waves, "roughness": lambda p: waves(p)[:, :1], **sources})
+
+
+def even() -> tuple[OctreeTexture, Surface]:
+    surface = colored(ball())
+    return octex.convert(surface, depth=6), surface
+
+
+def adaptive() -> tuple[OctreeTexture, Surface]:
+    def spots(p: Any) -> Any:
+        return 0.5 + 0.4 * np.sign(np.sin(30 * p[:, :1])) * (p[:, 1:2] > 0.2) * [1.0, 0.5, -1.0]
+
+    surface = ball().with_sources({"base_color": spots})
+    return octex.convert(surface, depth=6, max_error=3), surface
+
+
+def painted() -> tuple[OctreeTexture, Surface]:
+    """Finer in the middle of a thin sheet: nodes there are split, and keep what they were."""
+    surface = sheet(np.eye(3), 0.01)
+    texture = octex.convert(surface, depth=4)
+    low, high = surface.bounds
+    middle = octex.Sphere((low + high) / 2, 0.25 * float((high - low).max()))
+    red = octex.fill(texture, surface, middle, (1.0, 0.1, 0.0), max_depth=6)
+    assert np.isin(red.tree.kept.cells, red.tree.split.cells).any()
+    return red, surface
+
+
+def thin() -> tuple[OctreeTexture, Surface]:
+    surface = sheet(np.eye(3), 0.01)
+    return octex.convert(surface, depth=5), surface
+
+
+def floating() -> tuple[OctreeTexture, Surface]:
+    """Alpha; light up to 3, data from −2 on and 16-bit colours."""
+    surface = colored(
+        ball(),
+        alpha=lambda p: np.clip(0.6 + p[:, :1], 0.0, 1.0),
+        emissive=lambda p: 1.5 + 1.5 * np.sin(9 * p),
+    )
+    texture = octex.convert(
+        surface, depth=5, dtype={"base_color": "uint16", "emissive": "float16", "roughness": "float32"}
+    )
+    data = texture.channels["roughness"]
+    wide = data._replace(values=5 * data.values - 2, split_values=5 * data.split_values - 2)
+    channels = {**texture.channels, "roughness": wide}
+    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata), surface
+
+
+MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating)}
+
+
+@needs_jit
+@pytest.mark.parametrize("name", MADE)
+def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_path: Path) -> None:
+    texture, surface = MADE[name]()
+    write_page(texture, tmp_path / "page.html", surface)
+    page = opened(browser, file_url(tmp_path / "page.html"))
+    assert page.complaints == []
+    parity(page, texture, surface)
+    page.check("#cubes")
+    sharp(page)
+    assert page.complaints == []
+    page.close()
+
+
+def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
+    """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
+    header = pack(texture, surface).header
+    texture = prepared(texture).texture  # of 8 bits, 0 to 1
+    is_split = texture.tree.split.cells.size > 1
+    found = {}
+    deepest = texture.tree.max_depth
+    looks = [("quadratic", 0.0, deepest), ("quadratic", -1.0, deepest), ("quadratic", 0.2, 3)]
+    looks += [("nearest", -1.0, deepest)]
+    looks += [("linear", 0.0, deepest)]
+    if not header["isMixed"]:  # which takes long without a GPU
+        looks += [("quadratic", 0.03, deepest), ("quadratic", 0.0, 3), ("nearest", 0.0, deepest)]
+        looks += [("linear", -1.0, deepest)]
+    for facing, (filter, width, level) in product({False, is_split}, looks):
+        probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
+        case = f"{filter}, width {width}, facing {facing}, level {level}"
+        found[case] = compared(probe, texture.level(level), header, filter, width, facing, case)
+    return found
+
+
+def compared(
+    probe: Probe,
+    texture: OctreeTexture,
+    header: dict[str, Any],
+    filter: str,
+    width: float,
+    facing: bool,
+    case: str,
+) -> float:
+    assert probe.seen.sum() > 100
+    worst = 0.0
+    for name, away in differences(probe, texture, header, filter, width, facing).items():
+        assert away.max() <= 2.0, f"{name}, {case}: {away.max()}"
+        assert (away > 1.0).mean() <= 0.001, f"{name}, {case}: {(away > 1.0).mean()}"
+        worst = max(worst, float(away.max()))
+    return worst
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of a small ball."""
+    path = tmp_path_factory.mktemp("page") / "ball.html"
+    surface = colored(ball(8))
+    write_page(octex.convert(surface, depth=4), path, surface, title="ball.octex")
+    return path
+
+
+def sharp(page: Any) -> bytes:
+    """The picture, once it stands still."""
+    page.evaluate("viewer.move()")
+    page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+    found: bytes = page.locator("canvas").screenshot()
+    return found
+
+
+@needs_jit
+def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser: Any, small: Path) -> None:
+    page = opened(browser, file_url(small), (900, 480))
+    page.evaluate("viewer.finest = 1")
+    canvas = page.locator("canvas")
+    canvas.focus()
+    page.keyboard.press("0")
+    before = sharp(page)
+    for keys in (["ArrowLeft"], ["ArrowUp"], ["+"], ["-", "-"], ["Shift+ArrowLeft"], ["1"]):
+        for key in keys:
+            page.keyboard.press(key)
+        assert sharp(page) != before
+    page.evaluate("viewer.camera.reset(0.55, 0.3)")
+    page.keyboard.press("0")
+    assert sharp(page) == before
+    box = canvas.bounding_box()
+    page.evaluate(
+        "(move => viewer.move = held => { globalThis.held = held; move(held); })(viewer.move.bind(viewer))"
+    )
+    for button in ("left", "right"):
+        page.mouse.move(box["x"] + 100, box["y"] + 100)
+        page.mouse.down(button=button)
+        page.mouse.move(box["x"] + 140, box["y"] + 120)
+        assert page.evaluate("held") is True  # sharp pictures wait longer
+        page.mouse.up(button=button)
+        assert sharp(page) != before
+        page.evaluate("viewer.camera.reset(0.55, 0.3)")
+    page.mouse.wheel(0, -300)
+    assert sharp(page) != before
+    page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.move()")
+    pictures = {sharp(page)}
+    for value in ("unlit", "channel base_color", "channel roughness", "depth", "facing"):
+        page.select_option("#shown", value)
+        pictures.add(sharp(page))
+    page.select_option("#shown", "unlit")
+    page.select_option("#filter", "nearest")
+    pictures.add(sharp(page))
+    page.locator("#level").fill("2")
+    pictures.add(sharp(page))
+    page.check("#cubes")
+    pictures.add(sharp(page))
+    assert len(pictures) == 8  # without emitted light, colours as they are are the channel
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
+def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: Path) -> None:
+    surface = colored(ball(8))
+    texture = octex.convert(surface, depth=4)
+    page = opened(browser, file_url(small), (900, 480))
+    size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
+    found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
+    assert found["level"] == 4
+    assert page.evaluate("viewer.pick(1, 1)") is None
+    rest = np.array([found["rest"]])
+    assert texture.contains(rest).all()
+    index = np.floor(texture.placement.to_texture_space(rest)[0] * 16)
+    np.testing.assert_array_equal(found["index"], index)
+    base = next(each for each in found["channels"] if each["name"] == "base_color")
+    np.testing.assert_array_equal(base["codes"], texture.channels["base_color"].values[found["cell"]])
+    page.mouse.move(size[0] / 2, size[1] / 2 - 30)
+    page.wait_for_function("document.getElementById('cell').textContent.includes('level 4')")
+    page.check("#cubes")
+    page.locator("#level").fill("3")
+    cube = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
+    above = texture.level(3)
+    index = np.floor(texture.placement.to_texture_space(np.array([cube["rest"]]))[0] * 8)
+    np.testing.assert_array_equal(cube["index"], index)
+    np.testing.assert_allclose(np.array(cube["point"]), (index + 0.5) / 8)
+    base = next(each for each in cube["channels"] if each["name"] == "base_color")
+    np.testing.assert_array_equal(base["codes"], above.channels["base_color"].values[cube["cell"]])
+    stored = above.sample([cube["rest"]], filter="nearest")[0]
+    np.testing.assert_allclose(decode(np.array(base["codes"], np.uint8), "srgb"), stored, atol=1e-6)
+    assert page.evaluate("viewer.pick(1, 1)") is None
+    page.locator("canvas").focus()
+    page.keyboard.press("p")
+    page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
+    page.close()
+
+
+@needs_jit
+def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Path) -> None:
+    asked: list[str] = []
+    page = browser.new_page()
+    page.on("request", lambda request: asked.append(request.url))
+    complaints: list[str] = []
+    page.on("console", lambda line: line.type == "error" and complaints.append(line.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(file_url(small))
+    page.wait_for_selector("#progress-box", state="hidden", timeout=60_000)
+    assert page.locator("h1").inner_text() == "ball.octex"
+    assert [url for url in asked if not url.startswith(("file:", "blob:", "data:"))] == []
+    assert complaints == []
+    page.close()
+
+
+@needs_jit
+def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
+    page = opened(browser, file_url(small), (900, 480))
+    page.evaluate("viewer.finest = 1")
+    before = sharp(page)
+    page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
+    page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("document.getElementById('status').textContent === ''")
+    page.evaluate("viewer.move()")
+    assert sharp(page) == before
+    page.close()
+
+
+@needs_jit
+def test_without_webgl2_the_page_says_so(browser: Any, small: Path) -> None:
+    page = browser.new_page(bypass_csp=True)
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(file_url(small))
+    page.wait_for_selector("#message", state="visible")
+    assert "this browser has no WebGL2" in page.locator("#message").inner_text()
+    page.close()
+
+
+@needs_jit
+@pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
+def test_controls_are_named_and_within_the_window(browser: Any, small: Path, size: tuple[int, int]) -> None:
+    page = opened(browser, file_url(small), size)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    height = page.evaluate("viewer.canvas.clientHeight")
+    assert height >= size[1] * 0.4
+    unnamed = """[...document.querySelectorAll("select, input, button, progress, canvas")]
+      .filter((each) => !(each.labels?.length || each.ariaLabel || each.textContent.trim()))
+      .map((each) => each.id)"""
+    assert page.evaluate(unnamed) == []
+    page.close()
+
+
+@needs_jit
+def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any, tmp_path: Path) -> None:
+    surface, path = colored(ball(8)), tmp_path / "ball.octex"
+    octex.convert(surface, depth=4).save(path)
+    lines: list[str] = []
+    viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
+    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
+    thread.start()
+    page = opened(browser, viewer.url)
+    assert page.evaluate("viewer.header.parts[0].depth") == 4
+    octex.convert(surface, depth=3).save(path)
+    page.wait_for_function(
+        "globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000
+    )
+    assert lines == []
+    page.close()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+@needs_jit
+def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
+    browser: Any, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
+    octex.convert(surface, depth=5).save(path)
+    octex.convert(surface, depth=1).save(other)
+
+    def served(*words: str | Path) -> tuple[subprocess.Popen[str], str]:
+        code = "import sys; from octex.cli.main import main; sys.exit(main(['view', *sys.argv[1:]]))"
+        call = [sys.executable, "-c", code, *map(str, words), "--no-browser", "--quiet"]
+        server = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
+        request.addfinalizer(lambda: ended(server))
+        assert server.stdout is not None
+        return server, server.stdout.readline().strip()
+
+    def ended(server: subprocess.Popen[str]) -> None:
+        with server:
+            server.kill()
+
+    def until_said(text: str) -> None:
+        said = f"document.getElementById('status').textContent.includes({text!r})"
+        page.wait_for_function(said, timeout=20_000)
+
+    def until_depth(depth: int) -> None:
+        shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isComplete"
+        page.wait_for_function(shown, timeout=60_000)
+
+    server, url = served(path)
+    page = opened(browser, url, (800, 600))
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.locator("#filter").select_option("nearest")
+    page.evaluate("viewer.camera.orbit(1, 0)")
+    assert page.locator("#status").inner_text() == ""
+    ended(server)
+    until_said("The connection is lost; it is tried again in")
+    page.keyboard.press("ArrowLeft")  # what has come is still shown
+    turn = page.evaluate("viewer.camera.turn")
+
+    port = str(urlsplit(url).port)
+    asked.clear()
+    server, _ = served(other, "--port", port)
+    until_said("Another program has its port")
+    assert asked
+    assert all(urlsplit(each).path == "/proof" for each in asked)  # the token is not sent
+    ended(server)
+
+    octex.convert(surface, depth=4).save(path)
+    server, again = served(path)
+    assert again == url
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    until_depth(4)
+    assert page.locator("#status").inner_text() == ""
+    assert page.locator("#filter").input_value() == "nearest"
+    assert page.evaluate("viewer.camera.turn") == pytest.approx(turn)
+    ended(server)
+    until_said("The connection is lost")
+    server, _ = served(path)  # nothing has changed
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=20_000)
+    until_depth(4)
+    page.close()
+
+
+def test_floats_are_shown_in_the_range_that_they_have() -> None:
+    texture, surface = floating()
+    header = pack(texture, surface).header
+    ranges = {each["name"]: each["range"] for each in header["channels"]}
+    assert ranges["base_color"] == [0, 1]
+    values = texture.channels["emissive"].values, texture.channels["roughness"].values
+    assert ranges["emissive"] == [0, values[0].max()]
+    assert ranges["roughness"] == [values[1].min(), values[1].max()]
+    assert "base color: shown with 8 bits, 0 to 1" in header["notes"]
+    assert f"emissive: shown with 8 bits, 0 to {values[0].max():.4g}" in header["notes"]
+
+
+def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> None:
+    texture = shell(5, keep=0.0)
+    whole = write_page(texture, tmp_path / "whole.html")
+    size = (tmp_path / "whole.html").stat().st_size
+    assert not any("to fit" in note for note in whole)
+    notes = write_page(texture, tmp_path / "cut.html", max_size=size - 1)
+    assert notes[0] == f"depth 4 of 5, to fit {size - 1:,} bytes"
+    assert (tmp_path / "cut.html").stat().st_size < size
+    with pytest.raises(
+        ArgumentError, match=r"the page takes .* bytes without any level; allow more than 100"
+    ):
+        write_page(texture, tmp_path / "none.html", max_size=100)
+
+
+def two_parts(folder: Path) -> tuple[octex.TextureSet, Surface]:
+    """Two balls that touch, with channels and depths of their own."""
+    balls = ball(8), ball(8)
+    vertices = np.concatenate([each.vertices + np.array([1.9 * n, 0, 0]) for n, each in enumerate(balls)])
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    for n, each in enumerate(balls):
+        lines += [
+            f"o part{n}",
+            *(f"f {a} {b} {c}" for a, b, c in each.triangles + 1 + n * len(each.vertices)),
+        ]
+    (folder / "two.obj").write_text("\n".join(lines))
+    surface = octex.load_surface(folder / "two.obj")
+    made = {}
+    for number in range(2):
+        part = surface.part(np.flatnonzero(surface.parts == number))
+        part = (
+            colored(part)
+            if number
+            else part.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+        )
+        made[f"part {number}"] = octex.convert(part, depth=4 + number)
+    return octex.TextureSet(made), surface
+
+
+@needs_jit
+def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tmp_path: Path) -> None:
+    textures, surface = two_parts(tmp_path)
+    write_page(textures, tmp_path / "set.html", surface)
+    page = opened(browser, file_url(tmp_path / "set.html"), (900, 420))
+    assert page.locator("#facts").inner_text().startswith("2 parts\n")
+    for number, texture in enumerate(textures.values()):
+        header = pack(texture, None).header
+        probe = Probe(page, texture, SIZE, part=number, filter="quadratic", width=-1.0, facing=False)
+        assert compared(probe, texture, header, "quadratic", -1.0, False, f"part {number}") <= 1
+    size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
+    page.evaluate("viewer.camera.reset(0, 0)")
+    found = [page.evaluate("(at) => viewer.pick(...at)", [x * size[0], size[1] / 2]) for x in (0.3, 0.7)]
+    assert [each["name"] for each in found] == list(textures)
+    for value in ("channel roughness", "depth", "lit"):
+        page.select_option("#shown", value)
+        sharp(page)
+    page.check("#cubes")
+    sharp(page)
+    assert page.complaints == []
+    page.close()
+    with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
+        write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
+    many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})
+    with pytest.raises(ArgumentError, match="a page shows 255 parts at most, not 256; choose one of them"):
+        write_page(many, tmp_path / "many.html")
+    size = (tmp_path / "set.html").stat().st_size
+    notes = write_page(textures, tmp_path / "small.html", surface, max_size=size - 1)
+    assert notes[0].startswith("part 0: depth 4 of 5, to fit")
+
+
+def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
+    names = [
+        name
+        for module in MODULES
+        for name in re.findall(
+            r"^(?:export )?(?:async )?(?:function|class|const|let) (\w+)", page_text(module), re.M
+        )
+    ]
+    assert len(names) == len(set(names))
+    assert len(names) > 20
+
+
+def test_octree_convert_writes_pages(made: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = made.with_name("page.html")
+    told = json.loads(result(capsys, made, page, "--mesh", model, "--quiet", "--json"))
+    assert told["bytes"] == page.stat().st_size
+    assert told["notes"] == []
+    text = page.read_text("utf-8")
+    assert all(f'id="data-{name}"' in text for name in ("header", "0-levels-0", "0-mesh"))
+    assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
+    result(capsys, made, page, "--force", "--quiet", "--max-size", "500kB")
+    assert 'id="data-0-mesh"' not in page.read_text("utf-8")
+    message = refusal(capsys, made, made.with_name("points.ply"), "--max-size", "1MB")
+    assert message == "--max-size is for pages, NAME.html"
+    assert "'much' is no size, like 20MB" in refusal(capsys, made, page, "--max-size", "much")
+
+
+def test_octree_convert_writes_a_page_of_a_folder_of_parts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    textures, _ = two_parts(tmp_path)
+    textures.save(tmp_path / "set")
+    given = tmp_path / "set", tmp_path / "set.html"
+    assert refusal(capsys, *given) == f"{tmp_path / 'set'}: is a folder of parts: give --mesh MODEL"
+    result(capsys, *given, "--mesh", tmp_path / "two.obj", "--quiet")
+    text = given[1].read_text("utf-8")
+    assert all(f'id="data-{number}-{name}"' in text for number in range(2) for name in ("levels-0", "mesh"))

@@ -1,0 +1,231 @@
+"""What pages are sent of a texture that has changed: as if they had loaded it anew, without doing so."""
+
+from __future__ import annotations
+
+import json
+import threading
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer import Viewer
+from octex.viewer.changes import change_between
+from octex.viewer.pack import pack
+from tests.conftest import needs_jit
+from tests.make.browser import Probe, differences, opened, started
+from tests.make.painted import ball
+from tests.make.small_surfaces import sheet
+
+#: All that the page holds of its octree, as numbers that tell any two apart.
+_HELD = """async () => {
+  const { words, planes, entries, owners, cells, nodes, tables, depth } = viewer.parts[0].octree;
+  const digest = async (array) => {
+    const bytes = await crypto.subtle.digest("SHA-256", array);
+    return Array.from(new Uint8Array(bytes)).join();
+  };
+  return [await Promise.all([words, ...planes, entries, owners].map(digest)), cells, nodes, tables, depth];
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with started() as found:
+        yield found
+
+
+@contextmanager
+def served(viewer: Viewer) -> Iterator[Viewer]:
+    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
+    thread.start()
+    yield viewer
+    thread.join(30)
+    assert not thread.is_alive()
+
+
+def told(viewer: Viewer, page: Any) -> None:
+    """Wait until a page has what is shown."""
+    viewer.changed()
+    page.wait_for_function("(version) => viewer.version === version", arg=viewer.version()[0], timeout=60_000)
+
+
+@needs_jit
+def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any, tmp_path: Path) -> None:
+    surface = sheet(np.eye(3), 0.01)
+    waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+    painter = octex.Painter(octex.convert(waves, depth=5, max_error=3), surface)
+    low, high = surface.bounds
+    middle, width = (low + high) / 2, float((high - low).max())
+    strokes = [
+        lambda: painter.fill(octex.Sphere(middle, 0.2 * width), (1.0, 0.1, 0.0), max_depth=7),
+        lambda: painter.fill(octex.Sphere(low, 0.4 * width), (0.0, 0.3, 1.0), opacity=0.5),
+        painter.undo,
+        painter.undo,
+        painter.redo,
+    ]
+    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
+        page = opened(browser, viewer.url, (320, 240))
+        page.evaluate("globalThis.isFirst = true")
+        for stroke in strokes:
+            before = painter.texture()
+            stroke()
+            assert painter.texture() is not before
+            told(viewer, page)
+            anew = opened(browser, viewer.url, (320, 240))
+            assert page.evaluate(_HELD) == anew.evaluate(_HELD)
+            anew.close()
+        assert page.evaluate("isFirst")
+        texture = painter.texture()
+        assert texture.tree.split.cells.size
+        assert texture.tree.kept.cells.size
+        for facing in (False, True):
+            shown(page, texture, surface, facing)
+        page.evaluate(
+            "globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
+        )
+        page.wait_for_function("viewer.isLost")
+        page.evaluate("lose.restoreContext()")
+        page.wait_for_function("!viewer.isLost")
+        shown(page, texture, surface, True)
+        assert page.complaints == []
+        page.close()
+
+
+def shown(page: Any, texture: OctreeTexture, surface: Surface, facing: bool) -> None:
+    """Compare what a page draws with lookups."""
+    probe = Probe(page, texture, (48, 36), filter="quadratic", width=-1.0, facing=facing, level=20)
+    header = pack(texture, surface).header
+    for away in differences(probe, texture, header, "quadratic", -1.0, facing).values():
+        assert away.size > 100
+        assert away.max() <= 1.0
+
+
+@needs_jit
+def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser: Any, tmp_path: Path) -> None:
+    surface = ball(32)
+    texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
+    painter = octex.Painter(texture, surface)
+    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
+        page = opened(browser, viewer.url, (320, 240))
+        point = surface.scatter(1, seed=2).rest[0]
+        painter.fill(octex.Sphere(point, 0.1), (1.0, 0.0, 0.0))
+        told(viewer, page)
+        rows = page.evaluate("viewer.parts[0].held.reduce((sum, each) => sum + each.rows, 0)")
+        assert 0 < page.evaluate("viewer.sent") < rows / 2
+        version = viewer.version()[0]
+        painter.undo()
+        viewer.changed()
+        viewer.version()
+        assert len(viewer.of_version(version)[1].streams["change-0"]) < 0.05 * texture.nbytes
+        page.close()
+
+
+@needs_jit
+def test_strokes_with_new_cells_send_the_rows_that_they_change(browser: Any, tmp_path: Path) -> None:
+    surface = ball(32)
+    texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
+    painter = octex.Painter(texture, surface)
+    last = surface.rest[np.argmax(surface.rest.sum(axis=1))]  # in Morton order cells there stand behind most
+    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
+        page = opened(browser, viewer.url, (320, 240))
+        sent = []
+        for radius in (0.1, 0.105, 0.11):
+            painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)
+            told(viewer, page)
+            sent.append(page.evaluate("viewer.sent"))
+            shown(page, painter.texture(), surface, False)
+        used = page.evaluate(
+            "viewer.parts[0].held.reduce((sum, { array, size }) => sum + array.length / size / 4096, 0)"
+        )
+        assert sent[0] > used / 2 > max(sent[1:]), (sent, used)
+        assert page.evaluate("viewer.gpu.gl.getError()") == 0
+        assert page.complaints == []
+        page.close()
+
+
+@needs_jit
+def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any, tmp_path: Path) -> None:
+    surface, path = ball(8), tmp_path / "ball.octex"
+    rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
+    octex.convert(rough, depth=3).save(path)
+    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
+        page = opened(browser, viewer.url, (320, 240))
+        octex.convert(rough, depth=3, channels=["base_color"]).save(path)
+        page.wait_for_function(
+            "globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete"
+        )
+        page.close()
+
+
+def test_runs_and_new_cells_make_up_the_texture_that_is_now() -> None:
+    waves = ball(8).with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+    before = octex.convert(waves, depth=4)
+    low, _ = before.bounds
+    after = octex.fill(before, ball(8), octex.Sphere(low + 0.3, 0.5), (1.0, 0.0, 0.0), max_depth=5)
+    counts, stream = change_between(before, after)
+    numbers = np.frombuffer(stream[: 12 * counts["runs"]], np.uint8).reshape(3, 4, -1).astype(np.int64)
+    gaps, begins, lengths = (numbers * 256 ** np.arange(4)[:, None]).sum(axis=1)
+    assert gaps.sum() + lengths.sum() <= after.tree.n_cells
+    assert lengths.sum() + counts["cells"] == after.tree.n_cells
+    values, at = after.channels["base_color"].values, 0
+    for gap, begin, length in zip(gaps, begins, lengths, strict=True):
+        at += gap
+        old = before.channels["base_color"].values[begin : begin + length]
+        np.testing.assert_array_equal(values[at : at + length], old)
+        at += length
+    nothing, stream = change_between(after, after)
+    assert nothing == {"runs": 1, "cells": 0, "kept": 0, "sides": 0}
+    assert len(stream) == 12
+
+
+def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:
+    surface = ball(8)
+    painter = octex.Painter(octex.convert(surface, depth=3), surface)
+    viewer = Viewer(painter.texture, tmp_path / "session.octex", None)
+    versions = [viewer.version()[0]]
+    for red in (0.2, 0.6):
+        painter.fill(octex.Sphere(surface.bounds[0], 1.0), (red, 0.0, 0.0))
+        viewer.changed()
+        versions.append(viewer.version()[0])
+    for since, then in pairwise(versions):
+        change = viewer.of_version(since)[1]
+        assert json.loads(json.dumps(change.header))["version"] == then
+        assert zlib.decompress(change.streams["change-0"], -15)
+    assert viewer.of_version(versions[-1])[1].header == {}
+    assert [packed.header for packed in viewer.of_version("none")] == [{}, {}]
+    viewer._server.server_close()
+
+
+@needs_jit
+def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path: Path) -> None:
+    if browser.browser_type.name == "firefox":
+        pytest.skip("WebDriver BiDi does not tell playwright of downloads")
+    surface, path = ball(32), tmp_path / "ball.octex"
+    octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=4).save(path)
+    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
+        page = opened(browser, viewer.url, (900, 320))
+        page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.pan(0.1, -0.05); viewer.camera.zoom(1.5)")
+        with page.expect_download() as waiting:
+            page.click("#save-camera")
+        waiting.value.save_as(tmp_path / "camera.json")
+        assert waiting.value.suggested_filename == "ball-camera.json"
+        (frame,) = octex.read_cameras(tmp_path / "camera.json")
+        camera = frame.camera()
+        assert frame.name == "ball.png"
+        assert [camera.width, camera.height] == page.evaluate(
+            "[viewer.canvas.clientWidth, viewer.canvas.clientHeight]"
+        )
+        for pixel in ([370, 130], [330, 190], [400, 100]):
+            found = page.evaluate("(at) => viewer.pick(...at)", pixel)
+            point = np.array([found["rest"]])
+            # To what rasterizers round corners to: a sixteenth of a pixel.
+            np.testing.assert_allclose(camera.project(point)[0][0], np.add(pixel, 0.5), atol=1 / 16)
+        page.close()

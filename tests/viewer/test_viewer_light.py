@@ -1,0 +1,66 @@
+"""Studio light in the page: it looks as in the library's own pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import encode
+from octex.preview import render, texture_shader
+from octex.source.surface import Surface
+from octex.view.environment import Environment
+from octex.viewer import write_page
+from tests.conftest import needs_jit
+from tests.make.browser import Probe, camera_of, drawn, file_url, opened, started
+from tests.make.painted import ball
+
+SIZE = 160, 120
+_APART = np.arange(3.0)  # of the components of colours
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with started() as found:
+        yield found
+
+
+def shiny(p: Any) -> dict[str, Any]:
+    """What a ball is made of: from mirror to matte, half of it metal."""
+    turn = np.arctan2(p[:, 2], p[:, 0])[:, None]
+    return {
+        "base_color": 0.5 + 0.45 * np.sin(2 * turn + _APART),
+        "metallic": 0.5 + 0.5 * np.tanh(8 * p[:, 1:2]),
+        "roughness": 0.5 + 0.5 * np.sin(turn),
+        "occlusion": 0.7 + 0.3 * np.cos(turn),
+        "emissive": 0.1 + 0.1 * np.sin(3 * turn + 2 * _APART),
+        "specular": 0.05 + 0.04 * np.cos(turn + _APART),
+    }
+
+
+def made(names: list[str]) -> Surface:
+    return ball(32).with_sources({name: lambda p, name=name: shiny(p)[name] for name in names})
+
+
+@needs_jit
+@pytest.mark.parametrize("names", [["base_color"], list(shiny(np.ones((1, 3))))])
+def test_studio_light_is_the_same_in_the_page_and_in_previews(
+    names: list[str], browser: Any, tmp_path: Path
+) -> None:
+    surface = made(names)
+    texture = octex.convert(surface, depth=6)
+    write_page(texture, tmp_path / "page.html", surface)
+    page = opened(browser, file_url(tmp_path / "page.html"), (912, 480))  # the picture is 4:3
+    seen = Probe(page, texture, SIZE).seen.reshape(SIZE[1], SIZE[0])[::-1]
+    found = drawn(page, SIZE).astype(int)
+    look = texture_shader(texture, materials=True)
+    light = render(surface, camera_of(page, SIZE), look, 1, Environment.studio())
+    away = np.abs(found - encode(light, "uint8", "srgb")).max(axis=2)[seen]
+    assert away.size > 3000
+    assert np.quantile(away, 0.97) <= 2
+    assert page.complaints == []
+    page.close()

@@ -1,0 +1,215 @@
+"""Animations in the browser: what pixels see of a model that moves, and animations that are broken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ModelError
+from octex.preview.hits import rest_normals, visible_hits
+from octex.source.load import load_motion
+from octex.source.motion import Animation, Motion
+from octex.viewer import write_page
+from octex.viewer.pack import pack
+from tests.conftest import needs_jit
+from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened, started
+from tests.make.command import result
+from tests.make.fixtures import Gltf
+from tests.source.test_poses import broken, moving
+
+SIZE = 120, 90
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with started() as found:
+        yield found
+
+
+def naive(motion: Motion, animation: Animation, frame: int) -> np.ndarray:
+    """Where the vertices are at a frame, one by one."""
+    found = motion.positions.copy()
+    for v in range(len(found)):
+        for n in range(motion.targets.first[v], motion.targets.first[v + 1]):
+            weight = animation.weights[frame, motion.targets.numbers[n]]
+            found[v] += weight * motion.targets.shares[n]
+        moved = np.zeros(3)
+        for n in range(motion.bones.first[v], motion.bones.first[v + 1]):
+            bone = animation.bones[frame, motion.bones.numbers[n]]
+            moved += motion.bones.shares[n] * (bone[:, :3] @ found[v] + bone[:, 3])
+        found[v] = moved
+    return found
+
+
+@pytest.mark.parametrize("path", ["rotation", "translation", "scale", "weights"])
+def test_frames_are_where_poses_are(tmp_path: Path, path: str) -> None:
+    file = moving(path, "CUBICSPLINE").save(tmp_path / "a.glb")
+    motion = load_motion(file, 7.0)
+    assert motion is not None
+    (animation,) = motion.animations
+    assert motion.faults == []
+    assert animation.length == 2.0
+    assert len(animation.bones) == 17  # 14 steps, up to a multiple of 4, and one
+    for frame in range(0, 17, 3):
+        surface = octex.load_surface(file, pose=f"A@{np.float32(frame / 8)}")
+        np.testing.assert_allclose(naive(motion, animation, frame), surface.vertices, atol=1e-5)
+
+
+def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> None:
+    gltf = broken("an unknown interpolation")
+    sound = moving("rotation", "LINEAR").json["animations"][0]
+    gltf.add("animations", **{**sound, "name": "B"})
+    file = gltf.save(tmp_path / "a.glb")
+    motion = load_motion(file)
+    assert motion is not None
+    assert [each.name for each in motion.animations] == ["B"]
+    assert motion.faults == [
+        "animation A: a.glb: animations[0].samplers[0] interpolates by 'WAVY', which is not one of glTF's"
+    ]
+    surface = octex.load_surface(file)
+    notes = pack(octex.convert(surface, depth=2), surface, motion=motion).header["notes"]
+    assert motion.faults[0] in notes
+
+
+def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="is moved by joint 3"):
+        load_motion(broken("a joint out of range").save(tmp_path / "a.glb"))
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert load_motion(tmp_path / "a.obj") is None
+
+
+def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = broken("a joint out of range").save(tmp_path / "a.glb")
+    octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
+    told = result(capsys, tmp_path / "a.octex", tmp_path / "a.html", "--mesh", file)
+    assert "no animations: a.glb: meshes[0].primitives[0]: vertex 2 is moved by joint 3" in told
+    assert 'id="data-0-motion"' not in (tmp_path / "a.html").read_text("utf-8")
+
+
+def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> None:
+    file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
+    surface, motion = octex.load_surface(file), load_motion(file)
+    texture = octex.convert(surface, depth=2)
+    whole = pack(texture, surface, motion=motion)
+    size = len(whole.streams["motion"])
+    assert whole.header["motion"]["animations"][0]["frames"] == 61
+    half = pack(texture, surface, motion=motion, room=size - 1)
+    assert half.header["motion"]["animations"][0]["frames"] == 31
+    assert half.header["notes"] == ["animations: every second frame"]
+    none = pack(texture, surface, motion=motion, room=9)
+    assert "motion" not in none.header
+    assert none.header["notes"][0].startswith("no animations: they take")
+
+
+@needs_jit
+@pytest.mark.parametrize("path", ["rotation", "weights"])
+def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
+    path: str, browser: Any, tmp_path: Path
+) -> None:
+    file = moving(path, "LINEAR", 3).save(tmp_path / "a.glb")
+    waves = lambda p: 0.5 + 0.5 * np.sin(9 * p)  # noqa: E731
+    surface = octex.load_surface(file, sources={"base_color": waves})
+    texture = octex.convert(surface, depth=5)
+    write_page(texture, tmp_path / "page.html", surface, motion=load_motion(file, 50.0))
+    page = opened(browser, file_url(tmp_path / "page.html"), (900, 480))
+    still = Probe(page, texture, SIZE).points
+    page.select_option("#animation", "0")
+    for time in (0.6, 1.4):
+        posed = octex.load_surface(file, pose=f"A@{time}")
+        page.evaluate(
+            "([at, size]) => Object.assign(viewer.camera, { target: at, distance: 2.5 * size })",
+            [posed.vertices.mean(axis=0).tolist(), float(np.ptp(posed.vertices, axis=0).max())],
+        )
+        probe = Probe(page, texture, SIZE, moved={"animation": 0, "time": time})
+        assert len(probe.points) != len(still) or not np.allclose(probe.points, still)
+        compare_seen(posed, camera_of(page, SIZE), probe)
+        page.evaluate("viewer.camera.orbit(0.5, 0.1)")
+    values = Probe(page, texture, SIZE, moved={"animation": 0, "time": 1.4})
+    base = next(each for each in pack(texture, surface).header["channels"] if each["name"] == "base_color")
+    expected = texture.sample(values.points, filter="quadratic")
+    assert 255 * np.abs(values.plane(base["at"][0])[:, :3] - expected).max() <= 1.0
+    assert page.complaints == []
+    page.close()
+
+
+def compare_seen(posed: Any, camera: octex.Camera, probe: Probe) -> None:
+    """Compare with what rays of the posed model's pixels hit, but at outlines."""
+    expected = np.full((SIZE[0] * SIZE[1], 3), np.nan)
+    for seen, hits in visible_hits(posed, camera, rest_normals(posed)):
+        expected[seen] = hits.rest
+    upright = probe.seen.reshape(SIZE[1], SIZE[0])[::-1]
+    found = np.full((SIZE[1], SIZE[0], 3), np.nan)
+    found[probe.seen.reshape(SIZE[1], SIZE[0])] = probe.points
+    found = found[::-1].reshape(-1, 3)
+    both = np.isfinite(expected[:, 0]) & np.isfinite(found[:, 0])
+    assert both.sum() > 200, (np.isfinite(expected[:, 0]).sum(), upright.sum())
+    assert (np.isfinite(expected[:, 0]) != upright.ravel()).mean() < 0.01
+    off = np.abs(found - expected)[both].max(axis=1) / np.ptp(posed.rest)
+    assert np.quantile(off, 0.97) < 3e-3  # a pixel is wider than 0.01
+
+
+@needs_jit
+@pytest.mark.parametrize("pose", [None, "A@2"])
+def test_targets_turn_normals_before_bones_do(pose: str | None, browser: Any, tmp_path: Path) -> None:
+    gltf = Gltf()
+    up, added = np.float32([0, 0, 1]), np.float32([[0.5, -0.2, 0.1], [-0.3, 1.5, 0.2]])
+    rows = [{"NORMAL": gltf.accessor(np.tile(each, (4, 1)))} for each in added]
+    plain = gltf.primitive(NORMAL=gltf.accessor(np.tile(up, (4, 1))))
+    node = gltf.show(plain | {"targets": rows}, scale=[1, 2, 0.5], rotation=[0, 0.6, 0, 0.8])
+    gltf.json["meshes"][0]["weights"] = [0.0, 0.0]
+    times, weights = np.float32([0, 2]), np.float32([[0, 0, 1, 0.4]]).reshape(-1, 1)
+    turns = np.float32([[0, 0.6, 0, 0.8], [0, 0.6, 0, 0.8]])
+    channels = [
+        {"sampler": n, "target": {"node": node, "path": p}} for n, p in enumerate(("weights", "rotation"))
+    ]
+    samplers = [{"input": gltf.accessor(times), "output": gltf.accessor(rows)} for rows in (weights, turns)]
+    gltf.add("animations", name="A", channels=channels, samplers=samplers)
+    file = gltf.save(tmp_path / "a.glb")
+    surface = octex.load_surface(file, normals=True, pose=pose)
+    motion = load_motion(file)
+    write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=motion)
+    page = opened(browser, file_url(tmp_path / "page.html"), (900, 480))
+    turn = np.array([[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]])  # of the quaternion above
+    view = camera_of(page, SIZE).world_to_camera[:3, :3] * [[1], [-1], [-1]]
+    for time, share in ((0.0, 0.0), (1.0, 0.5), (2.0, 1.0)):
+        morphed = up + share * np.array([1.0, 0.4]) @ added
+        expected = view @ turn @ (morphed / [1, 2, 0.5])
+        expected /= np.linalg.norm(expected)
+        seen = Probe(page, octex.convert(surface, depth=3), SIZE, moved={"animation": 0, "time": time}).seen
+        assert seen.sum() > 200
+        found = lit_normals(page, SIZE, moved={"animation": 0, "time": time})[seen]
+        away = np.minimum(np.abs(found - expected).max(axis=1), np.abs(found + expected).max(axis=1))
+        assert away.max() < 2e-3  # normals come in 2⁻¹⁰
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
+def test_animations_are_chosen_played_and_sought(browser: Any, tmp_path: Path) -> None:
+    file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
+    surface = octex.load_surface(file)
+    write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=load_motion(file))
+    page = opened(browser, file_url(tmp_path / "page.html"), (900, 700))
+    assert page.locator("#animation option").all_text_contents() == ["as it rests", "A"]
+    assert page.is_disabled("#time")
+    page.locator("canvas").focus()
+    page.keyboard.press("Space")
+    page.wait_for_function("viewer.player.time > 0.3")
+    assert page.locator("#play").inner_text() == "Pause"
+    page.keyboard.press("Space")
+    time = page.evaluate("viewer.player.time")
+    page.wait_for_function("viewer.isSharp && !viewer.asked")
+    assert page.evaluate("viewer.player.time") == time
+    page.locator("#time").fill("1.5")
+    assert page.evaluate("viewer.look.moved") == {"animation": 0, "time": 1.5}
+    page.select_option("#animation", "-1")
+    assert page.evaluate("viewer.look.moved") is None
+    assert page.complaints == []
+    page.close()

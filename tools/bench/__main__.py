@@ -1,0 +1,118 @@
+#!/usr/bin/env python
+"""Measure octex beside other programs, and say which targets are met.
+
+    python tools/bench                           octex's own figures
+    python tools/bench torus lookup --peers FOLDER --peer-python PYTHON
+    python tools/bench boombox psnr --models FOLDER
+    python tools/bench --quick                   everything on tiny sizes: does it still run?
+
+Peers are a folder with the programs mesh_bench (OpenVDB's meshToVolume), vdb_bench (lookups of OpenVDB and
+NanoVDB) and oiiobench (OpenImageIO's), and a Python that has Open3D. What is not given is left out, and said
+to be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from adaptive import adaptive
+from archive import archive
+from baking import baking
+from conversion import boombox, large, torus
+from filtered import far, footprints, pages, stretched
+from images import filters, materials
+from lookups import kinds, lookup, mixed, questions, resident, today
+from measuring import Report, Setup, octex_worker
+from painting import painting, ring
+from processing import processing
+from sources import cloud, transfer
+from texture import paper, psnr
+from whole import whole
+
+BENCHMARKS = {
+    each.__name__: each
+    for each in (
+        paper,
+        torus,
+        boombox,
+        materials,
+        filters,
+        large,
+        adaptive,
+        psnr,
+        lookup,
+        questions,
+        mixed,
+        kinds,
+        resident,
+        today,
+        far,
+        footprints,
+        stretched,
+        pages,
+        ring,
+        whole,
+        painting,
+        transfer,
+        cloud,
+        processing,
+        baking,
+        archive,
+    )
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    listing = "\n".join(
+        f"  {name:9} {(each.__doc__ or '').splitlines()[0]}" for name, each in BENCHMARKS.items()
+    )
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or "").splitlines()[0],
+        epilog=f"benchmarks:\n{listing}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("names", nargs="*", metavar="BENCHMARK", help="all of them by default")
+    parser.add_argument("--peers", type=Path, metavar="FOLDER", help="of mesh_bench, vdb_bench, oiiobench")
+    parser.add_argument("--peer-python", metavar="PYTHON", help="one that has Open3D")
+    parser.add_argument("--models", type=Path, metavar="FOLDER", help="of real models")
+    parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are taken (5)")
+    parser.add_argument("--core", type=int, help="the processor for what runs on one thread (the last)")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes, one round")
+    options = parser.parse_args(arguments)
+    unknown = set(options.names) - set(BENCHMARKS)
+    if unknown:
+        parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(BENCHMARKS)}")
+    peer_python = options.peer_python and shutil.which(options.peer_python)
+    if options.peer_python and not peer_python:
+        parser.error(f"there is no program {options.peer_python}")
+
+    report = Report(options.quick)
+    load = os.getloadavg()[0]
+    print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
+    print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
+    quick_worker = octex_worker() if options.quick else nullcontext()
+    with TemporaryDirectory(prefix="octex-bench-") as folder, quick_worker as worker:
+        setup = Setup(
+            quick=options.quick,
+            repeats=1 if options.quick else max(options.repeats, 1),
+            core=max(os.sched_getaffinity(0)) if options.core is None else options.core,
+            folder=Path(folder),
+            peers=options.peers and options.peers.resolve(),
+            peer_python=peer_python,
+            models=options.models,
+            worker=worker,
+        )
+        for name in options.names or BENCHMARKS:
+            BENCHMARKS[name](setup, report)
+    report.summary()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,215 @@
+"""Benchmarks of images and materials: filters under stretched footprints, all channels of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+from measuring import Report, Setup, Spent, in_turns, pinned, timed
+
+import octex
+from octex.channels import decode, encode, linear_to_srgb
+from octex.source.corners import Corners
+from octex.source.surface import SurfaceSamples
+
+Floats = npt.NDArray[np.floating]
+
+_FILTERS = ("trilinear", "ripmap", "sat", "ewa")
+_STRETCHES = (1, 2, 4, 8, 16)
+_WIDTHS = (0.7, 1.5, 4.0)  # of the footprint's short side, in texels
+_ANGLES = (0.0, 0.3, 0.8, 1.2)
+
+
+def filters(setup: Setup, report: Report) -> None:
+    """Image filters under stretched footprints: error beside the mean over the footprint, and time."""
+    side, count, fine = (64, 20, 8) if setup.quick else (512, 300, 48)
+    report.title(f"filters: {side}² texels, footprints of {_WIDTHS} texels times the stretch, turned")
+    rng = np.random.default_rng(0)
+    errors: dict[str, dict[str, list[float]]] = {}
+    for image, texels in _images(rng, side).items():
+        errors[image] = {name: [] for name in _FILTERS}
+        for stretch in _STRETCHES:
+            squares = np.zeros(len(_FILTERS))
+            for width in _WIDTHS:
+                for angle in _ANGLES:
+                    squares += _squared_errors(texels, stretch, width, angle, count, fine, rng)
+            for name, square in zip(_FILTERS, squares, strict=True):
+                errors[image][name].append(float(np.sqrt(square / (len(_WIDTHS) * len(_ANGLES)))))
+    times = _times(setup, side)
+    heads = ["RMS, sRGB codes; stretch", *(f"{stretch} : 1" for stretch in _STRETCHES)]
+    rows = [
+        [f"{image}, {name}", *(f"{value:.2f}" for value in each)]
+        for image, by_name in errors.items()
+        for name, each in by_name.items()
+    ]
+    rows += [[f"ns a lookup, {name}", *(f"{value:.0f}" for value in each)] for name, each in times.items()]
+    report.table(heads, rows)
+    for image in errors:
+        for stretch, ewa, other in zip(
+            _STRETCHES, errors[image]["ewa"], errors[image]["trilinear"], strict=True
+        ):
+            if stretch >= 4:
+                what = f"filters: EWA's error beside trilinear's, {image}, {stretch} : 1"
+                report.at_most(what, ewa / other, 1 / 3)
+    for stretch, ewa, other in zip(_STRETCHES, times["ewa"], times["trilinear"], strict=True):
+        report.at_most(f"filters: EWA's time beside trilinear's, {stretch} : 1", ewa / other, 4)
+
+
+def _images(rng: np.random.Generator, side: int) -> dict[str, npt.NDArray[np.uint8]]:
+    """Return what fades with frequency, as pictures do, with hard edges and without."""
+    frequencies = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
+    frequencies[0, 0] = 1.0
+    pink = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) / frequencies).real
+    pink = (pink - pink.mean()) / pink.std()
+    smooth = np.clip(128 + 50 * pink, 0, 255).astype(np.uint8)
+    edges = np.where((10 * pink).astype(int) % 2 == 0, 30, 220).astype(np.uint8)
+    return {"pink noise": smooth, "its contours, hard": edges}
+
+
+def _surface(
+    texels: npt.NDArray[np.uint8], stretch: float, width: float, angle: float, filter: str
+) -> octex.Surface:
+    """Return a triangle whose unit of length is width × (width · stretch) texels, turned in the image."""
+    across = np.array([[1.0, 0.0], [0.0, stretch]]) * width
+    turned = _rotation(angle) @ across @ _rotation(1.7 * angle + 1.0)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    vertices = np.column_stack([4.0 * corners, np.zeros(3)])
+    uv = 4.0 * corners @ turned.T / len(texels)
+    return octex.Surface.from_arrays(vertices, [[0, 1, 2]], uv=uv, image=texels, filter=filter)
+
+
+def _rotation(angle: float) -> Floats:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _read(surface: octex.Surface, places: Floats, width: float) -> npt.NDArray[np.float32]:
+    """Return values at places (n, 2) of the triangle."""
+    x, y = places.T / 4.0
+    triangles = np.zeros(len(places), np.int32)
+    barycentric = np.stack([1.0 - x, x - y, y], axis=1)
+    return surface.evaluate_all(triangles, barycentric, np.full(len(places), width, np.float32))
+
+
+def _squared_errors(
+    texels: npt.NDArray[np.uint8],
+    stretch: float,
+    width: float,
+    angle: float,
+    count: int,
+    fine: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return each filter's mean squared error beside the mean of fine² reads in the footprint's square."""
+    places = 0.5 + 3.0 * np.sort(rng.random((count, 2)), axis=1)[:, ::-1]
+    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    square = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    reads = _read(
+        _surface(texels, stretch, width, angle, "bilinear"), (places[:, None] + square).reshape(-1, 2), 0.0
+    )
+    truth = linear_to_srgb(reads.reshape(count, -1, 3).mean(axis=1))
+    errors = []
+    for name in _FILTERS:
+        found = linear_to_srgb(_read(_surface(texels, stretch, width, angle, name), places, 1.0))
+        errors.append(np.mean((255.0 * (found - truth)) ** 2))
+    return np.array(errors)
+
+
+def _times(setup: Setup, side: int) -> dict[str, list[float]]:
+    """Return nanoseconds a lookup by filter and stretch, over all widths, points in rows."""
+    across = 30 if setup.quick else 300
+    texels = np.random.default_rng(1).integers(0, 256, (side, side, 3)).astype(np.uint8)
+    grid = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2) / across
+    places = grid[grid[:, 0] >= grid[:, 1]] * 4.0
+    times: dict[str, list[float]] = {name: [] for name in _FILTERS}
+    for stretch in _STRETCHES:
+        work: dict[str, Callable[[], Spent]] = {}
+        for name in _FILTERS:
+            surfaces = [_surface(texels, stretch, width, 0.5, name) for width in _WIDTHS]
+            work[name] = partial(_timed_reads, surfaces, places)
+            work[name]()
+        with pinned({setup.core}):
+            for name, spent in in_turns(work, setup.repeats).items():
+                times[name].append(spent.cpu / (len(_WIDTHS) * len(places)) * 1e9)
+    return times
+
+
+def _timed_reads(surfaces: list[octex.Surface], places: Floats) -> Spent:
+    return timed(lambda: [_read(surface, places, 1.0) for surface in surfaces])[0]
+
+
+def materials(setup: Setup, report: Report) -> None:
+    """All channels of a model beside its base colour alone; directions through rest space and back."""
+    depth = 6 if setup.quick else 10
+
+    def convert(model: octex.Surface) -> Spent:
+        with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
+            return timed(lambda: octex.convert(model, depth, fit=False, executor=pool))[0]
+
+    for folder in ("BoomBoxWithAxes", "Avocado"):
+        path = setup.models / folder / f"{folder}.gltf" if setup.models else None
+        if path is None or not path.is_file():
+            report.note(f"materials: left out without --models: {folder}")
+            continue
+        surface = octex.load_surface(path)
+        names = ", ".join(channel.name for channel in surface.channels)
+        report.title(f"materials: {surface.name}, depth {depth}, one thread: {names}")
+        color = surface.with_channels(["base_color"])
+
+        convert(color), convert(surface)  # what they compile and prepare is there before
+        work = {"base colour": partial(convert, color), "all channels": partial(convert, surface)}
+        spent = in_turns(work, setup.repeats)
+        for name, each in spent.items():
+            report.line(name, each)
+        ratio = spent["all channels"].cpu / spent["base colour"].cpu
+        report.at_most(f"materials: all channels beside base colour, {folder}", ratio, 2.5)
+        _round_trip(surface, depth, report, folder)
+
+
+def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str) -> None:
+    """Compare directions of the normal map with those that come back from rest space."""
+    samples = surface.scatter(100_000)
+    source = surface.evaluate(samples, "normal")
+    frames = _frames(surface, samples)
+    tangential = np.einsum("nij,nj->ni", frames, source)
+    stored = decode(encode(source.astype(np.float64), "uint8", "direction"), "direction")
+    back = np.einsum("nij,nj->ni", frames, stored)
+    report.at_most(
+        f"materials: normals through rest space, 99th percentile, {folder}", _angle(tangential, back), 1, "°"
+    )
+    texture = octex.convert(surface, depth, channels=["normal"], fit=False)
+    cell = texture.placement.size / 2**depth
+    found = texture.sample(samples.rest, "normal")
+    averaged = surface.evaluate(samples, "normal", width=cell)
+    angles = f"{_angle(source, found, 50):.2f}°, {_angle(source, found):.2f}° beside points"
+    report.line(
+        "through the octree: 50th, 99th",
+        f"{angles}, {_angle(averaged, found):.2f}° beside cells",
+    )
+
+
+def _frames(surface: octex.Surface, samples: SurfaceSamples) -> Floats:
+    """Return the tangent's frames (n, 3, 3) at samples: rows tangent, bitangent, normal."""
+    assert surface.frames is not None
+    normal = _unit(_between(surface.frames.normals, samples))
+    tangent = _between(surface.frames.tangents, samples)
+    hand = np.sign(tangent[:, 3:])
+    along = tangent[:, :3] - normal * np.sum(normal * tangent[:, :3], axis=1, keepdims=True)
+    tangent = _unit(along)
+    return np.stack([tangent, hand * np.cross(normal, tangent), normal], axis=1)
+
+
+def _between(corners: Corners, samples: SurfaceSamples) -> Floats:
+    return np.einsum("nk,nkc->nc", samples.barycentric, corners.values[corners.rows[samples.triangles]])
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
+
+
+def _angle(a: Floats, b: Floats, percentile: float = 99) -> float:
+    """Return a percentile of the angle between directions, in degrees."""
+    cosine = np.clip(np.sum(_unit(a) * _unit(b), axis=1), -1.0, 1.0)
+    return float(np.percentile(np.degrees(np.arccos(cosine)), percentile))

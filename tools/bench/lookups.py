@@ -1,0 +1,361 @@
+"""Benchmarks of lookups: beside OpenVDB, NanoVDB and what Python offers without octex, and their memory."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+from inputs import painted_torus, scattered_on_sphere, seen_on_sphere, sphere_cells, torus
+from measuring import (
+    DROID,
+    PEERS,
+    Report,
+    Setup,
+    Spent,
+    Task,
+    Worker,
+    in_turns,
+    millions,
+    pinned,
+    run_program,
+    timed,
+)
+
+import octex
+from octex.channels import ONE, ChannelFormat
+from octex.preview.hits import rest_normals, visible_hits
+from octex.texture import Channel
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement
+
+UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
+#: The least that octex should be, in times of NanoVDB's lookups of the same kind, coherent and random.
+TARGETS = {"nearest": (1.2, 1.3), "linear": (2.0, 2.0), "quadratic": (1.5, 2.0)}
+
+
+#: Their lookups as vdb_bench prints them: the line's beginning, and its words for trilinear.
+VOLUMES = {"OpenVDB": ("OVDB acc", "box"), "NanoVDB": ("NANO acc", "tri")}
+
+
+def sphere_texture(depth: int, dtype: str = "uint8", *, adaptive: bool = False) -> octex.OctreeTexture:
+    """Return a band of cells around a sphere with random values, if ``adaptive`` of three sizes."""
+    codes = sphere_cells(depth)
+    depths = np.full(len(codes), depth, np.uint8)
+    if adaptive:
+        patches = codes >> 3 * max(depth - 4, 1)
+        for up in (1, 2):
+            coarse = patches % 3 == up
+            codes[coarse] >>= 3 * up
+            depths[coarse] -= up
+        first = np.append(True, (np.diff(codes) != 0) | (np.diff(depths) != 0))
+        codes, depths = codes[first], depths[first]
+    tree = Octree.from_leaves(codes, depths)
+    random = np.random.default_rng(0)
+    values = (random.random((tree.n_cells, 3), np.float32) * ONE[dtype]).astype(dtype)
+    form = ChannelFormat("base_color", 3, "srgb" if dtype.startswith("u") else "linear", dtype)
+    none = np.empty((0, 3), dtype)
+    channel = Channel(form, values, none, none)
+    return octex.OctreeTexture(tree, {"base_color": channel}, UNIT_CUBE, [[0, 0, 0], [1, 1, 1]])
+
+
+def _times(
+    texture: octex.OctreeTexture,
+    points: dict[str, npt.NDArray[np.float32]],
+    filters: tuple[str, ...],
+    setup: Setup,
+) -> dict[tuple[str, str], Spent]:
+    """Return what lookups of each filter and order of points take on one thread."""
+    contestants: dict[str, Callable[[], Spent]] = {}
+    for name in filters:
+        for order, each in points.items():
+            texture.sample(each[:1000], filter=name)
+            contestants[f"{name} {order}"] = lambda each=each, name=name: timed(  # type: ignore[misc]
+                lambda: texture.sample(each, filter=name)
+            )[0]
+    with pinned({setup.core}):
+        spent = in_turns(contestants, setup.repeats)
+    return {(name, order): spent[f"{name} {order}"] for name in filters for order in points}
+
+
+def lookup(setup: Setup, report: Report) -> None:
+    """Lookups in a band of cells around a sphere, beside OpenVDB and NanoVDB, on one thread."""
+    small = setup.quick
+    points = {
+        "coherent": seen_on_sphere(*((64, 36) if small else (1920, 1080))),
+        "random": scattered_on_sphere(2000 if small else 2_000_000),
+    }
+    filters = tuple(TARGETS)
+    for depth in (6,) if small else (8, 9, 10, 11):
+        texture = sphere_texture(depth)
+        report.title(f"lookup: sphere, {1 << depth} cells along an edge, {texture.tree.n_leaves:,} in all")
+        filters_here = (*filters, "quartic") if depth in (6, 10) else filters
+        rounds = [_times(texture, points, filters_here, setup)]
+        output = None
+        if setup.peers:
+            output = run_program(
+                [str(setup.peers / "vdb_bench"), "0", str(1 << depth), "1"], setup.core, setup.folder
+            )
+            rounds.append(_times(texture, points, filters_here, setup))  # what drifts should meet both
+        rates = {
+            key: len(points[key[1]]) / np.mean([spent[key].cpu for spent in rounds]) for key in rounds[0]
+        }
+        for (name, order), rate in rates.items():
+            report.line(f"octex, {name}, {order}", f"{millions(rate)} lookups/s")
+        if depth in (6, 10):
+            _limit(points, setup, report)
+            _two_threads(texture, points, setup, report)
+        if output is None:
+            report.note("left out: OpenVDB and NanoVDB (--peers)")
+            continue
+        for peer, (line, trilinear) in VOLUMES.items():
+            kinds = (rf"{kind} coh (\S+) rnd (\S+)" for kind in ("point", trilinear, "quad"))
+            found = re.search(rf"{line} Mlookups/s +" + r" \| ".join(kinds), output.text)
+            assert found, output.text
+            figures = iter(float(text) * 1e6 / output.share for text in found.groups())
+            for name in filters:
+                for number, order in enumerate(points):
+                    rate = next(figures)
+                    ratio = rates[name, order] / rate
+                    what = f"{peer}, {name}, {order}"
+                    report.line(what, f"{millions(rate)} lookups/s: octex {ratio:.2f} × as fast")
+                    if peer == "NanoVDB" and depth == 10:
+                        report.at_least(f"lookup: {name}, {order}, NanoVDB's", ratio, TARGETS[name][number])
+
+
+def _limit(points: dict[str, npt.NDArray[np.float32]], setup: Setup, report: Report) -> None:
+    for order, each in points.items():
+        target = np.empty_like(each)
+        spent = min(timed(lambda: np.copyto(target, each))[0].cpu for _ in range(max(setup.repeats, 5)))  # noqa: B023
+        what = f"limit: copying as many points in and values out, {order}"
+        report.line(what, f"{millions(len(each) / spent)} lookups/s")
+
+
+def _two_threads(
+    texture: octex.OctreeTexture, points: dict[str, npt.NDArray[np.float32]], setup: Setup, report: Report
+) -> None:
+    for order, each in points.items():
+        out = np.empty((len(each), 3), np.float32)
+        with ThreadPoolExecutor(2) as two:
+            spent = in_turns(
+                {
+                    "one": lambda: timed(lambda: texture.sample(each, out=out, threads=1))[0],  # noqa: B023
+                    "two": lambda: timed(lambda: texture.sample(each, out=out, executor=two))[0],  # noqa: B023
+                },
+                setup.repeats,
+            )
+        report.at_least(
+            f"lookup: two threads, quadratic, {order}", spent["one"].wall / spent["two"].wall, 1.8
+        )
+
+
+def kinds(setup: Setup, report: Report) -> None:
+    """Lookups in other types, in an adaptive tree, with gradients, and of several channels."""
+    depth = 6 if setup.quick else 9
+    points = {
+        "coherent": seen_on_sphere(*((64, 36) if setup.quick else (1920, 1080))),
+        "random": scattered_on_sphere(2000 if setup.quick else 500_000),
+    }
+    report.title(f"kinds: lookups in a sphere, {1 << depth} cells along an edge, one thread, M/s")
+    rows = []
+    for what, texture in (
+        *((dtype, sphere_texture(depth, dtype)) for dtype in ONE),
+        ("uint8, cells of three sizes", sphere_texture(depth, adaptive=True)),
+    ):
+        spent = _times(texture, points, ("nearest", "linear", "quadratic", "quartic"), setup)
+        figures = [f"{len(points[order]) / each.cpu / 1e6:.2f}" for (_, order), each in spent.items()]
+        rows.append([f"{what} ({texture.tree.n_leaves:,} leaves)", *figures])
+    heads = [
+        f"{name} {order}"
+        for name in ("nearest", "linear", "quadratic", "quartic")
+        for order in ("coh.", "rnd.")
+    ]
+    report.table(["", *heads], rows)
+
+
+#: The least rate of each question, of that of one colour in an even tree.
+QUESTIONS = {
+    "roughness": 0.9,
+    "float32": 0.6,
+    "all channels": 0.4,
+    "with alpha": 0.7,
+    "normals": 0.7,
+    "gradient": 0.5,
+    "quartic": 0.2,
+    "painted": 0.7,
+    "max_error=2": 0.7,
+    "half a cell off": 0.5,
+    "a cell off": 0.5,
+    "two cells off": 0.5,
+    "five cells off": 0.5,
+    "one width": 0.5,
+    "widths": 0.5,
+    "widths, normals": 0.4,
+}
+
+
+def questions(setup: Setup, report: Report) -> None:
+    """Each question that lookups answer, beside the colour of a point in an even tree."""
+    models = {"droid": DROID}
+    if setup.models:
+        models["BoomBox"] = setup.models / "BoomBoxWithAxes" / "BoomBoxWithAxes.gltf"
+    else:
+        report.note("questions: left out without --models: BoomBox")
+    for name, path in models.items():
+        _questions(name, octex.load_surface(path), setup, report)
+
+
+def _questions(name: str, surface: octex.Surface, setup: Setup, report: Report) -> None:
+    depth, count = (5, 2000) if setup.quick else (10, 300_000)
+    texture = octex.convert(surface, depth, fit=False)
+    color = octex.convert(surface, depth, fit=False, channels="base_color", dtype="float32")
+    merged = octex.convert(surface, depth, max_error=2, channels="base_color")
+    clear = octex.convert(surface, depth, fit=False, sources={"alpha": 0.5})
+    samples = surface.scatter(count)
+    points, normals = np.ascontiguousarray(samples.rest), samples.normals
+    painted = octex.fill(texture, surface, _tenth(points), (1, 0, 0), max_depth=depth + 1)
+    cell = texture.placement.size / 2**depth
+    widths = cell * 2.0 ** np.random.default_rng(0).uniform(1, 6, count)
+    names = list(texture.channels)
+    ask: dict[str, Callable[[], object]] = {
+        "base": lambda: texture.sample(points),
+        "roughness": lambda: texture.sample(points, "roughness"),
+        "float32": lambda: color.sample(points),
+        "all channels": lambda: texture.sample(points, names),
+        "with alpha": lambda: clear.sample(points),
+        "normals": lambda: texture.sample(points, normals=normals),
+        "gradient": lambda: texture.sample(points, gradient=True),
+        "quartic": lambda: texture.sample(points, filter="quartic"),
+        "painted": lambda: painted.sample(points),
+        "max_error=2": lambda: merged.sample(points),
+        "one width": lambda: texture.sample(points, width=4 * cell),
+        "widths": lambda: texture.sample(points, width=widths),
+        "widths, normals": lambda: texture.sample(points, width=widths, normals=normals),
+    }
+    for what, cells in (("half a", 0.5), ("a", 1), ("two", 2), ("five", 5)):
+        beside = points + cells * cell * normals
+        word = "cells" if cells > 1 else "cell"
+        ask[f"{what} {word} off"] = lambda beside=beside: texture.sample(beside)  # type: ignore[misc]
+    for question in ask.values():
+        question()
+    with pinned({setup.core}):
+        spent = in_turns(
+            {what: lambda question=question: timed(question)[0] for what, question in ask.items()},  # type: ignore[misc]
+            setup.repeats,
+        )
+    report.title(
+        f"questions: {name} at depth {depth}, {texture.tree.n_leaves:,} leaves, quadratic, at random"
+    )
+    report.line("base_color", f"{millions(count / spent['base'].cpu)} lookups/s")
+    for what, least in QUESTIONS.items():
+        report.at_least(f"questions: {name}, {what}", spent["base"].cpu / spent[what].cpu, least, "of that")
+    one = points[:1]
+    calls = 100 if setup.quick else 3000
+    taken = timed(lambda: [texture.sample(one) for _ in range(calls)])[0]
+    report.at_most(f"questions: {name}, a call with one point", 1e6 * taken.cpu / calls, 25, "µs")
+
+
+def _tenth(points: npt.NDArray[np.floating]) -> octex.Sphere:
+    """Return the ball around the first point that holds a tenth of all."""
+    apart = np.linalg.norm(points - points[0], axis=1)
+    return octex.Sphere(tuple(points[0].tolist()), float(np.quantile(apart, 0.1)))
+
+
+#: Models whose lookups in adaptive and painted textures are compared with those in even ones.
+MIXED = ("BoomBox", "Avocado", "Suzanne")
+#: The least rates then, of that of as many points in an even tree: adaptive, painted.
+MIXED_RATES = {"along a view": (0.6, 0.7), "500 k at random": (0.7, 0.7), "3 k at random": (0.2, None)}
+
+
+def mixed(setup: Setup, report: Report) -> None:
+    """Lookups in adaptive textures, and where a tenth was painted more finely, beside even ones."""
+    depth, many, side = (5, 3000, 64) if setup.quick else (10, 500_000, 1024)
+    if not setup.models:
+        report.note("mixed: left out without --models")
+        return
+    for name in MIXED:
+        path = next(
+            (each for each in sorted(setup.models.rglob("*.gl*")) if each.name.startswith(name)), None
+        )
+        if path is None:
+            report.note(f"mixed: left out {name}, which is not there")
+            continue
+        surface = octex.load_surface(path).with_channels(["base_color"])
+        even = octex.convert(surface, depth, fit=False)
+        samples = surface.scatter(many)
+        points = np.ascontiguousarray(samples.rest, np.float32)
+        textures = {
+            "even": even,
+            "adaptive": octex.convert(surface, depth, max_error=2),
+            "painted": octex.fill(even, surface, _tenth(points), (1, 0, 0), max_depth=depth + 1),
+        }
+        camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1.0), size=(side, side))
+        hits = [hit.rest for _, hit in visible_hits(surface, camera, rest_normals(surface))]
+        report.title(f"mixed: {name} at depth {depth}, {even.tree.n_leaves:,} leaves, quadratic")
+        orders = np.concatenate(hits).astype(np.float32), points, points[:3000]
+        for (what, least), each in zip(MIXED_RATES.items(), orders, strict=True):
+            calls = max(100_000 // len(each), 1)
+            ask = {
+                kind: lambda texture=texture, each=each, calls=calls: timed(  # type: ignore[misc]
+                    lambda: [texture.sample(each) for _ in range(calls)]
+                )[0]
+                for kind, texture in textures.items()
+            }
+            for question in ask.values():
+                question()
+            with pinned({setup.core}):
+                spent = in_turns(ask, setup.repeats)
+            report.line(f"even, {what}", f"{millions(calls * len(each) / spent['even'].cpu)} lookups/s")
+            for kind, share in zip(("adaptive", "painted"), least, strict=True):
+                ratio = spent["even"].cpu / spent[kind].cpu
+                if share is None:
+                    report.line(f"{kind}, {what}", f"{ratio:.2f} of that")
+                else:
+                    report.at_least(f"mixed: {name}, {kind}, {what}", ratio, share, "of that")
+
+
+def resident(setup: Setup, report: Report) -> None:
+    """Memory that a process takes for lookups in a file, and beside it in arrays of its own."""
+    depth = 6 if setup.quick else 10
+    texture = sphere_texture(depth)
+    leaves = texture.tree.n_leaves
+    path = setup.folder / "sphere.octex"
+    texture.save(path)
+    report.title(f"resident: sphere, {1 << depth} cells along an edge, bytes a cell")
+    report.line("all arrays", f"{texture.nbytes / leaves:.2f}")
+    with Task(
+        setup, "resident", pin=False, path=str(path), count=2000 if setup.quick else 2_000_000
+    ) as worker:
+        answer = worker.run()
+    report.line("tiles", f"{answer['tiles'] / leaves:.2f}")
+    report.at_most(
+        "resident: after 2 M random quadratic lookups", answer["grown"] / leaves, 8.5, "bytes a cell"
+    )
+
+
+def today(setup: Setup, report: Report) -> None:
+    """Lookups as a Python user does them today: Open3D's closest point, its UV, and a bilinear read."""
+    around, across, size, depth = (20, 10, 64, 6) if setup.quick else (320, 156, 2048, 10)
+    report.title(f"today: a torus of {2 * around * across:,} triangles with an image of {size}²")
+    surface = painted_torus(around, across, size)
+    texture = octex.convert(surface, depth, fit=False)
+    samples = surface.scatter(2000 if setup.quick else 500_000)
+    points = {"random": np.ascontiguousarray(samples.rest, np.float32)}
+    spent = _times(texture, points, ("quadratic",), setup)["quadratic", "random"]
+    rate = len(points["random"]) / spent.cpu
+    report.line("octex, quadratic, random", f"{millions(rate)} lookups/s")
+    if not setup.peer_python:
+        report.note("left out: Open3D (--peer-python)")
+        return
+    vertices, triangles, uv = torus(around, across)
+    path = setup.folder / "today.npz"
+    image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
+    np.savez(path, vertices=vertices, triangles=triangles, uv=uv, image=image, points=points["random"])
+    command = [setup.peer_python, str(PEERS / "open3d_lookup.py"), str(path)]
+    with Worker(command, setup.core) as worker:
+        worker.run()
+        theirs = in_turns({"theirs": worker.spent}, setup.repeats)["theirs"]
+    rate, ratio = len(points["random"]) / theirs.cpu, theirs.cpu / spent.cpu
+    report.line("Open3D, random", f"{millions(rate)} lookups/s: octex {ratio:.1f} × as fast")

@@ -1,0 +1,332 @@
+#!/usr/bin/env python
+"""Judge octex's reading and writing of .ptx files by Ptex's own library.
+
+usage: ptex_peer.py SOURCE [FILE.ptx|FOLDER...] [--build FOLDER] [--random N] [--seed N] [--slides]
+
+SOURCE is a checkout of github.com/wdas/ptex, or a bare clone of it; it is built with ptex_peer.cpp into
+FOLDER by a C++ compiler, with zlib's headers. Each file is read by both, and so are N random contents,
+written by both; of what octex writes the library must read the texels, neighbours and metadata that were
+given, and its reductions may differ from octex's by rounding alone. --slides writes 212,064 faces of
+4² texels with noise, by both, and says their sizes and times. Exit code 1 if anything differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.errors import ModelError
+from octex.formats.ptex.layout import (
+    BORDER_MODES,
+    DTYPES,
+    EDGE_FILTERS,
+    MESH_TYPES,
+    METADATA_TYPES,
+    Faces,
+)  # fmt: skip
+from octex.formats.ptex.reader import PtexFile
+from octex.formats.ptex.writer import Contents, write_contents
+from octex.parallel import workers
+
+PROGRAM = Path(__file__).with_suffix(".cpp")
+#: Those of the library; the other of its files are tests and tables.
+SOURCES = (
+    *("Cache", "Filters", "Half", "Reader", "SeparableFilter", "SeparableKernel"),
+    *("TriangleFilter", "TriangleKernel", "Utils", "Writer"),
+)
+
+
+class Dump(NamedTuple):
+    """What Ptex's library reads in a file."""
+
+    contents: Contents
+    is_constant: np.ndarray  # (faces,)
+    least: np.ndarray  # (faces, channels)
+    reductions: list[list[np.ndarray]]  # of each face, (v, u, channels) each
+
+
+def build(source: Path, folder: Path) -> Path:
+    """Compile the library and the program that speaks to it; return the program."""
+    program = folder / "ptex_peer"
+    if program.exists():
+        return program
+    folder.mkdir(parents=True, exist_ok=True)
+    code = source / "src" / "ptex"
+    if not code.is_dir():
+        archive = subprocess.run(
+            ["git", "-C", str(source), "archive", "HEAD", "src/ptex"], check=True, capture_output=True
+        )
+        subprocess.run(["tar", "x", "-C", str(folder)], input=archive.stdout, check=True)
+        code = folder / "src" / "ptex"
+    version = (code / "PtexVersion.h.in").read_text().replace("@PTEX_MAJOR_VERSION@", "2")
+    (folder / "PtexVersion.h").write_text(version.replace("@PTEX_MINOR_VERSION@", "4"))
+    files = [str(code / f"Ptex{name}.cpp") for name in SOURCES]
+    subprocess.run(
+        ["c++", "-O2", "-std=c++11", "-DPTEX_STATIC", f"-I{folder}", f"-I{code}", str(PROGRAM), *files, "-lz",
+         "-lpthread", "-o", str(program)],
+        check=True,
+    )  # fmt: skip
+    return program
+
+
+def dumped(program: Path, path: Path) -> Dump:
+    """Read a file by the library; raises ModelError if that refuses it."""
+    done = subprocess.run([str(program), "dump", str(path)], capture_output=True)
+    if done.returncode:
+        raise ModelError(f"{path.name}: Ptex says {done.stderr.decode(errors='replace').strip()}")
+    data, at = done.stdout, 0
+
+    def taken(form: str, count: int) -> np.ndarray:
+        nonlocal at
+        found = np.frombuffer(data, form, count, at)
+        at += found.nbytes
+        return found
+
+    mesh, kind, alpha, channels, count, u, v, edges = taken("<i4", 8).tolist()
+    form = np.dtype(DTYPES[kind])
+    info = taken("<i4", 11 * count).reshape(-1, 11)
+    log2 = info[:, :2].astype(np.int8)
+    faces = Faces(log2, info[:, 3:7], info[:, 7:].astype(np.uint8), info[:, 2] != 0)
+    texels = taken(form.str, int(faces.counts.sum()) * channels).reshape(-1, channels)
+    least, constant, reductions = [], [], []
+    for face in range(count):
+        least.append(taken(form.str, channels))
+        constant.append(bool(taken("<i4", 1)[0]))
+        sides = 1 << log2[face].astype(int)
+        reductions.append([])
+        while sides.min() > 1:
+            sides //= 2
+            reductions[-1].append(
+                taken(form.str, int(sides.prod()) * channels).reshape(sides[1], sides[0], channels)
+            )
+    metadata: dict[str, str | np.ndarray] = {}
+    for _ in range(int(taken("<i4", 1)[0])):
+        which, name, size = taken("<i4", 3).tolist()
+        key, value = taken("S1", name).tobytes().decode(), taken("u1", size)
+        text = value.tobytes().rstrip(b"\0").decode(errors="replace")
+        metadata[key] = text if which == 0 else value.view(METADATA_TYPES[which])
+    contents = Contents(
+        MESH_TYPES[mesh], faces, texels, None if alpha < 0 else alpha, (BORDER_MODES[u], BORDER_MODES[v]),
+        EDGE_FILTERS[edges], metadata,
+    )  # fmt: skip
+    return Dump(contents, np.array(constant), np.array(least), reductions)
+
+
+def written(program: Path, contents: Contents, path: Path) -> float:
+    """Write a file by the library; return the seconds that it took."""
+    faces, texels = contents.faces, contents.texels
+    head = np.array(
+        [
+            MESH_TYPES.index(contents.mesh_type), DTYPES.index(texels.dtype.name),
+            -1 if contents.alpha_channel is None else contents.alpha_channel, texels.shape[1],
+            len(faces.log2), *map(BORDER_MODES.index, contents.border_modes),
+            EDGE_FILTERS.index(contents.edge_filter),
+        ],
+        "<i4",
+    )  # fmt: skip
+    info = np.column_stack([faces.log2, faces.subfaces, faces.neighbors, faces.edges]).astype("<i4")
+    parts = [head.tobytes(), info.tobytes(), texels.tobytes(), len(contents.metadata).to_bytes(4, "little")]
+    for key, value in contents.metadata.items():
+        if isinstance(value, str):
+            kind, data = 0, value.encode() + b"\0"
+        else:
+            kind = [np.dtype(each).name for each in METADATA_TYPES].index(value.dtype.name)
+            data = value.tobytes()
+        parts += [np.array([kind, len(key.encode()), len(data)], "<i4").tobytes(), key.encode(), data]
+    done = subprocess.run([str(program), "write", str(path)], input=b"".join(parts), capture_output=True)
+    if done.returncode:
+        raise ModelError(f"{path.name}: Ptex says {done.stderr.decode(errors='replace').strip()}")
+    return float(done.stdout)
+
+
+def differences(dump: Dump, path: Path, wanted: Contents | None = None) -> Iterator[str]:
+    """Say how what octex reads in a file differs from what the library reads, and from what was written."""
+    with PtexFile(path) as file:
+        own = {"mesh_type": file.mesh_type, "alpha_channel": file.alpha_channel,
+               "border_modes": file.border_modes, "edge_filter": file.edge_filter}  # fmt: skip
+        for name, value in own.items():
+            if value != getattr(dump.contents, name):
+                yield f"{name}: {value}, not {getattr(dump.contents, name)}"
+        sides = 4 if file.mesh_type == "quad" else 3
+        for name, mine, its in zip(Faces._fields, file.faces, dump.contents.faces, strict=True):
+            if name in ("neighbors", "edges"):
+                mine, its = mine[:, :sides], its[:, :sides]
+            if not np.array_equal(mine, its):
+                yield f"faces' {name} differ"
+        if not np.array_equal(file.is_constant, dump.is_constant):
+            yield "other faces are constant"
+        if not same_metadata(file.metadata, dump.contents.metadata):
+            yield f"metadata: {file.metadata}, not {dump.contents.metadata}"
+        ends = np.cumsum(dump.contents.faces.counts)
+        limit = 1.0 if file.dtype.kind == "u" else 2e-3
+        for face, (end, count) in enumerate(zip(ends, dump.contents.faces.counts, strict=True)):
+            texels = np.ascontiguousarray(file.texels(face)).reshape(count, -1)
+            if texels.tobytes() != np.ascontiguousarray(dump.contents.texels[end - count : end]).tobytes():
+                yield f"texels of face {face} differ"
+                break
+            if not file.is_constant[face]:
+                for level, its in enumerate(dump.reductions[face], 1):
+                    mine = file.texels(face, level)
+                    stored = level < file.n_levels and min(file.faces.log2[face]) > level + 1
+                    if file.alpha_channel is not None and not stored:
+                        continue  # which the library does not multiply by alpha, as it does what it stores
+                    apart = np.abs(mine.astype(float) - its.astype(float)).max()
+                    scale = max(np.abs(its.astype(float)).max(), 1.0) if file.dtype.kind == "f" else level
+                    if apart > limit * scale:
+                        kind = "stored" if stored else "averaged"
+                        yield f"level {level} ({kind}) of face {face} differs by {apart}"
+    if wanted is not None:
+        if dump.contents.texels.tobytes() != wanted.texels.tobytes():
+            yield "the library reads other texels than were written"
+        if not same_metadata(dump.contents.metadata, wanted.metadata):
+            yield f"the library reads other metadata: {dump.contents.metadata}"
+
+
+def same_metadata(mine: dict, its: dict) -> bool:
+    """Say whether two say the same."""
+    return mine.keys() == its.keys() and all(np.array_equal(mine[key], its[key]) for key in mine)
+
+
+def random_contents(seed: int) -> Contents:
+    """Draw what a file may hold."""
+    draw = np.random.default_rng(seed)
+    triangles = bool(draw.integers(2))
+    count, channels = int(draw.integers(1, 40)), int(draw.integers(1, 6))
+    dtype = np.dtype(DTYPES[draw.integers(4)])
+    most = 9 if draw.random() < 0.2 else 6
+    log2 = draw.integers(0, most, (count, 2)).astype(np.int8)
+    if triangles:
+        log2[:, 1] = log2[:, 0]
+    neighbors = np.full((count, 4), -1, np.int32)
+    edges = np.zeros((count, 4), np.uint8)
+    sides = 3 if triangles else 4
+    free = draw.permutation(count * sides)
+    for a, b in free[: len(free) // 2 * 2].reshape(-1, 2)[:count]:
+        neighbors[a // sides, a % sides], edges[a // sides, a % sides] = b // sides, b % sides
+        neighbors[b // sides, b % sides], edges[b // sides, b % sides] = a // sides, a % sides
+    faces = Faces(log2, neighbors, edges, np.zeros(count, np.bool_))
+    parts = []
+    for size in faces.counts.tolist():
+        kind = draw.integers(3)
+        values = draw.random((1 if kind == 0 else size, channels))
+        if kind == 1:
+            values = np.cumsum((values - 0.5) * 0.05, axis=0) % 1
+        parts.append(np.broadcast_to(values, (size, channels)))
+    values = np.concatenate(parts)
+    scale = {"uint8": 255, "uint16": 65535}.get(dtype.name, 1)
+    texels = (values * scale).astype(dtype)
+    alpha = int(draw.integers(channels)) if draw.random() < 0.3 else None
+    metadata: dict[str, str | np.ndarray] = {}
+    for name in range(draw.integers(8)):
+        kind = METADATA_TYPES[draw.integers(6)]
+        size = int(draw.integers(1, 2000))
+        metadata[f"entry {name}"] = (
+            "grün " * size if kind == "S" else (draw.normal(size=size) * 50).astype(kind)
+        )
+    modes = BORDER_MODES[draw.integers(3)], BORDER_MODES[draw.integers(3)]
+    return Contents(
+        MESH_TYPES[not triangles], faces, texels, alpha, modes, EDGE_FILTERS[draw.integers(2)], metadata
+    )
+
+
+def slides() -> Contents:
+    """Return the contents of the slides' case: 212,064 faces of 4² texels of a painted, noisy colour."""
+    side = 4
+    across, down = 752, 282
+    assert across * down == 212_064
+    row, column = np.divmod(np.arange(across * down), across)
+    v, u = np.divmod(np.arange(side * side), side)
+    x = (column[:, None] * side + u).ravel()
+    y = (row[:, None] * side + v).ravel()
+    draw = np.random.default_rng(0)
+    color = np.zeros((len(x), 3))
+    for octave in range(8):
+        grid = draw.random((2**octave + 2, 2**octave + 2, 3)) - 0.5
+        gx, gy = x / (across * side) * 2**octave, y / (down * side) * 2**octave
+        i, j = gx.astype(int), gy.astype(int)
+        f, g = (gx - i)[:, None], (gy - j)[:, None]
+        low = grid[j, i] * (1 - f) + grid[j, i + 1] * f
+        high = grid[j + 1, i] * (1 - f) + grid[j + 1, i + 1] * f
+        color += (low * (1 - g) + high * g) / 2**octave
+    color = 0.5 + 0.35 * color + draw.normal(0, 0.015, color.shape)
+    texels = np.rint(np.clip(color, 0, 1) * 255).astype(np.uint8)
+    faces = np.arange(across * down).reshape(down, across)
+    neighbors = np.full((down, across, 4), -1, np.int32)
+    neighbors[1:, :, 0], neighbors[:, :-1, 1] = faces[:-1], faces[:, 1:]
+    neighbors[:-1, :, 2], neighbors[:, 1:, 3] = faces[1:], faces[:, :-1]
+    edges = np.tile(np.array([2, 3, 0, 1], np.uint8), (len(row), 1))
+    log2 = np.full((len(row), 2), 2, np.int8)
+    return Contents(
+        "quad", Faces(log2, neighbors.reshape(-1, 4), edges, np.zeros(len(row), np.bool_)), texels
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("source", type=Path)
+    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("--build", type=Path, default=Path("build") / "ptex_peer")
+    parser.add_argument("--random", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--slides", action="store_true")
+    options = parser.parse_args(arguments)
+    program = build(options.source, options.build.resolve())
+    failed = 0
+
+    def judge(name: str, path: Path, wanted: Contents | None = None) -> None:
+        nonlocal failed
+        found = list(differences(dumped(program, path), path, wanted))
+        failed += bool(found)
+        for each in found[:5]:
+            print(f"{name}: {each}")
+
+    files = [f for each in options.files for f in (sorted(each.rglob("*.ptx")) if each.is_dir() else [each])]
+    for path in files:
+        try:
+            with PtexFile(path) as file:
+                print(f"{path.name}: {file}")
+        except ModelError as error:
+            print(f"{path.name}: refused ({error})")
+            continue
+        judge(path.name, path)
+    with TemporaryDirectory() as folder, workers() as executor:
+        own, its = Path(folder) / "own.ptx", Path(folder) / "its.ptx"
+        for seed in range(options.seed, options.seed + options.random):
+            contents = random_contents(seed)
+            write_contents(contents, own, executor)
+            judge(f"written by octex, seed {seed}", own, contents)
+            written(program, contents, its)
+            judge(f"written by Ptex, seed {seed}", its, contents)
+        print(f"{options.random} random contents written by both")
+        if options.slides:
+            contents = slides()
+            seconds = written(program, contents, its)
+            began = time.perf_counter(), time.process_time()
+            write_contents(contents, own, executor)
+            spent = time.perf_counter() - began[0], time.process_time() - began[1]
+            began = time.perf_counter(), 0.0
+            with PtexFile(own) as file:
+                file.texels(100_000)
+            opened = time.perf_counter() - began[0]
+            print(
+                f"{len(contents.faces.log2):,} faces, {len(contents.texels):,} texels: "
+                f"Ptex {its.stat().st_size:,} bytes in {seconds:.2f} s; "
+                f"octex {own.stat().st_size:,} in {spent[0]:.2f} s ({spent[1]:.2f} s of processors); "
+                f"opened, and one face read, in {opened:.3f} s"
+            )
+            judge("slides", own, contents)
+            failed += own.stat().st_size > its.stat().st_size
+    print("differences" if failed else "no difference")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""Benchmarks of where colours come from: another model's nearest surface, and clouds of points."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+from inputs import painted_torus, torus
+from measuring import PEERS, Report, Setup, Spent, Worker, in_turns, pinned, timed
+
+import octex
+
+
+def transfer(setup: Setup, report: Report) -> None:
+    """Another model's colours where its surface is nearest, beside Open3D's closest point."""
+    around, across, size, depth = (24, 12, 64, 5) if setup.quick else (1024, 488, 1024, 10)
+    source = painted_torus(around, across, size)
+    vertices, triangles, _ = torus(around * 15 // 16, across * 15 // 16)
+    target = octex.Surface.from_arrays(vertices, triangles)
+    report.title(
+        f"transfer: {len(source.triangles):,} triangles with an image of {size}² onto {len(triangles):,}, at "
+        "the points that a conversion asks for, one thread"
+    )
+    samples = target.scatter(2000 if setup.quick else 2_000_000)
+    order = np.argsort(samples.triangles, kind="stable")
+    where = samples.triangles[order], samples.barycentric[order], np.zeros(order.size, np.float32)
+    with pinned({setup.core}):
+        spent, laid = timed(lambda: target.with_sources(octex.Transfer(source).sources))
+        report.line("made ready", spent)
+        laid.source.evaluate(*(each[:100] for each in where))
+        contestants = {"octex": lambda: timed(lambda: laid.source.evaluate(*where))[0]}
+        if setup.peer_python:
+            path = setup.folder / "transfer.npz"
+            own, faces, uv = torus(around, across)
+            image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
+            points = np.asarray(samples.rest[order], np.float32)
+            np.savez(path, vertices=own, triangles=faces, uv=uv, image=image, points=points)
+            with Worker(
+                [setup.peer_python, str(PEERS / "open3d_lookup.py"), str(path)], setup.core
+            ) as worker:
+                worker.run()
+                found = in_turns({**contestants, "Open3D": worker.spent}, setup.repeats)
+        else:
+            report.note("left out: Open3D (--peer-python)")
+            found = in_turns(contestants, setup.repeats)
+    for name, each in found.items():
+        report.line(name, f"{order.size / each.cpu / 1e6:.2f} M points/s")
+    if "Open3D" in found:
+        report.at_least("transfer: of Open3D's rate", found["Open3D"].cpu / found["octex"].cpu, 5)
+    whole = _converted(setup, target, octex.Transfer(source).sources, depth)
+    plain = _converted(setup, target, {}, depth)
+    report.line(
+        f"the whole conversion at depth {depth}, as means", f"{whole.wall:.2f} s (bare: {plain.wall:.2f} s)"
+    )
+
+
+def cloud(setup: Setup, report: Report) -> None:
+    """Coloured points, laid on a mesh and by themselves."""
+    count, around, across, depth = (5000, 24, 12, 5) if setup.quick else (10_000_000, 1024, 488, 10)
+    report.title(
+        f"cloud: {count:,} points on {4 * around * across // 2:,} triangles, depth {depth}, all cores"
+    )
+    surface = painted_torus(around, across, 256)
+    samples = surface.scatter(count)
+    points, colors, normals = samples.rest, surface.evaluate(samples), samples.normals
+    bare = octex.Surface.from_arrays(surface.vertices, surface.triangles)
+
+    def laid() -> Spent:
+        began = perf_counter()
+        octex.convert(bare, depth, sources=octex.PointCloud(points, colors, normals).sources, fit=False)
+        return Spent(0.0, perf_counter() - began)
+
+    def alone() -> Spent:
+        began = perf_counter()
+        octex.convert(octex.PointCloud(points, colors, normals), depth)
+        return Spent(0.0, perf_counter() - began)
+
+    found = in_turns({"laid": laid, "alone": alone}, min(setup.repeats, 3))
+    rate = count / found["laid"].wall / 1e6
+    report.at_least("cloud: laid on the mesh, all in", rate, 1, "M points/s")
+    report.line("by themselves", f"{count / found['alone'].wall / 1e6:.2f} M points/s")
+
+
+def _converted(setup: Setup, surface: octex.Surface, sources: dict[str, octex.Transfer], depth: int) -> Spent:
+    def convert() -> Spent:
+        return timed(lambda: octex.convert(surface, depth, sources=sources, fit=False))[0]
+
+    return in_turns({"": convert}, min(setup.repeats, 3))[""]

@@ -1,0 +1,151 @@
+#!/usr/bin/env python
+"""Bake a model, have Blender draw it unlit, compare with octex's own view, and time both programs' bakes.
+
+usage: tools/blender/bake.py PYTHON [MODEL] [--depth 10] [--texture-size 2048] [--picture 512] [--samples 4]
+
+PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs bake_worker.py.
+Blender imports the baked .glb and draws its base colour with Cycles: emission, the Standard view transform.
+Blender reads maps without averaging, so that where texels are smaller than pixels one ray a pixel differs by
+aliasing: the whole model is drawn with several, and a part of it from so near that texels are larger than
+pixels, with one. The exit code is 1 if either picture is not within 35 dB inside the silhouette, or if octex
+does not bake 4 times as many texels a second as Blender (processor time; the same mesh, coordinates, maps).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.preview import render, texture_shader
+from octex.preview.hits import Hits
+from octex.preview.shaders import Appearance
+
+WORKER = Path(__file__).with_name("bake_worker.py")
+DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
+#: From glTF's axes to those that Blender's importer gives them.
+Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+DECIBELS, TIMES = 35.0, 4.0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("python", type=Path)
+    parser.add_argument("model", type=Path, nargs="?", default=DROID)
+    parser.add_argument("--depth", type=int, default=10)
+    parser.add_argument("--texture-size", type=int, default=2048)
+    parser.add_argument("--picture", type=int, default=512)
+    parser.add_argument("--samples", type=int, default=4, help="rays along each side of a pixel")
+    parser.add_argument("--direction", type=float, nargs=3, default=(0.5, 0.3, 1.0), metavar=("X", "Y", "Z"))
+    parser.add_argument("--keep", type=Path, help="a folder for both pictures")
+    options = parser.parse_args(arguments)
+    surface = octex.load_surface(options.model, channels=["base_color"], normals=True)
+    texture = octex.convert(surface, options.depth)
+    size = options.texture_size
+    baked = octex.bake(texture, surface, texture_size=size)
+    began = time.process_time(), time.perf_counter()
+    octex.bake(texture, baked, uv="keep", texture_size=size)
+    spent = {"cpu": time.process_time() - began[0], "wall": time.perf_counter() - began[1]}
+    frame = {"direction": options.direction, "size": (options.picture,) * 2}
+    far = octex.Camera.fitted(surface.vertices, **frame)
+    near = octex.Camera.fitted(beside(baked, far, size, options.picture), **frame)
+    views = {"the whole model": (far, options.samples), "texels larger than pixels": (near, 1)}
+    with TemporaryDirectory() as folder:
+        model = Path(folder) / "baked.glb"
+        octex.write_model(baked, model)
+        pictures = [Path(folder) / f"{number}.png" for number in range(len(views))]
+        told = blender(options.python, model, pictures, list(views.values()), size)
+        drawn = [np.array(Image.open(each)).astype(np.float64) for each in pictures]
+    worst, share = np.inf, 1.0
+    for number, ((name, (camera, samples)), picture) in enumerate(zip(views.items(), drawn, strict=True)):
+        own = view(texture, surface, camera, samples)
+        inside = (picture[..., 3] == 255) & (own[..., 3] == 255)
+        decibels = 10 * np.log10(255**2 / np.mean((picture[..., :3] - own[..., :3])[inside] ** 2))
+        covered = inside.sum() / max((own[..., 3] == 255).sum(), 1)
+        worst, share = min(worst, decibels), min(share, covered)
+        if options.keep is not None:
+            for program, each in (("blender", picture), ("octex", own)):
+                codes = each.round().astype(np.uint8)
+                Image.fromarray(codes).save(options.keep / f"{program}-{number}.png")
+        print(f"{options.model.name}, {name}: {options.picture}² pixels of {samples}² rays")
+        print(
+            f"inside the silhouette, {100 * covered:.1f} % of it: {decibels:.1f} dB (at least {DECIBELS:g})"
+        )
+    texels = told["texels"]
+    for name, each in (("octex.bake", spent), (f"Blender {told['version']}", told)):
+        rate = f"{1e9 * each['cpu'] / texels:.0f} ns a texel"
+        taken = f"{each['cpu']:.2f} s of the processor, {each['wall']:.2f} s"
+        print(f"{name}: {texels / size**2:g} × {size}², {taken}, {rate}")
+    times = told["cpu"] / spent["cpu"]
+    print(f"octex bakes {times:.1f} times as many texels a second (at least {TIMES:g})")
+    return int(worst < DECIBELS or times < TIMES or share < 0.95)
+
+
+def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> np.ndarray:
+    """Return corners of a box around what is nearest to a camera: half a texel a pixel wide."""
+    assert baked.uv is not None
+    flat = baked.uv.values[baked.uv.rows].astype(np.float64) * size
+    texels = np.abs(np.linalg.det(flat[:, 1:] - flat[:, :1])).sum() / 2
+    half = 0.25 * pixels * np.sqrt(baked.areas().sum() / texels)
+    points = baked.scatter(20_000).points
+    middle = points[np.argmin(np.linalg.norm(points - far.position, axis=1))]
+    return middle + half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+def blender(
+    python: Path, model: Path, pictures: list[Path], views: list[tuple[octex.Camera, int]], size: int
+) -> dict[str, Any]:
+    """Have Blender draw a model, and bake it; return what it says of its bake."""
+    job: dict[str, Any] = {"model": str(model), "texture_size": size, "views": []}
+    for picture, (camera, samples) in zip(pictures, views, strict=True):
+        pose = np.linalg.inv(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
+        job["views"].append(
+            {
+                "picture": str(picture),
+                "pose": (Z_UP @ pose).tolist(),
+                "focal": camera.K[0, 0] / camera.width,
+                "pixels": [camera.width, camera.height],
+                "samples": samples,
+            }
+        )
+    done = subprocess.run(
+        [str(python), str(WORKER), json.dumps(job)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def view(
+    texture: octex.OctreeTexture, surface: octex.Surface, camera: octex.Camera, samples: int
+) -> np.ndarray:
+    """Draw a surface unlit by its texture; return codes (height, width, 4), the last what is covered."""
+    look = texture_shader(texture)
+
+    def unlit(hits: Hits) -> Appearance:
+        return Appearance(emitted=look(hits).unlit())
+
+    def white(hits: Hits) -> Appearance:
+        return Appearance(emitted=np.ones((len(hits.rest), 3)))
+
+    def black(hits: Hits) -> Appearance:
+        return Appearance(emitted=np.zeros((len(hits.rest), 3)))
+
+    color, high, low = (render(surface, camera, each, samples) for each in (unlit, white, black))
+    covered = (high - low)[..., :1] > 1 - 1e-6
+    return np.concatenate([255 * linear_to_srgb(np.clip(color, 0, 1)), 255.0 * covered], axis=2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,285 @@
+#!/usr/bin/env python
+"""Run random tests for an hour: seed after seed, each kind that there is, in processes of their own.
+
+usage: soak.py [edits] [lookups] [adaptive] [border] [--minutes 60] [--jobs 2] [--seed N] [--seeds N]
+                     [--limit 60] [--memory 4] [--summary FILE]
+
+A kind is a module tests/properties/random_KIND.py, whose check(seed) raises where something fails. Without a
+kind, all run in turn.
+A process that crashes, takes longer than --limit seconds for a seed, or more than --memory gigabytes, counts
+as a failure of that seed, and another goes on. Failures are grouped by where they were raised and by what was
+said, numbers aside; each group is printed once, when it is first met, with the line that repeats it. At the
+end all groups are listed, with their seeds; --summary writes that as JSON. Exit code 1 if anything failed.
+Linux only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import re
+import resource
+import selectors
+import signal
+import subprocess
+import sys
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+PREFIX = "random_"
+#: Seeds after which a process is replaced: what it has leaked counts against its memory.
+MOST_SEEDS = 500
+#: Seeds of a group that are listed.
+MOST_LISTED = 20
+
+
+class Failure(NamedTuple):
+    """What went wrong with a seed."""
+
+    group: str  # where, and what was said without its numbers
+    message: str  # all that was said
+
+
+def kinds() -> list[str]:
+    """Return the kinds of random tests that there are."""
+    return sorted(
+        path.stem.removeprefix(PREFIX) for path in (ROOT / "tests" / "properties").glob(f"{PREFIX}*.py")
+    )
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Say what an error is, and group it with those of the same place and words.
+
+    An AssertionError that was raised from another error is of that error's group.
+    """
+    message = "".join(traceback.format_exception_only(error)).strip()
+    cause = error.__cause__ if isinstance(error, AssertionError) and error.__cause__ else error
+    frames = traceback.extract_tb(cause.__traceback__)
+    inside = [frame for frame in frames if frame.filename.startswith(str(ROOT / "octex"))] or frames
+    where = f"{Path(inside[-1].filename).name}:{inside[-1].name}" if inside else "nowhere"
+    said = (str(cause).splitlines() or [""])[0]
+    said = re.sub(r"[-+]?\.?\d[-+.e\d]*", "#", said)[:60]
+    return Failure(f"{type(cause).__name__} in {where}: {said}", message)
+
+
+def work(kind: str, memory: int) -> int:
+    """Check the seeds that come line by line on stdin; answer each with a line of JSON."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what tests print must not look like an answer
+    sys.path.insert(0, str(ROOT))
+    check = importlib.import_module(f"tests.properties.{PREFIX}{kind}").check
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    most = pages * resource.getpagesize() + memory
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter("error")  # as the tests have it
+    for line in sys.stdin:
+        failure = None
+        try:
+            check(int(line))
+        except Exception as error:
+            failure = failure_of(error)
+        print(json.dumps(failure), file=answers, flush=True)
+    return 0
+
+
+class Worker:
+    """A process that checks seeds of one kind."""
+
+    def __init__(self, kind: str, memory: int) -> None:
+        self.kind = kind
+        self.seed = -1
+        self.began = 0.0
+        self.done = 0
+        self._said = TemporaryFile()  # noqa: SIM115 - open as long as the process runs
+        command = [sys.executable, __file__, "--work", kind, "--memory", str(memory / 2**30)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, text=True
+        )
+
+    @property
+    def answers(self) -> IO[str]:
+        """Where its answers come from."""
+        assert self._process.stdout
+        return self._process.stdout
+
+    def start(self, seed: int) -> None:
+        """Have it check a seed."""
+        self.seed, self.began = seed, time.monotonic()
+        assert self._process.stdin
+        with suppress(BrokenPipeError):  # it has died; its answers have ended
+            print(seed, file=self._process.stdin, flush=True)
+
+    def answer(self) -> Failure | None:
+        """Return what it says of its seed; how it ended if it says nothing."""
+        line = self.answers.readline()
+        if not line:
+            status = self._process.wait()
+            how = signal.Signals(-status).name if status < 0 else f"exit code {status}"
+            self._said.seek(0)
+            said = self._said.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            return Failure(f"CRASH: {how}", " ".join([f"the process ended with {how}", *said]))
+        self.done += 1
+        found = json.loads(line)
+        return None if found is None else Failure(*found)
+
+    def end(self) -> None:
+        """End it, whatever it is at."""
+        self._process.kill()
+        self._process.wait()
+        self._said.close()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream:
+                with suppress(BrokenPipeError):
+                    stream.close()
+
+
+class Report:
+    """What was found, printed as it comes."""
+
+    def __init__(self) -> None:
+        self.ran: Counter[str] = Counter()
+        self.failures: dict[tuple[str, str], list[int]] = {}
+        self.messages: dict[tuple[str, str], str] = {}
+
+    def add(self, kind: str, seed: int, failure: Failure | None) -> None:
+        """Count a seed, and print what is new of it."""
+        self.ran[kind] += 1
+        if failure is None:
+            return
+        key = kind, failure.group
+        if key not in self.failures:
+            self.messages[key] = failure.message
+            print(f"{kind}: {failure.group}\n{failure.message}\n    {repeated(kind, seed)}\n", flush=True)
+        self.failures.setdefault(key, []).append(seed)
+
+    def rows(self) -> Iterator[str]:
+        """Yield the lines of the summary."""
+        for kind, ran in sorted(self.ran.items()):
+            own = {group: seeds for (each, group), seeds in self.failures.items() if each == kind}
+            failed = sum(map(len, own.values()))
+            yield f"{kind}: {ran:,} seeds, {failed} failed in {len(own)} ways"
+            for group, seeds in sorted(own.items(), key=lambda pair: -len(pair[1])):
+                listed = ", ".join(map(str, seeds[:MOST_LISTED])) + (" …" if len(seeds) > MOST_LISTED else "")
+                yield f"  {len(seeds):5}  {group}\n         seeds {listed}"
+
+    def summary(self) -> list[dict[str, object]]:
+        """Return the same for JSON."""
+        return [
+            {"kind": kind, "ran": ran, "failures": [
+                {"group": group, "seeds": seeds, "first": self.messages[each, group]}
+                for (each, group), seeds in self.failures.items() if each == kind
+            ]}
+            for kind, ran in sorted(self.ran.items())
+        ]  # fmt: skip
+
+
+def repeated(kind: str, seed: int) -> str:
+    """Return the command that repeats a seed."""
+    return f"python tools/fuzz/soak.py {kind} --seed {seed} --seeds 1"
+
+
+def soak(
+    chosen: list[str], seconds: float, jobs: int, first: int, most: int | None, limit: float, memory: int
+) -> Report:
+    """Check growing seeds of kinds in turn, until the time is over or ``most`` seeds of each are done."""
+    report = Report()
+    rounds = count(first) if most is None else range(first, first + most)
+    waiting = ((kind, seed) for seed in rounds for kind in chosen)
+    ends = time.monotonic() + seconds
+    with selectors.DefaultSelector() as selector:
+        running: dict[int, Worker] = {}
+        idle: list[Worker] = []
+
+        def begin() -> bool:
+            job = next(waiting, None) if time.monotonic() < ends else None
+            if job is None:
+                return False
+            kind, seed = job
+            worker = next((each for each in idle if each.kind == kind), None)
+            if worker is None:
+                worker = Worker(kind, memory)
+            else:
+                idle.remove(worker)
+            worker.start(seed)
+            running[worker.answers.fileno()] = worker
+            selector.register(worker.answers, selectors.EVENT_READ, worker)
+            return True
+
+        def finish(worker: Worker, failure: Failure | None, *, is_fit: bool) -> None:
+            selector.unregister(worker.answers)
+            del running[worker.answers.fileno()]
+            report.add(worker.kind, worker.seed, failure)
+            if is_fit and worker.done < MOST_SEEDS:
+                idle.append(worker)
+            else:
+                worker.end()
+
+        try:
+            while True:
+                while len(running) < jobs and begin():
+                    pass
+                if not running:
+                    return report
+                for key, _ in selector.select(timeout=0.5):
+                    worker: Worker = key.data
+                    done = worker.done
+                    failure = worker.answer()
+                    finish(worker, failure, is_fit=worker.done > done)
+                for worker in [*running.values()]:
+                    if time.monotonic() - worker.began > limit:
+                        said = f"took longer than {limit:g} s"
+                        finish(worker, Failure(f"HANG: {said}", said), is_fit=False)
+        except KeyboardInterrupt:
+            return report
+        finally:
+            for worker in [*running.values(), *idle]:
+                worker.end()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    lines = (__doc__ or "").splitlines()
+    parser = argparse.ArgumentParser(
+        description=lines[0],
+        epilog="\n".join(lines[5:]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(kinds())}; all by default")
+    parser.add_argument("--minutes", type=float, default=60.0, help="after which no seed is begun (60)")
+    parser.add_argument("--jobs", type=int, default=2, help="seeds at a time (2)")
+    parser.add_argument("--seed", type=int, default=0, help="the first (0)")
+    parser.add_argument("--seeds", type=int, help="how many of each kind, at most")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds for a seed (60)")
+    parser.add_argument("--memory", type=float, default=4.0, help="gigabytes for a process (4)")
+    parser.add_argument("--summary", type=Path, metavar="FILE", help="write what was found as JSON")
+    parser.add_argument("--work", help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    memory = int(options.memory * 2**30)
+    if options.work:
+        return work(options.work, memory)
+    for kind in options.kinds:
+        if kind not in kinds():
+            parser.error(f"there is no tests/properties/{PREFIX}{kind}.py; there are {', '.join(kinds())}")
+    chosen = list(dict.fromkeys(options.kinds)) or kinds()
+    report = soak(
+        chosen, 60 * options.minutes, max(options.jobs, 1), options.seed, options.seeds, options.limit, memory
+    )
+    print("\n".join(report.rows()))
+    if options.summary:
+        options.summary.write_text(json.dumps(report.summary(), indent=1), encoding="utf-8")
+    return int(bool(report.failures))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
