@@ -9,13 +9,13 @@ from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Uint8s, bit_counts
+from octex.arrays import Float32s, Floats, Uint8s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.blend import Listed, joined, listed
 from octex.field.bricks import Tree
-from octex.field.find import Cells, Room, find_taps, new_room, new_tap_room
+from octex.field.find import Cells, find_taps, new_room, new_tap_room
 from octex.field.splines import FILTERS
-from octex.field.taps import BLOCK, Ahead, Taps, new_taps, place_points
+from octex.field.taps import BLOCK, Ahead, Taps, place_points
 from octex.field.tiles import Tiles, TileStore, can_be_tiled, marks_of, painted_levels
 from octex.field.weights import Facings, Weighing, facings_of, weigh_taps
 from octex.jit import unlocked
@@ -28,7 +28,6 @@ _NONE = np.empty(0, np.uint8)
 _NOTHING: Uint8s = np.empty((1, 1), np.uint8)
 _NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
 _NO_MARKS = np.empty(0, np.uint64)
-_NO_TAPS: Taps = new_taps(0, 0, False)
 _NO_FACINGS = Facings(_NONE, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
@@ -110,12 +109,13 @@ class Field:
                     own[: marks.size] |= marks
                     finer, marks = level, own
         searched = self._store.levels, marks, first, finer
-        found: Cells = unlocked(Cells(tree.arrays, tree.kept.cells, self.n_cells, *searched))
-        return found
+        cells: Cells = unlocked(Cells(tree.arrays, tree.kept.cells, self.n_cells, *searched))
+        return cells
 
     def cells_in(self, whole: Field) -> Cells:
         """Return the cells, of which kept ones have the rows of the field that this is a level of."""
-        return self.cells if self is whole else self.cells._replace(first_kept=whole.n_cells)
+        cells: Cells = self.cells
+        return cells if self is whole else cells._replace(first_kept=whole.n_cells)
 
     def build(self, level: int) -> None:
         """Build the tiles of a level, which off the surface has the averages that answer.
@@ -164,16 +164,13 @@ class Field:
         Raises NotFiniteError.
         """
         finder = Finder(self, filter, gradient=gradient)
-        places = np.empty((min(len(points), BLOCK), 3))
         for begin in range(0, len(points), BLOCK):
-            some = points[begin : begin + BLOCK]
-            here = places[: len(some)]
-            fault = place_points(Positions.of(some), *placement, here)
+            block = slice(begin, begin + BLOCK)
+            taps, fault = finder.at(points[block], placement)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
-            taps = finder.find(here)
             if normals is not None:
-                taps = weighed(taps, self.weighing(self, True), normals[begin : begin + BLOCK])
+                taps = weigh_taps(taps, self.weighing(self, True), normals[block], _NOTHING, *_NO_LEFT)
             yield taps
 
     def weighing(self, whole: Field, faces: bool, mixed: Uint8s = _NONE) -> Weighing:
@@ -186,21 +183,8 @@ class Field:
         return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
 
 
-def weighed(
-    taps: Taps,
-    by: Weighing,
-    normals: Float32s | None,
-    left: Float32s = _NO_LEFT[0],
-    left_slopes: Float32s = _NO_LEFT[1],
-) -> Taps:
-    """Return taps weighed, which change: see `weights.weigh_taps`."""
-    facing = _NO_LEFT[1] if normals is None else normals
-    found: Taps = weigh_taps(taps, by, facing, _NOTHING, left, left_slopes)
-    return found
-
-
 class Finder:
-    """Finds the taps of points of texture space, a block after another, in one field.
+    """Finds the taps of points, a block after another, in one field.
 
     ``whole`` is the field that it is a level of, by default itself. With ``adds`` the taps of several levels
     are added up.
@@ -215,28 +199,37 @@ class Finder:
         whole: Field | None = None,
         adds: bool = False,
     ) -> None:
-        self._field, self._filter = field, FILTERS.index(filter)
-        self._cells = field.cells_in(whole or field)
+        self._field, self._cells, self._filter = field, field.cells_in(whole or field), FILTERS.index(filter)
         self._gradient, self._adds = gradient, adds
-        self._room: Room | None = None
-        self._taps = _NO_TAPS
+        #: Where the latest points lie in texture space.
+        self.places = np.empty((0, 3))
 
-    def find(self, places: Float64s, rows: Uint8s = _NOTHING) -> Taps:
-        """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
+    def at(self, points: Floats, placement: Placement, rows: Uint8s = _NOTHING) -> tuple[Taps, int]:
+        """Return the taps of rest positions (n, 3), valid until the next are found.
 
-        ``rows`` are what will be read of the cells next: they are asked for.
+        Beside them comes the first position that is not finite, or −1. ``rows`` are what will be read of the
+        cells next: they are asked for.
         """
-        n, cells = len(places), self._cells
-        if self._room is None or self._taps.starts.size < n:
+        n, cells = len(points), self._cells
+        if len(self.places) < n:
+            self.places = np.empty((n, 3))
             self._room = new_room(cells, n, self._gradient)
             self._taps = new_tap_room(cells, self._filter, n, self._gradient)
-        ahead, lacking = Ahead(rows, _NOTHING[:0], _NONE, _NONE), 0
-        while lacking >= 0:
-            task = cells, self._filter, not self._adds, places, ahead, self._room, self._taps
-            taps, lacking = find_taps(*task)
-            if lacking >= 0:
-                self._field.build(lacking)
+        places = self.places[:n]
+        fault = place_points(Positions.of(points), *placement, places)
+        task = (
+            cells,
+            self._filter,
+            not self._adds,
+            places,
+            Ahead(rows, _NOTHING[:0], _NONE, _NONE),
+            self._room,
+        )
+        while True:
+            taps, lacking = find_taps(*task, self._taps)
+            if lacking < 0:
+                break
+            self._field.build(lacking)
         if taps.rows.size > self._taps.rows.size:
             self._taps = self._taps._replace(rows=taps.rows, weights=taps.weights, slopes=taps.slopes)
-        found: Taps = taps
-        return found
+        return taps, fault

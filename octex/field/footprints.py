@@ -215,6 +215,11 @@ def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int,
     return lower, before, own, upper * (1.0 + excess)
 
 
+@kernel
+def _level_shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
+    return _level_shares(level, depth, sharpness)
+
+
 @inlined
 def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, float, float]:
     """Lay looks out over a long footprint: how far apart they are, and how far they reach along and across.
@@ -343,6 +348,9 @@ def spread(
     shape = shape._replace(
         widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
     )
+    if rows == 0 and levels.size and (levels == levels[0]).all():
+        yield from _alike(points, levels[0], shape.sharpness, depth, room)
+        return
     least = size / 2**depth
     first = 0
     while first < len(points):
@@ -359,3 +367,21 @@ def spread(
             looks[level] = Probes(places[at], owners[at], shares[at])
         yield slice(first, end), looks
         first = end
+
+
+def _alike(
+    points: Floats, level: np.float32, sharpness: float, depth: int, room: int
+) -> Iterator[tuple[slice, dict[int, Probes]]]:
+    """Spread round footprints of one width."""
+    lower, *shares = _level_shares_of(level, depth, sharpness)
+    if shares.count(0.0) == 2:
+        room = len(points)  # nothing to put together
+    owners = np.arange(min(room, len(points)), dtype=np.int32)
+    for first in range(0, len(points), room):
+        run = slice(first, min(first + room, len(points)))
+        n = run.stop - first
+        looks: dict[int, Probes] = {}
+        for above, share in enumerate(shares, lower - 1):
+            if share != 0.0:
+                looks[above] = Probes(points[run], owners[:n], np.full(n, share, np.float32))
+        yield run, looks

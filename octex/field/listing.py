@@ -148,7 +148,7 @@ class _Listing(Lookup):
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return what the taps of the latest block of points read, and which cells hold these."""
-        places = self._places[: taps.starts.size]
+        places = self._finders[level].places[: taps.starts.size]
         return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
 
     def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:

@@ -13,13 +13,13 @@ from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
-from octex.field.field import Field, Finder, NotFiniteError, weighed
+from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS
 from octex.field.taps import BLOCK, Taps, place_points
 from octex.field.tiled import Additions, Search, Weighed, look_up_points
 from octex.field.values import Codes
-from octex.field.weights import Weighing
+from octex.field.weights import Weighing, weigh_taps
 from octex.field.windows import new_walk
 from octex.jit import direct, unlocked
 from octex.tree.order import order_of
@@ -34,8 +34,8 @@ _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
+_NO_ROWS = np.empty((1, 1), np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
-_NO_NUMBERS = np.empty(0, np.int64)
 _NO_SHARES = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
     np.empty(0, np.int32),
@@ -167,7 +167,6 @@ class Lookup:
         self._answers = answers
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
-        self._places = np.empty((0, 3))
         #: The numbers of channels; alpha itself comes first: then it weighs all others.
         is_alpha = list(map(attrgetter("is_alpha"), channels))
         self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
@@ -346,20 +345,13 @@ class Lookup:
 
         ``left`` takes what mixes opposite facings, and its derivatives: see `weights.weigh_taps`.
         """
-        if len(self._places) < len(points):
-            self._places = np.empty((len(points), 3))
-        places = self._places[: len(points)]
-        fault = place_points(_positions(points), *self._placement, places)
         if here.depth not in self._finders:
-            self._finders[here.depth] = Finder(
-                *(here, self._query.filter),
-                gradient=bool(self._gradients),
-                whole=self._field,
-                adds=self._query.footprints is not None,
-            )
-        taps = self._finders[here.depth].find(places, self._rows)
+            options = {"gradient": bool(self._gradients), "adds": self._query.footprints is not None}
+            self._finders[here.depth] = Finder(here, self._query.filter, whole=self._field, **options)
+        taps, fault = self._finders[here.depth].at(points, self._placement, self._rows)
         if normals is not None or here is not self._field:
-            taps = weighed(taps, self.weighing(here), normals, *left)
+            facing = _NO_VECTORS if normals is None else normals
+            taps = weigh_taps(taps, self.weighing(here), facing, _NO_ROWS, *left)
         return taps, fault
 
     def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:

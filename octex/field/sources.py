@@ -177,16 +177,18 @@ def forget_others(group: Group, level: int, filter_code: int) -> None:
 
 
 @inlined
-def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
-    """Find the tile and the window whose lowest cell is (i, j, k)."""
+def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
+    """Find the tile and the window of ``side``³ cells of which the lowest is (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
-    more = np.int32(reach)
     at = np.uint64(n)
     group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
     e, f, g = i >> one & three, j >> one & three, k >> one & three
+    x, y, z = i & one, j & one, k & one
     group.windows[at] = e | f << two | g << four
-    group.near.reached[at] = (e + more) >> two | (f + more) >> two << one | (g + more) >> two << two
-    group.parities[at] = i & one | (j & one) << one | (k & one) << two
+    group.parities[at] = x | y << one | z << two
+    if side > 2:
+        x = y = z = np.int32(side // 2)
+    group.near.reached[at] = (e + x) >> two | (f + y) >> two << one | (g + z) >> two << two
 
 
 @inlined
@@ -210,7 +212,7 @@ def _place_linear(places: Float64s, begin: int, count: int, depth: int, group: G
         y = places[first + np.uint64(1)] * cells - 0.5
         z = places[first + np.uint64(2)] * cells - 0.5
         u, v, w = np.floor(x), np.floor(y), np.floor(z)
-        _find_place(group, n, np.int32(u), np.int32(v), np.int32(w), 1)
+        _find_place(group, n, np.int32(u), np.int32(v), np.int32(w), 2)
         r, s, t = np.float32(x - u), np.float32(y - v), np.float32(z - w)
         p, q, a, b = one - s, s, one - t, t
         along[at], along[at + np.uint64(GROUP)] = one - r, r
@@ -246,7 +248,7 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
     along = group.along
     for n in range(count):
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 1)
+        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 3)
         at = np.uint64(n)
         p, q, r = single_quadratic_weights(np.float32(x - u))
         _put_three(along, at, np.float32(1.0), p, q, r)
@@ -288,7 +290,7 @@ def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: 
     along, slopes = group.along, group.slopes
     for n in range(count):
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 2)
+        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 5)
         of_x, of_y, of_z = quartic_weights(x - u), quartic_weights(y - v), quartic_weights(z - w)
         for a in range(5):
             along[n + GROUP * a] = of_x[a]
@@ -319,23 +321,26 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 
 
 @inlined
-def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
+def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) -> None:
     """Know the window of point n, and ask for the rows of its cells."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
+    last = x = y = z = side // 2  # of its nodes along each axis
+    if side == 2:  # which in some windows lie in one of them alone
+        parity = np.int64(group.parities[np.uint64(n)])
+        window |= parity << 6
+        x, y, z = int(parity & 1), int(parity >> 1 & 1), int(parity >> 2)
     if (window == group.latest[0]) & (key == group.latest[1]):
         return
     group.latest[0], group.latest[1] = window, key
-    i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4)
+    i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4 & 3)
     slot = group.near.slots[np.uint64(n)]
-    side = reach + 1
-    for word in range(1 if reach == 1 else 4):
+    for word in range(4 if side == 5 else 1):
         group.masks[word] = np.uint64(0)
-    node = 0
-    for c in range(side):
-        for b in range(side):
-            for a in range(side):
+    for c in range(z + 1):
+        for b in range(y + 1):
+            for a in range(x + 1):
+                node = a + (last + 1) * (b + (last + 1) * c)
                 _add_node(tiles, group, slot, node, i + a, j + b, k + c, ahead)
-                node += 1
 
 
 @inlined
@@ -380,7 +385,7 @@ def _spline_taps(
     tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int, side: int
 ) -> tuple[int, int, int]:
     """Find the taps of a spline over ``side``³ cells. See `tiled_taps`."""
-    flat, reach, n_words = batch.places.reshape(-1), side // 2, 4 if side == 5 else 1
+    flat, n_words = batch.places.reshape(-1), 4 if side == 5 else 1
     n_empty = n_rim = 0
     for begin in range(0, batch.places.shape[0], GROUP):
         count = min(GROUP, batch.places.shape[0] - begin)
@@ -392,7 +397,7 @@ def _spline_taps(
             _place_quartic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, reach, batch.ahead)
+            _find_window(tiles, group, n, side, batch.ahead)
             start, total = end, np.float32(0.0)
             if tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
@@ -441,10 +446,10 @@ def _nearest_around(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: i
         for n in range(count):
             a, b, c = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
             i, j, k = rounded_cell(a, depth), rounded_cell(b, depth), rounded_cell(c, depth)
-            _find_place(group, n, i - one, j - one, k - one, 1)
+            _find_place(group, n, i - one, j - one, k - one, 3)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, batch.ahead)
+            _find_window(tiles, group, n, 3, batch.ahead)
             a, b, c = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
             u, v, w = rounded_cell(a, depth) - one, rounded_cell(b, depth) - one, rounded_cell(c, depth) - one
             x, y, z = a * UNITS, b * UNITS, c * UNITS

@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Array
 from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
-from octex.field.tiles import can_be_tiled
+from octex.field.tiles import Levels, can_be_tiled
 from octex.kernels.layout import LookupArrays
 from octex.texture.blend import NO_TABLE, mixed_cells, stored
 from octex.texture.channel import Channel
@@ -44,12 +44,13 @@ def arrays_of(
     for level in range(tree.max_depth + 1):
         if can_be_tiled(field.level(level).tree):
             field.build(level)
+    levels: Levels = field.cells.levels
     return LookupArrays(
         np.array([*texture.placement.origin, texture.placement.size]),
         *tree.arrays._replace(areas=areas),
         tree.kept.cells,
         field.facings.rows,
-        *field.cells.levels,
+        *levels,
         *_values(known),
         *(_NO_VALUES if alpha is None else _values(alpha)),
         known.format.components,

@@ -221,7 +221,7 @@ def warmed() -> tuple[str, set[Any]]:
 
     with pytest.MonkeyPatch.context() as changed, redirect_stdout(said):
         changed.setattr(Kernel, "__call__", recorded)
-        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without that
+        changed.setattr(lookups, "_look_up_points", lookups.look_up_points)  # which is called without that
         assert main(["--warm-up"]) == ExitCode.DONE
     return said.getvalue(), called
 
