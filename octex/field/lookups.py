@@ -41,7 +41,7 @@ NO_ADDITIONS = Additions(
     np.empty(0, np.int32),
     _NO_SHARES,
     _NO_SHARES,
-    Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
+    Sums(np.empty((0, 2)), np.empty((0, 2, 3))),
 )
 #: What searches and channels hold is unlocked where they are made.
 _look_up_points = direct(look_up_points)
@@ -296,7 +296,7 @@ class Lookup:
                 gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
                 divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
                 if self._alpha is not None and not channel.is_alpha:
-                    bare |= sums[number].totals == 0.0
+                    bare |= sums[number].values[:, -1] == 0.0
             if bare.any():
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
                 rows = run.start + np.flatnonzero(bare)

@@ -112,12 +112,12 @@ def _finish(
     return end, n_empty, n_rim
 
 
-def _tabulate() -> tuple[Uint64s, Uint16s]:
-    """Tabulate what of the windows of 2³, 3³ and 5³ cells is read."""
-    masks, places = np.zeros((3, 8, 4), np.uint64), np.zeros((3, 8, 216, 2), np.uint16)
-    for spline, parity in product(range(3), range(8)):
-        side = (2, 3, 5)[spline]
-        nodes = side // 2 + 1
+def _tabulate() -> tuple[Uint64s, Uint16s, Uint64s]:
+    """Tabulate what of windows is read."""
+    masks, places = np.zeros((2, 8, 4), np.uint64), np.zeros((2, 8, 216, 2), np.uint16)
+    eight = np.zeros((8, 8), np.uint64)
+    for spline, parity in product(range(2), range(8)):
+        side, nodes = 2 * spline + 3, spline + 2
         for child in range(8 * nodes**3):
             node, octant = child >> 3, child & 7
             corner = node % nodes, node // nodes % nodes, node // nodes**2
@@ -125,14 +125,17 @@ def _tabulate() -> tuple[Uint64s, Uint16s]:
             if min(x, y, z) >= 0 and max(x, y, z) < side:
                 masks[spline, parity, child >> 6] |= np.uint64(1 << (child & 63))
                 places[spline, parity, child] = GROUP * x, GROUP * (side + side * y + z)
-    return masks, places
+                if spline == 0 and max(x, y, z) < 2:
+                    eight[parity, x + 2 * y + 4 * z] = child
+    return masks, places, eight
 
 
-# By the side of the spline, 2, 3 or 5, and the parities of the lowest cell read, x | y << 1 | z << 2:
+# By the spline, 3³ or 5³, and the parities of the lowest cell read, x | y << 1 | z << 2:
 # MASKS [… word]     which cells are read; bit child & 63 of word child >> 6, child = 8 · node + octant
 # PLACES [… child]   where in `Group.along` a child's weight along x is for the first point of a group, and
 #                    that along y and z
-MASKS, PLACES = _tabulate()
+# EIGHT [… x + 2·y + 4·z]   by the parities alone: the children that `linear` reads
+MASKS, PLACES, EIGHT = _tabulate()
 
 
 class Group(NamedTuple):
@@ -355,7 +358,7 @@ def _take_word(
     group: Group, n: int, word: int, side: int, last: int, taps: Taps, end: int, total: np.float32
 ) -> tuple[int, np.float32]:
     """Write the taps in one word of a window; return their end, and the weight of all."""
-    at, spline, parity = np.uint64(n), (side - 1) // 2, np.uint64(group.parities[np.uint64(n)])
+    at, spline, parity = np.uint64(n), side // 2 - 1, np.uint64(group.parities[np.uint64(n)])
     mask = group.masks[np.uint64(word)]
     left = mask & MASKS[spline, parity, word]
     along, slopes = group.along, group.slopes
@@ -381,6 +384,29 @@ def _take_word(
 
 
 @inlined
+def _take_eight(group: Group, n: int, last: int, taps: Taps, end: int) -> tuple[int, np.float32]:
+    """Write the taps of `linear` in a window, as `_take_word` does those of others."""
+    at, parity, mask, total = np.uint64(n), group.parities[np.uint64(n)], group.masks[0], np.float32(0.0)
+    along, slopes = group.along, group.slopes
+    for tap in range(8):
+        child = EIGHT[np.uint64(parity), tap]
+        x, yz = at + np.uint64(GROUP * (tap & 1)), at + np.uint64(GROUP * (2 + (tap & 2) + (tap >> 2)))
+        weight = along[x] * along[yz]
+        below = mask & ((np.uint64(1) << child) - np.uint64(1))
+        cell = group.firsts[child >> np.uint64(3)] + popcount(below)
+        is_stored = (mask >> child) & np.uint64(1) != np.uint64(0)
+        to = np.uint64(end)  # without a branch, which could not be foretold
+        taps.rows[to], taps.weights[to] = min(cell, last), weight
+        if slopes.size > 0:
+            taps.slopes[to, 0] = slopes[x] * along[yz]
+            taps.slopes[to, 1] = along[x] * slopes[yz]
+            taps.slopes[to, 2] = along[x] * slopes[yz + np.uint64(4 * GROUP)]
+        total += weight * np.float32(is_stored)
+        end += is_stored
+    return end, total
+
+
+@inlined
 def _spline_taps(
     tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int, side: int
 ) -> tuple[int, int, int]:
@@ -401,6 +427,8 @@ def _spline_taps(
             start, total = end, np.float32(0.0)
             if tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
+            elif side == 2:
+                end, total = _take_eight(group, n, batch.last, taps, end)
             else:
                 for word in range(n_words):
                     end, total = _take_word(group, n, word, side, batch.last, taps, end, total)
@@ -454,13 +482,13 @@ def _nearest_around(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: i
             u, v, w = rounded_cell(a, depth) - one, rounded_cell(b, depth) - one, rounded_cell(c, depth) - one
             x, y, z = a * UNITS, b * UNITS, c * UNITS
             parity, mask = np.int64(group.parities[n]), group.masks[0]
-            left = mask & MASKS[1, parity, 0]
+            left = mask & MASKS[0, parity, 0]
             nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
             while left != np.uint64(0):
                 bit = trailing_zeros(left)
                 left &= left - np.uint64(1)
-                yz = np.int64(PLACES[1, parity, bit, 1]) // GROUP - 3
-                low_x = int(np.int64(u) + np.int64(PLACES[1, parity, bit, 0]) // GROUP << shift)
+                yz = np.int64(PLACES[0, parity, bit, 1]) // GROUP - 3
+                low_x = int(np.int64(u) + np.int64(PLACES[0, parity, bit, 0]) // GROUP << shift)
                 low_y, low_z = int(np.int64(v) + yz // 3 << shift), int(np.int64(w) + yz % 3 << shift)
                 dx = max(low_x - x, x - (low_x + size), 0.0)
                 dy = max(low_y - y, y - (low_y + size), 0.0)

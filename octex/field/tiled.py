@@ -52,12 +52,8 @@ class Additions(NamedTuple):
 @part
 def _new_additions(points: int, components: int) -> Additions:
     """Return those of points that own one look each, of which nothing is summed yet."""
-    sums = Sums(
-        np.empty((points, components), np.float64),
-        np.empty(points, np.float64),
-        np.empty((0, components, 3), np.float64),
-        np.empty((0, 3), np.float64),
-    )
+    columns = components + 1
+    sums = Sums(np.empty((points, columns), np.float64), np.empty((0, columns, 3), np.float64))
     owners, shares = np.arange(points, dtype=np.int32), np.ones(points, np.float32)
     return Additions(owners, shares, np.empty(0, np.float32), sums)
 
@@ -129,12 +125,11 @@ def look_up_points(
                 for axis in range(3):
                     facing[n, axis] = normals[owner, axis]
             if sees:
-                sums.values[:], sums.totals[:] = 0.0, 0.0
+                sums.values[:] = 0.0
             task = facing[:count], channel.codes, owners, shares, additions.left[at : at + count], sums
             add_weighed(found, by, *task)
             if sees:
-                mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
-                divide(mean, 1.0, results[begin:end], gradients[:0])
+                divide(sums, 1.0, results[begin:end], gradients[:0])
             continue
         if faces:
             split = bytes_of(channel.codes.split_values)
