@@ -9,21 +9,35 @@ from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Floats, Uint8s, bit_counts
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.blend import Listed, joined, listed
 from octex.field.bricks import Tree
-from octex.field.find import Cells, find_taps, new_room, new_tap_room
-from octex.field.splines import FILTERS
-from octex.field.taps import BLOCK, Ahead, Taps, place_points
+from octex.field.find import Cells, find_tiled, new_room
+from octex.field.neighborhood import walked_taps
+from octex.field.splines import FILTERS, NEAREST
+from octex.field.taps import (
+    BLOCK,
+    MOST_TILED,
+    OFF,
+    Ahead,
+    Taps,
+    hold_outside,
+    new_taps,
+    place_points,
+    with_room,
+)
 from octex.field.tiles import Tiles, TileStore, can_be_tiled, marks_of, painted_levels
 from octex.field.weights import Facings, Weighing, facings_of, weigh_taps
+from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import unlocked
 from octex.parallel import built_once
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import Positions
+from octex.tree.search import Positions, nearest_cells
 
+#: Taps of a point that a walk is given room for at first.
+_WALKED = 24
 _NONE = np.empty(0, np.uint8)
 _NOTHING: Uint8s = np.empty((1, 1), np.uint8)
 _NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
@@ -201,6 +215,7 @@ class Finder:
     ) -> None:
         self._field, self._cells, self._filter = field, field.cells_in(whole or field), FILTERS.index(filter)
         self._gradient, self._adds = gradient, adds
+        self._walk: Walk | None = None
         #: Where the latest points lie in texture space.
         self.places = np.empty((0, 3))
 
@@ -210,26 +225,43 @@ class Finder:
         Beside them comes the first position that is not finite, or −1. ``rows`` are what will be read of the
         cells next: they are asked for.
         """
-        n, cells = len(points), self._cells
+        n, cells, code = len(points), self._cells, self._filter
+        is_tiled = cells.has_tiles_for(code)
         if len(self.places) < n:
             self.places = np.empty((n, 3))
-            self._room = new_room(cells, n, self._gradient)
-            self._taps = new_tap_room(cells, self._filter, n, self._gradient)
-        places = self.places[:n]
+            self._room = new_room(n, self._gradient)
+            most = MOST_TILED[code] * n + 520 if is_tiled else _WALKED * n + MOST_TAPS
+            self._taps = new_taps(n, most, self._gradient)
+        places, taps, which = self.places[:n], self._taps, np.arange(n)
         fault = place_points(Positions.of(points), *placement, places)
-        task = (
-            cells,
-            self._filter,
-            not self._adds,
-            places,
-            Ahead(rows, _NOTHING[:0], _NONE, _NONE),
-            self._room,
-        )
-        while True:
-            taps, lacking = find_taps(*task, self._taps)
-            if lacking < 0:
-                break
-            self._field.build(lacking)
-        if taps.rows.size > self._taps.rows.size:
-            self._taps = self._taps._replace(rows=taps.rows, weights=taps.weights, slopes=taps.slopes)
+        taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
+        end, lacking = 0, 0
+        while is_tiled and lacking >= 0:
+            ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
+            end, n_rim, lacking = find_tiled(cells, code, places, ahead, self._room, taps)
+            if lacking >= 0:
+                self._field.build(lacking)
+            which = self._room.lists[2, :n_rim]
+        if code == NEAREST and not is_tiled:
+            held = np.empty(n, np.bool_)
+            nearest_cells(cells.arrays, places, (0.0, 0.0, 0.0), 1.0, which, held)
+            taps.rows[:n], taps.weights[:n] = which, np.where(held, np.float32(1), OFF)
+            taps.starts[:], taps.ends[:], taps.covers[:] = np.arange(n), np.arange(1, n + 1), held
+        elif which.size:
+            taps = self._walked(places, taps, end, which)
+        if self._gradient:
+            hold_outside(taps, places)
         return taps, fault
+
+    def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
+        """Walk to the taps of some points."""
+        if self._walk is None:
+            self._walk = new_walk()
+        cells, done = self._cells, 0
+        while done < which.size:
+            if end + MOST_TAPS > taps.rows.size:
+                taps = with_room(taps, end, end + MOST_TAPS)
+                self._taps = self._taps._replace(rows=taps.rows, weights=taps.weights, slopes=taps.slopes)
+            task = places, which, done, self._filter, not self._adds, self._walk, taps, end
+            done, end = walked_taps(cells.arrays, cells.kept, cells.first_kept, *task)
+        return taps

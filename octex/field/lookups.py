@@ -15,7 +15,7 @@ from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sum
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.splines import FILTERS
+from octex.field.splines import FILTERS, QUADRATIC
 from octex.field.taps import BLOCK, Taps, place_points
 from octex.field.tiled import Additions, Search, Weighed, look_up_points
 from octex.field.values import Codes
@@ -126,21 +126,21 @@ class PlainLookup:
     def at(self, points: Floats) -> Float32s | None:
         """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
 
-        None where `look_up` must first build something, or finds what is wrong.
+        None where tiles alone do not answer: `look_up` does, or finds what is wrong.
         """
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
         given = *_positions(points), *self._before, answer, _NO_GRADIENTS
-        stop, _ = _look_up_points(self._search, *given, NO_ADDITIONS, 0)
-        return answer if stop == n else None
+        found = _look_up_points(self._search, *given, NO_ADDITIONS, 0, np.empty(n, np.int64))
+        return answer if found == (n, -1, 0) else None
 
 
 def plain_lookup(
     field: Field, placement: Placement, filter: str, channel: ChannelRows, alpha: ChannelRows | None
 ) -> PlainLookup | None:
-    """Prepare plain lookups of a channel; None for one that is looked up otherwise."""
+    """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
     task = Lookup(field, placement, Query(filter), [channel], alpha, [], [])
-    if task._channel is None:
+    if task._channel is None or not field.cells.has_tiles_for(FILTERS.index(filter)):
         return None
     search = Search(FILTERS.index(filter), field.cells, task.weighing(field))
     return PlainLookup(search, placement, task._channel)
@@ -185,17 +185,25 @@ class Lookup:
         """Say whether so many points are looked up by bricks, a channel after the other."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
-        has_bricks = self._field.cells.first < 0 and count >= _LEAST_SORTED
+        has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
     def at(self, points: Floats) -> None:
         """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
-        if self._channel is None:
-            self.leaves(points)
-        elif self.is_sortable(len(points)):
+        code = FILTERS.index(self._query.filter)
+        if self._channel is None or not self._field.cells.has_tiles_for(code):
+            self.untiled(points)
+            return
+        rim = self._look_up(self._field, points, NO_ADDITIONS, self._query.normals)
+        if rim.size:
+            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
+
+    def untiled(self, points: Floats) -> None:
+        """Look up the leaves by bricks, or the walk."""
+        if len(self._channels) == 1 and self.is_sortable(len(points)):
             self.sorted(points)
         else:
-            self._look_up(self._field, points, NO_ADDITIONS, self._query.normals)
+            self.leaves(points)
 
     def sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in the order of space."""
@@ -212,21 +220,27 @@ class Lookup:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
 
-    def _look_up(self, here: Field, points: Floats, additions: Additions, normals: Float32s | None) -> None:
-        """Look one channel up in a level's field; ``normals`` are those of the owners of looks."""
+    def _look_up(self, here: Field, points: Floats, additions: Additions, normals: Float32s | None) -> Int64s:
+        """Look one channel up by a level's tiles; return which points these do not answer.
+
+        ``normals`` are those of the owners of looks.
+        """
         assert self._channel is not None
         cells = here.cells_in(self._field)
         search = Search(FILTERS.index(self._query.filter), cells, self.weighing(here))
         gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
         facing = _NO_VECTORS if normals is None else unlocked(normals)
         given = *_positions(points), *self._placement, facing, self._channel, self._answers[0], gradients
-        done = 0
+        lost = np.empty(len(points), np.int64)
+        done = n_lost = 0
         while done < len(points):
-            done, lacking = _look_up_points(search, *given, additions, done)
+            done, lacking, more = _look_up_points(search, *given, additions, done, lost[n_lost:])
+            n_lost += more
             if lacking >= 0:
                 here.build(lacking)
             elif done < len(points):
                 raise NotFiniteError(done)
+        return lost[:n_lost]
 
     def weighing(self, here: Field) -> Weighing:
         """Return what weighs the taps of a level."""
@@ -285,11 +299,12 @@ class Lookup:
                     here, looks = self._field.level(level), by_level[level]
                     count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
-                    if is_added:
+                    rim: Int64s | None = None
+                    if is_added and here.cells.has_tiles_for(QUADRATIC):
                         own = Additions(looks.owners, looks.shares, left[0], sums[0])
-                        self._look_up(here, looks.points, own, normals)
-                    else:
-                        self._add_by_taps(here, looks, normals, sums, left)
+                        rim = self._look_up(here, looks.points, own, normals)
+                    if rim is None or rim.size:
+                        self._add_by_taps(here, looks, rim, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
             bare = np.zeros(n_points, np.bool_)
             for number, channel in enumerate(self._channels):
@@ -303,16 +318,26 @@ class Lookup:
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
 
     def _add_by_taps(
-        self, here: Field, looks: Probes, normals: Float32s | None, sums: Sequence[Sums], left: Left
+        self,
+        here: Field,
+        looks: Probes,
+        which: Int64s | None,
+        normals: Float32s | None,
+        sums: Sequence[Sums],
+        left: Left,
     ) -> None:
-        """Add looks at a level up, of all channels."""
-        for begin in range(0, len(looks.points), BLOCK):
+        """Add looks at a level up, or some of them, in any tree."""
+        for begin in range(0, len(looks.points) if which is None else which.size, BLOCK):
             run = slice(begin, begin + BLOCK)
-            owners, slopes = looks.owners[run], looks.slopes[run]
+            rows = run if which is None else which[run]
+            owners, slopes = looks.owners[rows], looks.slopes[rows] if self._gradients else looks.slopes
             facing = None if normals is None else normals[owners]
-            taps, _ = self.weighed_taps(here, looks.points[run], facing, (left[0][run], left[1][run]))
+            parts = left[0][rows] if left[0].size else left[0], left[1][rows] if left[1].size else left[1]
+            taps, _ = self.weighed_taps(here, looks.points[rows], facing, parts)
             for number, used, codes in self.each_weighed(taps, False, always=True):
-                add_up(used, codes, False, owners, looks.shares[run], slopes, sums[number])
+                add_up(used, codes, False, owners, looks.shares[rows], slopes, sums[number])
+            if which is not None and left[0].size:
+                left[0][rows] = parts[0]
 
     def _look_again(
         self,

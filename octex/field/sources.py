@@ -412,7 +412,7 @@ def _spline_taps(
 ) -> tuple[int, int, int]:
     """Find the taps of a spline over ``side``³ cells. See `tiled_taps`."""
     flat, n_words = batch.places.reshape(-1), 4 if side == 5 else 1
-    n_empty = n_rim = 0
+    n_empty = n_rim = int(np.int64(0))  # see `find.search_tiles`
     for begin in range(0, batch.places.shape[0], GROUP):
         count = min(GROUP, batch.places.shape[0] - begin)
         if side == 2:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
-from octex.jit import inlined, kernel, part, prefetch
+from octex.jit import inlined, kernel, prefetch
 from octex.tree.search import Origin, Positions, placed, position
 
 #: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
@@ -80,7 +80,7 @@ def new_taps(points: int, room: int, gradient: bool) -> Taps:
     )
 
 
-@part
+@kernel
 def with_room(taps: Taps, used: int, wanted: int) -> Taps:
     """Return the same taps, of which so many are used, with room for as many as are wanted."""
     if wanted <= taps.rows.size:

@@ -24,7 +24,7 @@ import numpy as np
 
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR, refine, send_up
-from octex.jit import inlined, kernel, part, popcount, trailing_zeros
+from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 
@@ -106,12 +106,7 @@ SLOT_AT, PARENTS, PLACES, INSIDE = _tabulate_blocks()
 @kernel
 def new_walk() -> Walk:
     """Return a walk without memory. A walk serves one tree, and all filters."""
-    return walk_of(MAX_DEPTH + 1)
-
-
-@part
-def walk_of(levels: int) -> Walk:
-    """Return a walk through so many levels; of none, it takes no memory."""
+    levels = MAX_DEPTH + 1
     return Walk(
         np.full(6, -1, np.int64),
         np.zeros((levels, 6), np.int64),
@@ -123,8 +118,8 @@ def walk_of(levels: int) -> Walk:
         np.zeros((levels, 4), np.uint64),
         np.zeros((levels, 27), np.int64),
         np.zeros((levels, 27), np.int64),
-        np.zeros((SHARES + 4 if levels > 0 else 0, 125), np.float64),
-        np.empty((4 if levels > 0 else 0, MOST_TAPS), np.float64),
+        np.zeros((SHARES + 4, 125), np.float64),
+        np.zeros((4, MOST_TAPS), np.float64),
     )
 
 

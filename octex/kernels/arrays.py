@@ -41,16 +41,19 @@ def arrays_of(
     alpha = texture.channels.get("alpha")
     if alpha is known or (alpha is not None and alpha.format.components != 1):
         alpha = None
+    levels: Levels = field.cells.levels
+    tops = levels.tops.copy()
+    tops[:, 0] = -1  # tiles beside finer paint leave points to others
     for level in range(tree.max_depth + 1):
         if can_be_tiled(field.level(level).tree):
             field.build(level)
-    levels: Levels = field.cells.levels
+            tops[level] = levels.tops[level]
     return LookupArrays(
         np.array([*texture.placement.origin, texture.placement.size]),
         *tree.arrays._replace(areas=areas),
         tree.kept.cells,
         field.facings.rows,
-        *levels,
+        *levels._replace(tops=tops),
         *_values(known),
         *(_NO_VALUES if alpha is None else _values(alpha)),
         known.format.components,

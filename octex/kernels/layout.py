@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.find import Room
-from octex.field.sources import new_group
+from octex.field.find import Room, new_room
 from octex.field.taps import Taps, new_taps
 from octex.field.weights import MOST_ROWS, Sight, new_sight
-from octex.field.windows import MOST_TAPS, new_walk
+from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import kernel
 from octex.tree.layout import TreeArrays
 from octex.tree.search import Scratch as Search
@@ -52,6 +51,7 @@ class Scratch(NamedTuple):
     """Where lookups work, and what they remember from one point to the next. One serves one thread."""
 
     room: Room
+    walk: Walk
     search: Search
     taps: Taps  # of one look, and these as they face a normal
     sight: Sight
@@ -63,9 +63,9 @@ class Scratch(NamedTuple):
 def new_scratch(arrays: LookupArrays) -> Scratch:
     """Return room for lookups in one texture: make one for each thread, outside the loop."""
     tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
-    room = Room(new_group(False), new_walk(), np.empty((3, 1), np.int64), np.empty((1, 3), np.float64))
     return Scratch(
-        room,
+        new_room(1, False),
+        new_walk(),
         new_search(tree),
         new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
         new_sight(),

@@ -58,7 +58,7 @@ def _walked(
     cells: Cells, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    walk, taps = scratch.room.walk, scratch.taps
+    walk, taps = scratch.walk, scratch.taps
     walk.previous[3] = min(walk.previous[3], level)
     taps.starts[0] = 0
     way = Way(cells.arrays, cells.kept, walk, filter_code, 2, 1, True)
