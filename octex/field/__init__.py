@@ -2,17 +2,17 @@
 
 A lookup goes through this room from left to right, a block of points at a time; `taps` is what is passed on.
 
-    lookups        find                     weights                   blend
+    lookups        field                    weights                   blend
     what is asked  which cells, and how     areas, mixed facings,     blends values,
     of points      much each weighs         facings of a normal       adds levels up,
                                                                       lists taps
 
-    footprints     find: the tiles of a level, off the surface those of coarser ones, else the walk
-    probe          ├── tiles · sources          where all leaves have one depth
-    several        └── windows · neighborhood   the walk: any tree, kept coefficients
-    levels         bricks                       many points at once in a tree without tiles: all in one
-                   `tiled` takes one channel through all of that in one call, step by step: leaves, and looks
-                   of `quadratic`, but not with alpha or gradients
+    footprints     field: chooses by tree
+    probe          ├── tiles · sources · find   where all leaves have one depth
+    several        ├── windows · neighborhood   the walk: any tree, kept coefficients
+    levels         └── bricks                   many points at once where the walk would answer: all in one
+                   `tiled` takes one channel by tiles through all of that in one call, step by step: leaves,
+                   and looks of `quadratic`, but not with alpha or gradients
 
 splines        filters, and their weights along an axis
 footprints     what is averaged around a point: looks at coarser levels that add up to it
@@ -24,13 +24,13 @@ tiles          cells found by a bit test, for many points at once
 sources        taps by tiles, by each filter
 windows        the cells around a point, level by level
 neighborhood   taps by the walk; what cells below leaves refine from, for edits
-find           taps by tiles and the walk
-tiled          from points to values
+find           taps by the tiles of all levels
+tiled          from points to values by tiles
 bricks         coefficients decoded for points that lie close together
-field          the field over one tree: its tiles, and whatever else lookups index
+field          the field over one tree: which of these finds the taps
 lookups        what is asked, at all levels
 listing        the rows that lookups blend or read, for others
 
-Trees of one depth that were painted more finely have tiles too, of both levels: marked where the walk
-answers.
+Trees of one depth that were painted more finely have tiles too, of both levels: marked where the walk, or
+bricks, answer.
 """

@@ -1,4 +1,4 @@
-"""Lookups: what is asked of points; footprints at all levels."""
+"""Lookups: what is asked of points, by tiles, bricks or the walk; footprints at all levels."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _positions(points: Floats) -> Positions:
 
 
 class PlainLookup:
-    """Leaves of one channel looked up again and again: what points do not change is prepared."""
+    """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
 
     def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
         self._before = placement.origin, placement.size, _NO_VECTORS, channel

@@ -1,4 +1,4 @@
-"""Lookups of one channel in one call: from points to values, so many points at once as the first cache holds.
+"""Lookups by tiles in one call: from points to values, so many points at once as the first cache holds.
 
 What taps are made of is asked for ahead, and is still near when they are weighed and blended: in 2 M cells
 that takes a third less time than blocks of thousands of points.
