@@ -116,11 +116,12 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor
         for begin in range(0, mixed.size, _BLOCK):
             some = mixed[begin : begin + _BLOCK]
             normals = samples.normals[some].astype(np.float32)
-            taps = field.taps(sample_points(samples, some, _UNIT), _UNIT, normals=normals)
-            rows = taps.rows[taps.weights >= _LEAST_WEIGHT].astype(np.int64)
-            in_table = rows >= tree.n_cells
-            rows[in_table] = owners[rows[in_table] - tree.n_cells]
-            reached[rows] = True
+            for taps in field.batches(sample_points(samples, some, _UNIT), _UNIT, normals=normals):
+                used = slice(0, taps.starts[-1])
+                rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
+                in_table = rows >= tree.n_cells
+                rows[in_table] = owners[rows[in_table] - tree.n_cells]
+                reached[rows] = True
 
     for _ in ordered_map(executor, reach, range(0, samples.codes.size, _RUN)):
         pass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -153,18 +152,24 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
 
 
 class Sums(NamedTuple):
-    """What looks at several levels add up to, by the point whose looks they are: values, then weights."""
+    """What looks at several levels add up to, by the point whose looks they are."""
 
-    values: Float64s  # (points, components + 1)
-    slopes: Float64s  # (points, components + 1, 3) or (0, components + 1, 3)
+    values: Float64s  # (points, components)
+    totals: Float64s  # (points,)   of the weights
+    slopes: Float64s  # (points, components, 3) or (0, components, 3)
+    total_slopes: Float64s  # (points, 3) or (0, 3)
 
 
 @kernel
 def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
     """Return zeros for the components of answers."""
-    columns = answers.shape[1] + 1
-    slopes = np.zeros((points if gradient else 0, columns, 3), np.float64)
-    return Sums(np.zeros((points, columns), np.float64), slopes)
+    n, components = points if gradient else 0, answers.shape[1]
+    return Sums(
+        np.zeros((points, components), np.float64),
+        np.zeros(points, np.float64),
+        np.zeros((n, components, 3), np.float64),
+        np.zeros((n, 3), np.float64),
+    )
 
 
 @inlined
@@ -177,7 +182,7 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
         sums.values[owner, 2] += factor * five[2]
     if components > 3:
         sums.values[owner, 3] += factor * five[3]
-    sums.values[owner, components] += factor * five[4]
+    sums.totals[owner] += factor * five[4]
 
 
 @fused_kernel
@@ -195,7 +200,7 @@ def add_up(
     ``share_slopes`` (looks, 3) are the derivatives of the shares, for gradients. ``is_asked`` as in `blend`.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
-    gradient = sums.slopes.shape[0] > 0
+    gradient = sums.total_slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
         if not is_asked:
@@ -209,7 +214,7 @@ def add_up(
                 slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
                 for axis in range(3):
                     share_slope = np.float64(share_slopes[n, axis])
-                    sums.slopes[owner, components, axis] += share * slopes[4][axis] + share_slope * five[4]
+                    sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * five[4]
                     for component in range(components):
                         sums.slopes[owner, component, axis] += (
                             share * slopes[component][axis] + share_slope * five[component]
@@ -238,12 +243,16 @@ def add_weighed(
         for n in range(begin, last):
             is_split = sight.is_split[np.uint64(n - begin)] != 0
             view = view_of(normals, n) if by.faces else NO_VIEW
-            if components != 3 or is_split:
+            if components != 3:
                 _, five, total, gone = weigh(
                     taps, n, 0, by, view, sight, by.faces, is_split, flat, components
                 )
+            elif not by.faces:
+                _, five, total, gone = weigh(taps, n, 0, by, view, sight, False, False, flat, 3)
+            elif is_split:
+                _, five, total, gone = weigh(taps, n, 0, by, view, sight, True, True, flat, 3)
             else:
-                _, five, total, gone = weigh(taps, n, 0, by, view, sight, by.faces, False, flat, 3)
+                _, five, total, gone = weigh(taps, n, 0, by, view, sight, True, False, flat, 3)
             at = np.uint64(n)
             share = np.float64(shares[at])
             if by.mixed.size > 0:
@@ -256,14 +265,13 @@ def add_weighed(
 @kernel
 def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> None:
     """Write sums divided by their weights, and the derivatives of that times ``scale``."""
-    last = results.shape[1]
-    for n in range(results.shape[0]):
-        inverse = 1.0 / sums.values[n, last] if sums.values[n, last] != 0.0 else 0.0
-        for component in range(last):
+    for n in range(sums.totals.size):
+        inverse = 1.0 / sums.totals[n] if sums.totals[n] != 0.0 else 0.0
+        for component in range(sums.values.shape[1]):
             value = sums.values[n, component] * inverse
             results[n, component] = value
             for axis in range(3 if gradients.shape[0] > 0 else 0):
-                slope = sums.slopes[n, component, axis] - value * sums.slopes[n, last, axis]
+                slope = sums.slopes[n, component, axis] - value * sums.total_slopes[n, axis]
                 gradients[n, component, axis] = slope * inverse * scale
 
 
@@ -297,42 +305,8 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
             taps.slopes[at, axis] *= parts[at]
 
 
-class Listed(NamedTuple):
-    """The taps of points that weigh anything, in compressed sparse rows.
-
-    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
-    the kept nodes, then those of the split cells.
-    """
-
-    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
-    rows: Uint32s  # (taps,)
-    weights: Float32s  # (taps,)   none negative, 1 in sum for each point
-    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
-    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
-
-
-def listed(taps: Taps, scale: float) -> Listed:
-    """List taps, with slopes times ``scale``."""
-    n, room = taps.starts.size, int((taps.ends - taps.starts).sum()) + 1
-    starts, rows, weights = np.empty(n + 1, np.int64), np.empty(room, np.uint32), np.empty(room, np.float32)
-    slopes = np.empty((room if len(taps.slopes) else 0, 3), np.float32)
-    _list_taps(taps, scale, starts, rows, weights, slopes)
-    end = starts[-1]
-    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers.copy())
-
-
-def joined(lists: Sequence[Listed]) -> Listed:
-    """Join the taps of points, one list's after another's."""
-    if len(lists) == 1:
-        return lists[0]
-    counts = [np.zeros(1, np.int64), *(np.diff(each.starts) for each in lists)]
-    none = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.float32)
-    columns = zip((*none, none[1]), *(each[1:] for each in lists), strict=True)
-    return Listed(np.cumsum(np.concatenate(counts)), *map(np.concatenate, columns))
-
-
 @kernel
-def _list_taps(
+def list_taps(
     taps: Taps, scale: float, starts: Int64s, rows: Uint32s, weights: Float32s, slopes: Float32s
 ) -> None:
     """List the taps that weigh anything, with weights that sum to 1 and slopes times ``scale``."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 from threading import RLock
+from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
 from octex.errors import TextureFileError
-from octex.field.blend import Listed, joined, listed
+from octex.field.blend import list_taps
 from octex.field.bricks import Tree
-from octex.field.find import Cells, find_tiled, new_room
 from octex.field.neighborhood import walked_taps
-from octex.field.splines import FILTERS, NEAREST
+from octex.field.sources import Batch, find_taps
+from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
     MOST_TILED,
@@ -25,10 +26,9 @@ from octex.field.taps import (
     hold_outside,
     new_taps,
     place_points,
-    with_room,
 )
-from octex.field.tiles import Tiles, TileStore, can_be_tiled, marks_of, painted_levels
-from octex.field.weights import Facings, Weighing, facings_of, weigh_taps
+from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
+from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import unlocked
 from octex.parallel import built_once
@@ -41,8 +41,21 @@ _WALKED = 24
 _NONE = np.empty(0, np.uint8)
 _NOTHING: Uint8s = np.empty((1, 1), np.uint8)
 _NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
-_NO_MARKS = np.empty(0, np.uint64)
 _NO_FACINGS = Facings(_NONE, np.empty(0, np.uint32), np.empty(0, np.uint32))
+
+
+class Listed(NamedTuple):
+    """The taps of points, one point's after another's.
+
+    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
+    the kept table.
+    """
+
+    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
+    rows: Uint32s  # (taps,)
+    weights: Float32s  # (taps,)   none negative, 1 in sum for each point
+    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
+    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
 
 
 class NotFiniteError(ValueError):
@@ -58,7 +71,6 @@ class Field:
 
     def __init__(self, tree: Octree, root: Field | None = None) -> None:
         self.tree = tree
-        self._store: TileStore = root._store if root else TileStore(tree)
         self.depth, self.n_cells, self.n_leaves = tree.max_depth, tree.n_cells, tree.n_leaves
         self._root = ref(
             root or self
@@ -101,56 +113,83 @@ class Field:
 
     @built_once
     def tiles(self) -> Tiles | None:
-        """Return the tiles of the tree's deepest level, built on first use; None for trees without any."""
-        return self._store.at(self.depth) if can_be_tiled(self.tree) else None
+        """Return the tree's tiles, built on first use; None for trees that cannot have them."""
+        return build_tiles(self.tree) if can_be_tiled(self.tree) else None
 
     @built_once
-    def cells(self) -> Cells:
-        """Return the tree's cells as lookups find them, indexed on first use.
-
-        Tiles are searched where leaves have one depth, or had it before a part was painted more finely.
-        """
-        tree, first, finer, marks = self.tree, -1, -1, _NO_MARKS
-        if self.tiles is not None:
-            first = self.depth
-        else:
-            for level in painted_levels(tree):
-                own = marks_of(self._store.at(level), tree)
-                n_marked, n_cells = int(bit_counts(own).sum()), sum(tree.cells_by_depth()[level])
-                if first < 0:
-                    first, marks = level, own
-                elif 2 * n_marked < n_cells:  # they serve the most
-                    own[: marks.size] |= marks
-                    finer, marks = level, own
-        searched = self._store.levels, marks, first, finer
-        cells: Cells = unlocked(Cells(tree.arrays, tree.kept.cells, self.n_cells, *searched))
-        return cells
-
-    def cells_in(self, whole: Field) -> Cells:
-        """Return the cells, of which kept ones have the rows of the field that this is a level of."""
-        cells: Cells = self.cells
-        return cells if self is whole else cells._replace(first_kept=whole.n_cells)
-
-    def build(self, level: int) -> None:
-        """Build the tiles of a level, which off the surface has the averages that answer.
-
-        Raises TextureFileError for a damaged tree: all leaves have one depth, or had it before a part was
-        painted, so that it has no other cells.
-        """
-        if not can_be_tiled(self.level(level).tree):
-            raise TextureFileError(f"level {level}: its nodes and leaves are not those that the groups count")
-        self._store.at(level)
+    def painted(self) -> tuple[Tiles, ...] | None:
+        """Return the tiles of a tree of one depth that was painted more finely, marked; None for others."""
+        levels = [] if self.tiles is not None else painted_levels(self.tree)
+        found: list[Tiles] = []
+        for level in levels:
+            tiles = marked(build_tiles(self.level(level).tree), self.tree)
+            n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
+            if not found or 2 * n_marked < n_cells:  # they serve the most
+                found.append(tiles)
+        return tuple(found) or None
 
     @built_once
     def mixed(self) -> Tree:
         """Return the tree as bricks are decoded from it, indexed on first use."""
         return Tree.of(self.tree)
 
-    def prepare(self) -> None:
+    def tiles_for(self, filter_code: int) -> Tiles | None:
+        """Return the tiles that serve a filter: all of the points, or the most of them."""
+        tiles: Tiles | None = self.tiles
+        if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
+            tiles = self.painted[0]
+        return tiles
+
+    @built_once
+    def finer(self) -> tuple[Tiles, ...]:
+        """Return the tiles that are searched for what `tiles_for` a filter do not answer; most have none."""
+        return self.painted[1:] if self.tiles is None and self.painted else ()
+
+    def searched(self, filter_code: int) -> Iterator[Tiles]:
+        """Yield the tiles that lookups search, one after the other, for what those before do not have.
+
+        Off the surface that are the averages of the deepest level that has any there; `nearest` looks around
+        the cell that should hold the point first. Raises TextureFileError for a damaged tree.
+        """
+        tiles = self.tiles_for(filter_code)
+        assert tiles is not None
+        yield tiles
+        for level in range(tiles.depth - (filter_code != NEAREST), -1, -1):
+            above = self.level(level).tiles
+            if (
+                above is None
+            ):  # all leaves have one depth, or had it before they were painted: it has no other cells
+                raise TextureFileError(
+                    f"level {level}: its nodes and leaves are not those that the groups count"
+                )
+            yield above
+
+    def prepare(self, filter_code: int) -> None:
         """Build what lookups of the leaves read, before threads share it."""
-        self.cells, self.mixed  # noqa: B018
+        self.tiles_for(filter_code)
+        self.mixed  # noqa: B018
 
     def taps(
+        self, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
+    ) -> Listed:
+        """List the taps of rest positions (n, 3), with their slopes if ``gradient``.
+
+        Raises NotFiniteError.
+        """
+        found = list(self.batches(points, placement, filter, gradient=gradient))
+        if len(found) == 1:
+            return found[0]
+        ends = np.cumsum([0, *(taps.rows.size for taps in found)])
+        starts = [taps.starts[:-1] + end for taps, end in zip(found, ends, strict=False)]
+        return Listed(
+            np.concatenate([*starts, ends[-1:]]),
+            np.concatenate([np.empty(0, np.uint32), *(taps.rows for taps in found)]),
+            np.concatenate([np.empty(0, np.float32), *(taps.weights for taps in found)]),
+            np.concatenate([np.empty((0, 3), np.float32), *(taps.slopes for taps in found)]),
+            np.concatenate([np.empty(0, np.float32), *(taps.covers for taps in found)]),
+        )
+
+    def batches(
         self,
         points: Floats,
         placement: Placement,
@@ -158,10 +197,19 @@ class Field:
         *,
         normals: Float32s | None = None,
         gradient: bool = False,
-    ) -> Listed:
-        """List the taps of rest positions (n, 3), with their slopes if ``gradient``. See ``runs``."""
-        runs = self.runs(points, placement, filter, normals=normals, gradient=gradient)
-        return joined([listed(taps, 1.0 / placement.size) for taps in runs])
+    ) -> Iterator[Listed]:
+        """Yield the taps of consecutive runs of rest positions. See ``taps`` and ``runs``."""
+        for taps in self.runs(points, placement, filter, normals=normals, gradient=gradient):
+            n, room = taps.starts.size, int((taps.ends - taps.starts).sum()) + 1
+            starts, rows, weights = (
+                np.empty(n + 1, np.int64),
+                np.empty(room, np.uint32),
+                np.empty(room, np.float32),
+            )
+            slopes = np.empty((room if gradient else 0, 3), np.float32)
+            list_taps(taps, 1.0 / placement.size, starts, rows, weights, slopes)
+            end = starts[-1]
+            yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
 
     def runs(
         self,
@@ -178,13 +226,16 @@ class Field:
         Raises NotFiniteError.
         """
         finder = Finder(self, filter, gradient=gradient)
+        places = np.empty((min(len(points), BLOCK), 3))
         for begin in range(0, len(points), BLOCK):
-            block = slice(begin, begin + BLOCK)
-            taps, fault = finder.at(points[block], placement)
+            some = points[begin : begin + BLOCK]
+            here = places[: len(some)]
+            fault = place_points(Positions.of(some), *placement, here)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
+            taps = finder.find(here)
             if normals is not None:
-                taps = weigh_taps(taps, self.weighing(self, True), normals[block], _NOTHING, *_NO_LEFT)
+                taps = weighed(taps, self.weighing(self, True), normals[begin : begin + BLOCK])
             yield taps
 
     def weighing(self, whole: Field, faces: bool, mixed: Uint8s = _NONE) -> Weighing:
@@ -197,8 +248,31 @@ class Field:
         return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
 
 
+def weighed(
+    taps: Taps,
+    by: Weighing,
+    normals: Float32s | None,
+    left: Float32s = _NO_LEFT[0],
+    left_slopes: Float32s = _NO_LEFT[1],
+) -> Taps:
+    """Return taps weighed, which change: see `weights.weigh_taps`."""
+    end = int(taps.ends.max(initial=0))
+    if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+        taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
+    weigh_taps(taps, by, _NO_LEFT[1] if normals is None else normals, _NOTHING, left, left_slopes)
+    return taps
+
+
+def _with_room(taps: Taps, used: int, room: int) -> Taps:
+    """Return the same taps, of which so many are used, with room for as many in all."""
+    larger = new_taps(0, 2 * room, taps.slopes.shape[0] > 0)
+    for new, old in zip(larger[:3], taps[:3], strict=True):
+        new[: min(used, len(old))] = old[:used]
+    return larger._replace(starts=taps.starts, ends=taps.ends, covers=taps.covers)
+
+
 class Finder:
-    """Finds the taps of points, a block after another, in one field.
+    """Finds the taps of points of texture space, a block after another, in one field.
 
     ``whole`` is the field that it is a level of, by default itself. With ``adds`` the taps of several levels
     are added up.
@@ -213,55 +287,79 @@ class Finder:
         whole: Field | None = None,
         adds: bool = False,
     ) -> None:
-        self._field, self._cells, self._filter = field, field.cells_in(whole or field), FILTERS.index(filter)
-        self._gradient, self._adds = gradient, adds
+        self.field = field
+        self._whole = whole or field
+        self.filter = FILTERS.index(filter)
+        self._gradient = gradient
+        self._adds = adds
         self._walk: Walk | None = None
-        #: Where the latest points lie in texture space.
-        self.places = np.empty((0, 3))
+        self._taps: Taps | None = None
+        self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
 
-    def at(self, points: Floats, placement: Placement, rows: Uint8s = _NOTHING) -> tuple[Taps, int]:
-        """Return the taps of rest positions (n, 3), valid until the next are found.
+    def find(self, places: Float64s, rows: Uint8s = _NOTHING) -> Taps:
+        """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
 
-        Beside them comes the first position that is not finite, or −1. ``rows`` are what will be read of the
-        cells next: they are asked for.
+        ``rows`` are what will be read of the cells next: they are asked for.
         """
-        n, cells, code = len(points), self._cells, self._filter
-        is_tiled = cells.has_tiles_for(code)
-        if len(self.places) < n:
-            self.places = np.empty((n, 3))
-            self._room = new_room(n, self._gradient)
-            most = MOST_TILED[code] * n + 520 if is_tiled else _WALKED * n + MOST_TAPS
+        n = len(places)
+        tiles = self.field.tiles_for(self.filter)
+        most = MOST_TAPS + n * (_WALKED if tiles is None else MOST_TILED[self.filter])
+        if self._taps is None or self._taps.starts.size < n:
             self._taps = new_taps(n, most, self._gradient)
-        places, taps, which = self.places[:n], self._taps, np.arange(n)
-        fault = place_points(Positions.of(points), *placement, places)
-        taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
-        end, lacking = 0, 0
-        while is_tiled and lacking >= 0:
-            ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
-            end, n_rim, lacking = find_tiled(cells, code, places, ahead, self._room, taps)
-            if lacking >= 0:
-                self._field.build(lacking)
-            which = self._room.lists[2, :n_rim]
-        if code == NEAREST and not is_tiled:
-            held = np.empty(n, np.bool_)
-            nearest_cells(cells.arrays, places, (0.0, 0.0, 0.0), 1.0, which, held)
-            taps.rows[:n], taps.weights[:n] = which, np.where(held, np.float32(1), OFF)
-            taps.starts[:], taps.ends[:], taps.covers[:] = np.arange(n), np.arange(1, n + 1), held
-        elif which.size:
+            self._all, self._next = np.arange(n), np.arange(1, n + 1)
+            self._empty, self._rim = np.empty(n, np.int64), np.empty(n, np.int64)
+        taps = self._taps
+        if taps.starts.size > n:
+            taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
+        which, end, n_rim = self._all[:n], 0, n
+        if tiles is not None:
+            taps, end, n_rim = self._tiled(places, taps, which, rows)
+            which = self._rim[:n_rim]
+        if tiles is None and self.filter == NEAREST:
+            taps = self._nearest(places, taps)
+        elif n_rim:
             taps = self._walked(places, taps, end, which)
         if self._gradient:
             hold_outside(taps, places)
-        return taps, fault
+        return taps
+
+    def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
+        """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
+        ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
+        end = n_rim = 0
+        last = self.field.n_cells - 1
+        for number, above in enumerate(self.field.searched(self.filter)):
+            room = end + MOST_TILED[self.filter] * which.size + 8
+            if room > taps.rows.size:
+                taps = _with_room(taps, end, room)
+            here = places if number == 0 else places[which]
+            batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
+            end, n_empty, more = find_taps(above, self.filter, number > 0, batch, taps, end)
+            n_rim += more
+            which = self._empty[:n_empty].copy()
+            if not n_empty:
+                break
+        return taps, end, n_rim
 
     def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Walk to the taps of some points."""
         if self._walk is None:
             self._walk = new_walk()
-        cells, done = self._cells, 0
+        tree = self.field.tree
+        done = 0
         while done < which.size:
             if end + MOST_TAPS > taps.rows.size:
-                taps = with_room(taps, end, end + MOST_TAPS)
-                self._taps = self._taps._replace(rows=taps.rows, weights=taps.weights, slopes=taps.slopes)
-            task = places, which, done, self._filter, not self._adds, self._walk, taps, end
-            done, end = walked_taps(cells.arrays, cells.kept, cells.first_kept, *task)
+                taps = _with_room(taps, end, end + MOST_TAPS)
+            done, end = walked_taps(
+                *(tree.arrays, tree.kept.cells, self._whole.n_cells, places, which, done),
+                *(self.filter, not self._adds, self._walk, taps, end),
+            )
+        return taps
+
+    def _nearest(self, places: Float64s, taps: Taps) -> Taps:
+        tree, n = self.field.tree, len(places)
+        cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
+        nearest_cells(tree.arrays, places, (0.0, 0.0, 0.0), 1.0, cells, held)
+        taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
+        taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -13,16 +13,16 @@ from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
-from octex.field.field import Field, Finder, NotFiniteError
+from octex.field.field import Field, Finder, NotFiniteError, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
-from octex.field.splines import FILTERS, QUADRATIC
+from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import BLOCK, Taps, place_points
-from octex.field.tiled import Additions, Search, Weighed, look_up_points
+from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.values import Codes
-from octex.field.weights import Weighing, weigh_taps
+from octex.field.weights import Weighing
 from octex.field.windows import new_walk
 from octex.jit import direct, unlocked
-from octex.tree.order import order_of
+from octex.tree.order import order_of, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
@@ -34,17 +34,19 @@ _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
-_NO_ROWS = np.empty((1, 1), np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
+_NO_NUMBERS = np.empty(0, np.int64)
 _NO_SHARES = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
     np.empty(0, np.int32),
     _NO_SHARES,
     _NO_SHARES,
-    Sums(np.empty((0, 2)), np.empty((0, 2, 3))),
+    Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
 )
+#: What `look_up_tiled` returns where tiles have all points.
+_ALL_FOUND = 0, 0, -1
 #: What searches and channels hold is unlocked where they are made.
-_look_up_points = direct(look_up_points)
+_look_up_tiled = direct(look_up_tiled)
 
 
 #: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
@@ -126,13 +128,14 @@ class PlainLookup:
     def at(self, points: Floats) -> Float32s | None:
         """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
 
-        None where tiles alone do not answer: `look_up` does, or finds what is wrong.
+        None where the leaves alone do not answer: `look_up` does, or finds what is wrong.
         """
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
+        lost = np.empty((2, n), np.int64)
         given = *_positions(points), *self._before, answer, _NO_GRADIENTS
-        found = _look_up_points(self._search, *given, NO_ADDITIONS, 0, np.empty(n, np.int64))
-        return answer if found == (n, -1, 0) else None
+        found = _look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
+        return answer if found == _ALL_FOUND else None
 
 
 def plain_lookup(
@@ -140,9 +143,12 @@ def plain_lookup(
 ) -> PlainLookup | None:
     """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
     task = Lookup(field, placement, Query(filter), [channel], alpha, [], [])
-    if task._channel is None or not field.cells.has_tiles_for(FILTERS.index(filter)):
+    if not task.is_tiled:
         return None
-    search = Search(FILTERS.index(filter), field.cells, task.weighing(field))
+    assert task._channel is not None
+    code = FILTERS.index(filter)
+    by = task.weighing(field)
+    search = Search(code, next(field.searched(code)), field.n_cells - 1, False, by)
     return PlainLookup(search, placement, task._channel)
 
 
@@ -167,6 +173,7 @@ class Lookup:
         self._answers = answers
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
+        self._places = np.empty((0, 3))
         #: The numbers of channels; alpha itself comes first: then it weighs all others.
         is_alpha = list(map(attrgetter("is_alpha"), channels))
         self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
@@ -181,6 +188,12 @@ class Lookup:
             if own.space is other.space is None and is_alike:  # else many pairs of types would be compiled
                 self._channel = Weighed(own.codes, other.codes, weighing is not None)
 
+    @property
+    def is_tiled(self) -> bool:
+        """Say whether leaves are looked up by tiles, from points to values at once."""
+        code = FILTERS.index(self._query.filter)
+        return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
+
     def is_sortable(self, count: int) -> bool:
         """Say whether so many points are looked up by bricks, a channel after the other."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
@@ -190,16 +203,13 @@ class Lookup:
 
     def at(self, points: Floats) -> None:
         """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
-        code = FILTERS.index(self._query.filter)
-        if self._channel is None or not self._field.cells.has_tiles_for(code):
+        if self.is_tiled:
+            self.tiled(points)
+        else:
             self.untiled(points)
-            return
-        rim = self._look_up(self._field, points, NO_ADDITIONS, self._query.normals)
-        if rim.size:
-            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
     def untiled(self, points: Floats) -> None:
-        """Look up the leaves by bricks, or the walk."""
+        """Look up the leaves without tiles."""
         if len(self._channels) == 1 and self.is_sortable(len(points)):
             self.sorted(points)
         else:
@@ -220,27 +230,72 @@ class Lookup:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
 
-    def _look_up(self, here: Field, points: Floats, additions: Additions, normals: Float32s | None) -> Int64s:
-        """Look one channel up by a level's tiles; return which points these do not answer.
+    def tiled(self, points: Floats) -> None:
+        """Look up the leaves by tiles."""
+        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
+        if rim.size:
+            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
-        ``normals`` are those of the owners of looks.
+    def _by_tiles(
+        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
+    ) -> Int64s:
+        """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
+
+        ``normals`` are those of the looks' owners, by default the query's.
         """
+        if normals is None:
+            normals = self._query.normals
+        code, by = FILTERS.index(self._query.filter), self.weighing(here)
+        which: Int64s | None = None
+        rims: list[Int64s] = []
+        for number, tiles in enumerate(here.searched(code)):
+            search = Search(code, tiles, here.n_cells - 1, number > 0, by)
+            which, rim = self._search(search, points, which, additions, normals)
+            rims.append(rim)
+            if not which.size:
+                break
+        rim = np.concatenate(rims)
+        for tiles in here.finer if rim.size else ():
+            search = Search(code, tiles, here.n_cells - 1, False, by)
+            rim = np.concatenate(self._search(search, points, rim, additions, normals))
+        return rim
+
+    def _search(
+        self,
+        search: Search,
+        points: Floats,
+        which: Int64s | None,
+        additions: Additions,
+        normals: Float32s | None,
+    ) -> tuple[Int64s, Int64s]:
+        """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
         assert self._channel is not None
-        cells = here.cells_in(self._field)
-        search = Search(FILTERS.index(self._query.filter), cells, self.weighing(here))
-        gradients = self._gradients[0] if self._gradients else _NO_GRADIENTS
-        facing = _NO_VECTORS if normals is None else unlocked(normals)
-        given = *_positions(points), *self._placement, facing, self._channel, self._answers[0], gradients
-        lost = np.empty(len(points), np.int64)
-        done = n_lost = 0
-        while done < len(points):
-            done, lacking, more = _look_up_points(search, *given, additions, done, lost[n_lost:])
-            n_lost += more
-            if lacking >= 0:
-                here.build(lacking)
-            elif done < len(points):
-                raise NotFiniteError(done)
-        return lost[:n_lost]
+        answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
+        some, own, facing = additions, answers, _NO_VECTORS if normals is None else unlocked(normals)
+        if which is not None:
+            points = np.take(points, which, axis=0)
+            if additions is not NO_ADDITIONS:
+                left = np.zeros(which.size if additions.left.size else 0, np.float32)
+                some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
+            else:
+                own = np.empty((which.size, answers.shape[1]), np.float32)
+                gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
+                facing = facing if normals is None else np.take(normals, which, axis=0)
+        lost = np.empty((2, len(points)), np.int64)
+        given = *_positions(points), *self._placement, facing, self._channel, own, gradients
+        n_empty, n_rim, fault = _look_up_tiled(search, *given, some, lost)
+        if fault >= 0:
+            raise NotFiniteError(fault)
+        empty, rim = lost[0, :n_empty], lost[1, :n_rim]
+        if which is None:
+            return empty, rim
+        if additions.left.size:
+            additions.left[which] = some.left
+        if additions is NO_ADDITIONS:
+            put_rows(own, which, answers)
+            if self._gradients:
+                self._gradients[0][which] = gradients
+        return which[empty], which[rim]
 
     def weighing(self, here: Field) -> Weighing:
         """Return what weighs the taps of a level."""
@@ -254,7 +309,7 @@ class Lookup:
         """Look up the leaves, in any tree."""
         scale = 1.0 / self._placement.size
         # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
-        is_asked = self._query.normals is None and self._field.cells.first >= 0
+        is_asked = self._query.normals is None and self._field.tiles is not None
         for rows, taps in self.each_block(points):
             for number, used, codes in self.each_weighed(taps, is_asked, always=False):
                 results = self._answers[number][rows]
@@ -284,7 +339,7 @@ class Lookup:
     def footprints(self, points: Floats) -> None:
         """Look footprints up: add the looks at all levels up."""
         gradient = bool(self._gradients)
-        # From points to sums at once.
+        # By tiles, from points to sums at once.
         is_bare = self._channel is not None and not self._channel.has_alpha
         is_added = is_bare and self._query.filter == "quadratic" and not gradient
         for run, by_level in self.each_run(points):
@@ -300,9 +355,9 @@ class Lookup:
                     count = len(looks.points) if self.weighing(here).mixed.size else 0
                     left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
                     rim: Int64s | None = None
-                    if is_added and here.cells.has_tiles_for(QUADRATIC):
+                    if is_added and here.tiles_for(QUADRATIC) is not None:
                         own = Additions(looks.owners, looks.shares, left[0], sums[0])
-                        rim = self._look_up(here, looks.points, own, normals)
+                        rim = self._by_tiles(here, looks.points, own, normals)
                     if rim is None or rim.size:
                         self._add_by_taps(here, looks, rim, normals, sums, left)
                     pass_on(by_level, level, looks, *left)
@@ -311,7 +366,7 @@ class Lookup:
                 gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
                 divide(sums[number], 1.0 / self._placement.size, self._answers[number][run], gradients)
                 if self._alpha is not None and not channel.is_alpha:
-                    bare |= sums[number].values[:, -1] == 0.0
+                    bare |= sums[number].totals == 0.0
             if bare.any():
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
                 rows = run.start + np.flatnonzero(bare)
@@ -370,13 +425,20 @@ class Lookup:
 
         ``left`` takes what mixes opposite facings, and its derivatives: see `weights.weigh_taps`.
         """
+        if len(self._places) < len(points):
+            self._places = np.empty((len(points), 3))
+        places = self._places[: len(points)]
+        fault = place_points(_positions(points), *self._placement, places)
         if here.depth not in self._finders:
-            options = {"gradient": bool(self._gradients), "adds": self._query.footprints is not None}
-            self._finders[here.depth] = Finder(here, self._query.filter, whole=self._field, **options)
-        taps, fault = self._finders[here.depth].at(points, self._placement, self._rows)
+            self._finders[here.depth] = Finder(
+                *(here, self._query.filter),
+                gradient=bool(self._gradients),
+                whole=self._field,
+                adds=self._query.footprints is not None,
+            )
+        taps = self._finders[here.depth].find(places, self._rows)
         if normals is not None or here is not self._field:
-            facing = _NO_VECTORS if normals is None else normals
-            taps = weigh_taps(taps, self.weighing(here), facing, _NO_ROWS, *left)
+            taps = weighed(taps, self.weighing(here), normals, *left)
         return taps, fault
 
     def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:

@@ -1,13 +1,12 @@
 """Sources by tiles: the taps of points by each filter.
 
-`nearest` has the cell that holds the point; `linear` the 2×2×2 cells with centres around it, `quadratic` and
-`quartic` the 3×3×3 or 5×5×5 around that of the point, under a spline. These lie in a *window*, the children
-of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
+`nearest` has the cell that holds the point, `linear` the 2×2×2 cells with centres around it. `quadratic` and
+`quartic` have the 3×3×3 or 5×5×5 around that of the point, under a spline: they lie in a *window*, the
+children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
 """
 
 from __future__ import annotations
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +22,17 @@ from octex.field.splines import (
 )
 from octex.field.taps import LEAST, OFF, Ahead, Taps, ask_for, scale_off
 from octex.field.tiles import GROUP, Near, Tiles, code_in_tile, find_tiles, is_marked, new_near, tile_key
-from octex.jit import inlined, part, popcount, step, trailing_zeros
-from octex.tree.layout import GRID_BITS, MAX_DEPTH
+from octex.jit import (
+    fused_kernel,
+    fused_part,
+    inlined,
+    kernel,
+    part,
+    popcount,
+    prefetch,
+    trailing_zeros,
+)
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode
 from octex.tree.search import UNITS
 
@@ -48,7 +56,7 @@ def rounded_cell(x: float, depth: int) -> np.int32:
 
 
 @inlined
-def _look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
+def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
     """Return the number that a cell of an octant has if it is stored, and whether it is."""
     bit = np.uint64(code & 63)
     mask = tiles.masks[np.uint64(octant)]
@@ -58,36 +66,90 @@ def _look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
 
 
 @inlined
-def _place_nearest(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
+def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: Near, codes: Int32s) -> None:
     """Find each point's tile, and the code of its cell there."""
     three, seven = np.int32(3), np.int32(7)
     for n in range(count):
-        first, at = np.uint64(3 * (begin + n)), np.uint64(n)
-        x, y, z = places[first], places[first + np.uint64(1)], places[first + np.uint64(2)]
+        at = np.uint64(3 * (begin + n))
+        x, y, z = places[at], places[at + np.uint64(1)], places[at + np.uint64(2)]
         i, j, k = rounded_cell(x, depth), rounded_cell(y, depth), rounded_cell(z, depth)
-        group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
-        group.near.reached[at] = 0
-        group.codes[at] = code_in_tile(i & seven, j & seven, k & seven)
+        near.keys[np.uint64(n)] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+        codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
 
 
-@step
-def nearest_rows(tiles: Tiles, batch: Batch, group: Group, found: Uint32s) -> int:
+@fused_part
+def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
     """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
-    near, flat, last = group.near, batch.places.reshape(-1), batch.last
+    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
+    near, codes = new_near(), np.zeros(GROUP, np.int32)
+    flat = places.reshape(-1)
     n_empty = 0
-    for begin in range(0, batch.places.shape[0], GROUP):
-        count = min(GROUP, batch.places.shape[0] - begin)
-        _place_nearest(flat, begin, count, tiles.depth, group)
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_nearest(flat, begin, count, tiles.depth, near, codes)
         find_tiles(tiles, near, count)
         for n in range(count):
-            code = np.int64(group.codes[np.uint64(n)])
+            code = np.int64(codes[np.uint64(n)])
             octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
-            cell, is_stored = _look_in(tiles, int(octant), int(code))
-            ask_for(batch.ahead, int(cell))
+            cell, is_stored = look_in(tiles, int(octant), int(code))
+            ask_for(ahead, int(cell))
             found[np.uint64(begin + n)] = min(cell, last)
-            batch.empty[np.uint64(n_empty)] = begin + n
+            empty[np.uint64(n_empty)] = begin + n
             n_empty += not is_stored
     return n_empty
+
+
+@inlined
+def _place_linear(
+    places: Float64s,
+    begin: int,
+    count: int,
+    depth: int,
+    near: Near,
+    steps: Float32s,
+    octants: Uint8s,
+    bits: Uint8s,
+) -> None:
+    """Find each point's tile and the codes of its cells there.
+
+    ``steps`` (3 · GROUP,) are from the lowest cell's centre, in cells.
+    """
+    cells = float(1 << depth)
+    one, two, three = np.int32(1), np.int32(2), np.int32(3)
+    for n in range(count):
+        first = np.uint64(3 * (begin + n))
+        x = places[first] * cells - 0.5
+        y = places[first + np.uint64(1)] * cells - 0.5
+        z = places[first + np.uint64(2)] * cells - 0.5
+        u, v, w = np.floor(x), np.floor(y), np.floor(z)
+        at = np.uint64(n)
+        steps[at] = x - u
+        steps[at + np.uint64(GROUP)] = y - v
+        steps[at + np.uint64(2 * GROUP)] = z - w
+        i, j, k = np.int32(u), np.int32(v), np.int32(w)
+        near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+        i, j, k = i & np.int32(7), j & np.int32(7), k & np.int32(7)
+        near.reached[at] = (i + one) >> three | (j + one) >> three << one | (k + one) >> three << two
+        for tap in range(8):
+            code = code_in_tile(
+                i + one if tap & 1 else i, j + one if tap & 2 else j, k + one if tap & 4 else k
+            )
+            octants[at + np.uint64(tap * GROUP)] = code >> np.int32(8)
+            bits[at + np.uint64(tap * GROUP)] = code & np.int32(63)
+
+
+@inlined
+def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Float32s, end: int) -> None:
+    """Write the slopes of a point's taps from index ``end`` on: those whose bit in ``stored`` is set."""
+    one, cells = np.float32(1.0), np.float32(1 << depth)
+    r, s, t = steps[n], steps[n + GROUP], steps[n + 2 * GROUP]
+    for tap in range(8):
+        if stored >> tap & 1 != 0:
+            a, b, c = r if tap & 1 else one - r, s if tap & 2 else one - s, t if tap & 4 else one - t
+            slopes[end, 0] = (cells if tap & 1 else -cells) * (b * c)
+            slopes[end, 1] = (cells if tap & 2 else -cells) * (a * c)
+            slopes[end, 2] = (cells if tap & 4 else -cells) * (a * b)
+            end += 1
 
 
 @inlined
@@ -112,86 +174,129 @@ def _finish(
     return end, n_empty, n_rim
 
 
-def _tabulate() -> tuple[Uint64s, Uint16s, Uint64s]:
-    """Tabulate what of windows is read."""
-    masks, places = np.zeros((2, 8, 4), np.uint64), np.zeros((2, 8, 216, 2), np.uint16)
-    eight = np.zeros((8, 8), np.uint64)
-    for spline, parity in product(range(2), range(8)):
-        side, nodes = 2 * spline + 3, spline + 2
-        for child in range(8 * nodes**3):
+@fused_kernel
+def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the taps of trilinear interpolation. See `find_taps`."""
+    places, which, ahead, last = batch.places, batch.which, batch.ahead, batch.last
+    near = new_near()
+    steps, octants, bits = (
+        np.zeros(3 * GROUP, np.float32),
+        np.zeros(8 * GROUP, np.uint8),
+        np.zeros(8 * GROUP, np.uint8),
+    )
+    flat = places.reshape(-1)
+    gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
+    n_empty = n_rim = 0
+    # What is seldom wanted stands outside the loop over eight cells, which takes a fifth longer with it.
+    asks_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        _place_linear(flat, begin, count, tiles.depth, near, steps, octants, bits)
+        find_tiles(tiles, near, count)
+        for n in range(count):
+            at = np.uint64(n)
+            slot, start, total, stored = near.slots[at], end, np.float32(0.0), 0
+            r, s, t = steps[at], steps[at + np.uint64(GROUP)], steps[at + np.uint64(2 * GROUP)]
+            for tap in range(8):
+                tap_at = at + np.uint64(tap * GROUP)
+                octant = np.int64(octants[tap_at])
+                octant = np.int64(near.octants[np.uint64(slot + (octant >> 3))]) + (octant & 7)
+                cell, is_stored = look_in(tiles, int(octant), int(bits[tap_at]))
+                weight = (r if tap & 1 else one - r) * (
+                    (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
+                )
+                if 0b01101001 >> tap & 1:  # the others mostly lie beside these
+                    prefetch(ahead.values, cell)
+                taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = min(cell, last), weight
+                total += weight * np.float32(is_stored)
+                stored |= int(is_stored) << tap
+                end += is_stored
+            for tap in range(start, end if asks_more else start, 2):
+                ask_for(ahead, int(taps.rows[np.uint64(tap)]))
+            if gradient:
+                _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
+            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
+        for n in range(count if tiles.marks.size > 0 else 0):
+            at = np.uint64(which[np.uint64(begin + n)])
+            if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
+                taps.ends[at] = taps.starts[at]
+                batch.rim[n_rim] = at
+                n_rim += 1
+    return end, n_empty, n_rim
+
+
+class Tables(NamedTuple):
+    """What of a window is read, by the parities of the lowest cell read: x | y << 1 | z << 2."""
+
+    masks: Uint64s  # (8 · words,)   which cells; bit child & 63 of word child >> 6, child = 8 · node + octant
+    #: (2 · 8 · children,) where in `Group.along` a child's weight along x is for the first point of a group,
+    #: and that along y and z.
+    places: Uint16s
+
+
+def _tabulate(reach: int) -> Tables:
+    """Tabulate windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
+    side, nodes = 2 * reach + 1, reach + 1
+    children = 8 * nodes**3
+    masks = np.zeros((8, -(-children // 64)), np.uint64)
+    places = np.zeros((8, children, 2), np.uint16)
+    for parity in range(8):
+        for child in range(children):
             node, octant = child >> 3, child & 7
             corner = node % nodes, node // nodes % nodes, node // nodes**2
             x, y, z = (2 * corner[axis] + (octant >> axis & 1) - (parity >> axis & 1) for axis in range(3))
             if min(x, y, z) >= 0 and max(x, y, z) < side:
-                masks[spline, parity, child >> 6] |= np.uint64(1 << (child & 63))
-                places[spline, parity, child] = GROUP * x, GROUP * (side + side * y + z)
-                if spline == 0 and max(x, y, z) < 2:
-                    eight[parity, x + 2 * y + 4 * z] = child
-    return masks, places, eight
+                masks[parity, child >> 6] |= np.uint64(1 << (child & 63))
+                places[parity, child] = GROUP * x, GROUP * (side + side * y + z)
+    return Tables(masks.reshape(-1), places.reshape(-1))
 
 
-# By the spline, 3³ or 5³, and the parities of the lowest cell read, x | y << 1 | z << 2:
-# MASKS [… word]     which cells are read; bit child & 63 of word child >> 6, child = 8 · node + octant
-# PLACES [… child]   where in `Group.along` a child's weight along x is for the first point of a group, and
-#                    that along y and z
-# EIGHT [… x + 2·y + 4·z]   by the parities alone: the children that `linear` reads
-MASKS, PLACES, EIGHT = _tabulate()
+_QUADRATIC, _QUARTIC = _tabulate(1), _tabulate(2)
 
 
 class Group(NamedTuple):
     """Points placed, and the window of the latest."""
 
     near: Near
-    codes: Int32s  # (GROUP,)   for `nearest`, where each point's cell is in its tile
     windows: Uint8s  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
     parities: Uint8s  # (GROUP,)   of the lowest cell read, which lies in that node: x | y << 1 | z << 2
     along: Float32s  # (30 · GROUP,)   weights along x, then products of those along y and z
     #: (55 · GROUP,) or (0,): slopes along x, then products of slopes along y and weights along z, then of
     #: weights along y and slopes along z
     slopes: Float32s
-    latest: Int64s  # (3,)   the latest window, the key of its tile, and what `forget_others` was told
+    latest: Int64s  # (2,)   the latest window, and the key of its tile
     masks: Uint64s  # (4,)   which of its cells are stored
     firsts: Int64s  # (27,)   the first stored child of each of its nodes, less all that the word has before
 
 
 @part
 def new_group(gradient: bool) -> Group:
-    """Return a group that knows nothing. It serves one tree."""
+    """Return a group that knows nothing. It serves one tree and one spline."""
+    latest = np.empty(2, np.int64)
+    latest[0] = latest[1] = -1
     return Group(
         new_near(),
-        np.zeros(GROUP, np.int32),
         np.zeros(GROUP, np.uint8),
         np.zeros(GROUP, np.uint8),
         np.zeros(30 * GROUP, np.float32),
         np.zeros(55 * GROUP if gradient else 0, np.float32),
-        np.full(3, -1, np.int64),
+        latest,
         np.zeros(4, np.uint64),
         np.zeros(27, np.int64),
     )
 
 
 @inlined
-def forget_others(group: Group, level: int, filter_code: int) -> None:
-    """Forget what is known of another level, or for another filter."""
-    key = 4 * level + filter_code
-    if group.latest[2] != key:
-        group.latest[0] = group.latest[1] = group.near.latest[0] = -1
-        group.latest[2] = key
-
-
-@inlined
-def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
-    """Find the tile and the window of ``side``³ cells of which the lowest is (i, j, k)."""
+def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
+    """Find the tile and the window whose lowest cell is (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
+    more = np.int32(reach)
     at = np.uint64(n)
     group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
     e, f, g = i >> one & three, j >> one & three, k >> one & three
-    x, y, z = i & one, j & one, k & one
     group.windows[at] = e | f << two | g << four
-    group.parities[at] = x | y << one | z << two
-    if side > 2:
-        x = y = z = np.int32(side // 2)
-    group.near.reached[at] = (e + x) >> two | (f + y) >> two << one | (g + z) >> two << two
+    group.near.reached[at] = (e + more) >> two | (f + more) >> two << one | (g + more) >> two << two
+    group.parities[at] = i & one | (j & one) << one | (k & one) << two
 
 
 @inlined
@@ -201,37 +306,6 @@ def _lowest(places: Float64s, point: int, cells: float) -> tuple[float, float, f
     x, y, z = places[at] * cells, places[at + np.uint64(1)] * cells, places[at + np.uint64(2)] * cells
     most = cells - 1.0
     return x, y, z, min(np.floor(x), most), min(np.floor(y), most), min(np.floor(z), most)
-
-
-@inlined
-def _place_linear(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    """Find each point's tile and window, and weigh; with slopes, if they are wanted."""
-    one, size = np.float32(1.0), np.float32(1 << depth)
-    along, slopes = group.along, group.slopes
-    cells = float(1 << depth)
-    for n in range(count):
-        first, at = np.uint64(3 * (begin + n)), np.uint64(n)
-        x = places[first] * cells - 0.5
-        y = places[first + np.uint64(1)] * cells - 0.5
-        z = places[first + np.uint64(2)] * cells - 0.5
-        u, v, w = np.floor(x), np.floor(y), np.floor(z)
-        _find_place(group, n, np.int32(u), np.int32(v), np.int32(w), 2)
-        r, s, t = np.float32(x - u), np.float32(y - v), np.float32(z - w)
-        p, q, a, b = one - s, s, one - t, t
-        along[at], along[at + np.uint64(GROUP)] = one - r, r
-        _put_four(along, at + np.uint64(2 * GROUP), p, q, a, b)
-        if slopes.size > 0:
-            slopes[at], slopes[at + np.uint64(GROUP)] = -size, size
-            _put_four(slopes, at + np.uint64(2 * GROUP), -size, size, a, b)
-            _put_four(slopes, at + np.uint64(6 * GROUP), p, q, -size, size)
-
-
-@inlined
-def _put_four(
-    along: Float32s, at: np.uint64, p: np.float32, q: np.float32, a: np.float32, b: np.float32
-) -> None:
-    along[at], along[at + np.uint64(GROUP)] = p * a, p * b
-    along[at + np.uint64(2 * GROUP)], along[at + np.uint64(3 * GROUP)] = q * a, q * b
 
 
 @inlined
@@ -251,7 +325,7 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
     along = group.along
     for n in range(count):
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 3)
+        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 1)
         at = np.uint64(n)
         p, q, r = single_quadratic_weights(np.float32(x - u))
         _put_three(along, at, np.float32(1.0), p, q, r)
@@ -260,8 +334,6 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
         _put_three(along, at + np.uint64(3 * GROUP), a, p, q, r)
         _put_three(along, at + np.uint64(6 * GROUP), b, p, q, r)
         _put_three(along, at + np.uint64(9 * GROUP), c, p, q, r)
-    if group.slopes.size > 0:
-        _slope_quadratic(places, begin, count, depth, group)
 
 
 @inlined
@@ -293,7 +365,7 @@ def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: 
     along, slopes = group.along, group.slopes
     for n in range(count):
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 5)
+        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 2)
         of_x, of_y, of_z = quartic_weights(x - u), quartic_weights(y - v), quartic_weights(z - w)
         for a in range(5):
             along[n + GROUP * a] = of_x[a]
@@ -324,26 +396,23 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 
 
 @inlined
-def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) -> None:
+def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
     """Know the window of point n, and ask for the rows of its cells."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
-    last = x = y = z = side // 2  # of its nodes along each axis
-    if side == 2:  # which in some windows lie in one of them alone
-        parity = np.int64(group.parities[np.uint64(n)])
-        window |= parity << 6
-        x, y, z = int(parity & 1), int(parity >> 1 & 1), int(parity >> 2)
     if (window == group.latest[0]) & (key == group.latest[1]):
         return
     group.latest[0], group.latest[1] = window, key
-    i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4 & 3)
+    i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4)
     slot = group.near.slots[np.uint64(n)]
-    for word in range(4 if side == 5 else 1):
+    side = reach + 1
+    for word in range(1 if reach == 1 else 4):
         group.masks[word] = np.uint64(0)
-    for c in range(z + 1):
-        for b in range(y + 1):
-            for a in range(x + 1):
-                node = a + (last + 1) * (b + (last + 1) * c)
+    node = 0
+    for c in range(side):
+        for b in range(side):
+            for a in range(side):
                 _add_node(tiles, group, slot, node, i + a, j + b, k + c, ahead)
+                node += 1
 
 
 @inlined
@@ -355,21 +424,32 @@ def _is_window_marked(tiles: Tiles, group: Group) -> bool:
 
 @inlined
 def _take_word(
-    group: Group, n: int, word: int, side: int, last: int, taps: Taps, end: int, total: np.float32
+    group: Group,
+    n: int,
+    word: int,
+    tables: Tables,
+    reach: int,
+    last: int,
+    taps: Taps,
+    end: int,
+    total: np.float32,
 ) -> tuple[int, np.float32]:
     """Write the taps in one word of a window; return their end, and the weight of all."""
-    at, spline, parity = np.uint64(n), side // 2 - 1, np.uint64(group.parities[np.uint64(n)])
+    at = np.uint64(n)
+    words, children, ys = (1, 64, 9) if reach == 1 else (4, 216, 25)
+    parity = np.int64(group.parities[at])
     mask = group.masks[np.uint64(word)]
-    left = mask & MASKS[spline, parity, word]
-    along, slopes = group.along, group.slopes
+    left = mask & tables.masks[np.uint64(words * parity + word)]
+    base = 2 * (children * parity + 64 * word)
+    along, slopes, places = group.along, group.slopes, tables.places
     gradient = slopes.size > 0
     while left != np.uint64(0):
         bit = np.uint64(trailing_zeros(left))
         left &= left - np.uint64(1)
         below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-        child = np.uint64(64 * word) + bit
-        x = np.uint64(PLACES[spline, parity, child, 0]) + at
-        yz = np.uint64(PLACES[spline, parity, child, 1]) + at
+        place = np.uint64(base) + (bit << np.uint64(1))
+        x = np.uint64(places[place]) + at
+        yz = np.uint64(places[place + np.uint64(1)]) + at
         weight = along[x] * along[yz]
         cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + popcount(below)
         taps.rows[np.uint64(end)] = min(cell, last)
@@ -377,128 +457,103 @@ def _take_word(
         if gradient:
             taps.slopes[np.uint64(end), 0] = slopes[x] * along[yz]
             taps.slopes[np.uint64(end), 1] = along[x] * slopes[yz]
-            taps.slopes[np.uint64(end), 2] = along[x] * slopes[yz + np.uint64(side * side * GROUP)]
+            taps.slopes[np.uint64(end), 2] = along[x] * slopes[yz + np.uint64(ys * GROUP)]
         total += weight
         end += 1
     return end, total
 
 
 @inlined
-def _take_eight(group: Group, n: int, last: int, taps: Taps, end: int) -> tuple[int, np.float32]:
-    """Write the taps of `linear` in a window, as `_take_word` does those of others."""
-    at, parity, mask, total = np.uint64(n), group.parities[np.uint64(n)], group.masks[0], np.float32(0.0)
-    along, slopes = group.along, group.slopes
-    for tap in range(8):
-        child = EIGHT[np.uint64(parity), tap]
-        x, yz = at + np.uint64(GROUP * (tap & 1)), at + np.uint64(GROUP * (2 + (tap & 2) + (tap >> 2)))
-        weight = along[x] * along[yz]
-        below = mask & ((np.uint64(1) << child) - np.uint64(1))
-        cell = group.firsts[child >> np.uint64(3)] + popcount(below)
-        is_stored = (mask >> child) & np.uint64(1) != np.uint64(0)
-        to = np.uint64(end)  # without a branch, which could not be foretold
-        taps.rows[to], taps.weights[to] = min(cell, last), weight
-        if slopes.size > 0:
-            taps.slopes[to, 0] = slopes[x] * along[yz]
-            taps.slopes[to, 1] = along[x] * slopes[yz]
-            taps.slopes[to, 2] = along[x] * slopes[yz + np.uint64(4 * GROUP)]
-        total += weight * np.float32(is_stored)
-        end += is_stored
-    return end, total
-
-
-@inlined
 def _spline_taps(
-    tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int, side: int
+    tiles: Tiles, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
 ) -> tuple[int, int, int]:
-    """Find the taps of a spline over ``side``³ cells. See `tiled_taps`."""
-    flat, n_words = batch.places.reshape(-1), 4 if side == 5 else 1
-    n_empty = n_rim = int(np.int64(0))  # see `find.search_tiles`
+    """Find the taps of a spline over (2 · reach + 1)³ cells. See `find_taps`."""
+    flat = batch.places.reshape(-1)
+    n_empty = n_rim = 0
     for begin in range(0, batch.places.shape[0], GROUP):
         count = min(GROUP, batch.places.shape[0] - begin)
-        if side == 2:
-            _place_linear(flat, begin, count, tiles.depth, group)
-        elif side == 3:
+        if reach == 1:
             _place_quadratic(flat, begin, count, tiles.depth, group)
+            if group.slopes.size > 0:
+                _slope_quadratic(flat, begin, count, tiles.depth, group)
         else:
             _place_quartic(flat, begin, count, tiles.depth, group)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, side, batch.ahead)
+            _find_window(tiles, group, n, reach, batch.ahead)
             start, total = end, np.float32(0.0)
-            if tiles.marks.size > 0 and _is_window_marked(tiles, group):
+            if reach == 1 and tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
-            elif side == 2:
-                end, total = _take_eight(group, n, batch.last, taps, end)
             else:
-                for word in range(n_words):
-                    end, total = _take_word(group, n, word, side, batch.last, taps, end, total)
+                for word in range(1 if reach == 1 else 4):
+                    end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
             end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
     return end, n_empty, n_rim
 
 
-@step
-def _linear_taps(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, batch, group, taps, end, 2)
+@kernel
+def _quadratic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUADRATIC, 1)
 
 
-@step
-def _quadratic_taps(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, batch, group, taps, end, 3)
+@kernel
+def _quartic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUARTIC, 2)
 
 
-@step
-def _quartic_taps(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, batch, group, taps, end, 5)
+@kernel
+def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int]:
+    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
 
-
-@step
-def _nearest_taps(tiles: Tiles, batch: Batch, group: Group, taps: Taps) -> tuple[int, int, int]:
-    """Find the cells that hold points, which are all that there are."""
-    n_empty = nearest_rows(tiles, batch, group, taps.rows)
-    for n in range(batch.places.shape[0]):
-        taps.starts[n], taps.ends[n] = n, n + 1
-        taps.weights[n] = taps.covers[n] = np.float32(1.0)
-    for n in range(n_empty):
-        taps.ends[batch.empty[n]] = taps.starts[batch.empty[n]]
-    return batch.places.shape[0], n_empty, 0
-
-
-@step
-def _nearest_around(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: int) -> tuple[int, int, int]:
-    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first."""
-    places, depth, shift = batch.places, tiles.depth, MAX_DEPTH - tiles.depth
-    one, size = np.int32(1), 1 << shift
+    Else as `find_taps`.
+    """
+    places, which = batch.places, batch.which
+    group = new_group(False)
+    shift = 21 - tiles.depth
+    size = 1 << shift
+    one = np.int32(1)
     n_empty = 0
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
         for n in range(count):
-            a, b, c = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
-            i, j, k = rounded_cell(a, depth), rounded_cell(b, depth), rounded_cell(c, depth)
-            _find_place(group, n, i - one, j - one, k - one, 3)
+            a = rounded_cell(places[begin + n, 0], tiles.depth) - one
+            b = rounded_cell(places[begin + n, 1], tiles.depth) - one
+            c = rounded_cell(places[begin + n, 2], tiles.depth) - one
+            _find_place(group, n, a, b, c, 1)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 3, batch.ahead)
-            a, b, c = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
-            u, v, w = rounded_cell(a, depth) - one, rounded_cell(b, depth) - one, rounded_cell(c, depth) - one
-            x, y, z = a * UNITS, b * UNITS, c * UNITS
-            parity, mask = np.int64(group.parities[n]), group.masks[0]
-            left = mask & MASKS[0, parity, 0]
+            _find_window(tiles, group, n, 1, batch.ahead)
+            x, y, z = (
+                places[begin + n, 0] * UNITS,
+                places[begin + n, 1] * UNITS,
+                places[begin + n, 2] * UNITS,
+            )
+            low = (
+                np.int64(rounded_cell(places[begin + n, 0], tiles.depth)) - 1,
+                np.int64(rounded_cell(places[begin + n, 1], tiles.depth)) - 1,
+                np.int64(rounded_cell(places[begin + n, 2], tiles.depth)) - 1,
+            )
+            parity = np.int64(group.parities[n])
+            mask = group.masks[0]
+            left = mask & _QUADRATIC.masks[parity]
             nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
             while left != np.uint64(0):
                 bit = trailing_zeros(left)
                 left &= left - np.uint64(1)
-                yz = np.int64(PLACES[0, parity, bit, 1]) // GROUP - 3
-                low_x = int(np.int64(u) + np.int64(PLACES[0, parity, bit, 0]) // GROUP << shift)
-                low_y, low_z = int(np.int64(v) + yz // 3 << shift), int(np.int64(w) + yz % 3 << shift)
-                dx = max(low_x - x, x - (low_x + size), 0.0)
-                dy = max(low_y - y, y - (low_y + size), 0.0)
-                dz = max(low_z - z, z - (low_z + size), 0.0)
+                place = 2 * (64 * parity + bit)
+                yz = np.int64(_QUADRATIC.places[place + 1]) // GROUP - 3
+                i = int(low[0] + np.int64(_QUADRATIC.places[place]) // GROUP << shift)
+                j = int(low[1] + yz // 3 << shift)
+                k = int(low[2] + yz % 3 << shift)
+                dx = max(i - x, x - (i + size), 0.0)
+                dy = max(j - y, y - (j + size), 0.0)
+                dz = max(k - z, z - (k + size), 0.0)
                 distance = dx * dx + dy * dy + dz * dz
-                code = np.int64(encode(low_x, low_y, low_z))
+                code = np.int64(encode(i, j, k))
                 if distance < least or (distance == least and code < least_code):
                     below = mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1))
                     nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
-            point = batch.which[begin + n]
+            point = which[begin + n]
             if nearest < 0:
                 batch.empty[n_empty] = point
                 n_empty += 1
@@ -506,29 +561,42 @@ def _nearest_around(tiles: Tiles, batch: Batch, group: Group, taps: Taps, end: i
             taps.rows[end], taps.weights[end] = min(int(nearest), batch.last), OFF
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
-    return end, n_empty, 0
+    return end, n_empty
 
 
-@step
-def tiled_taps(
-    tiles: Tiles, filter_code: int, is_off: bool, batch: Batch, group: Group, taps: Taps, end: int
+@part
+def _nearest_taps(tiles: Tiles, batch: Batch, taps: Taps) -> int:
+    """Find the cells that hold all points there are; return how many none holds, which are listed."""
+    n_empty = nearest_rows(tiles, batch, taps.rows)
+    for n in range(batch.places.shape[0]):
+        taps.starts[n], taps.ends[n] = n, n + 1
+        taps.weights[n] = taps.covers[n] = np.float32(1.0)
+    for n in range(n_empty):
+        taps.ends[batch.empty[n]] = taps.starts[batch.empty[n]]
+    return n_empty
+
+
+@kernel
+def find_taps(
+    tiles: Tiles, filter_code: int, is_off: bool, batch: Batch, taps: Taps, end: int
 ) -> tuple[int, int, int]:
     """Find the taps of points by tiles, from index ``end`` on.
 
     ``is_off`` says that they are off the surface. Returns the end of the taps, and how many points are listed
     as without cells and for the walk.
     """
-    forget_others(group, tiles.depth, filter_code)
     if filter_code == NEAREST:
         if is_off:
-            return _nearest_around(tiles, batch, group, taps, end)
-        return _nearest_taps(tiles, batch, group, taps)
+            end, n_empty = _nearest_around(tiles, batch, taps, end)
+            return end, n_empty, 0
+        return batch.places.shape[0], _nearest_taps(tiles, batch, taps), 0
     if filter_code == LINEAR:
-        end, n_empty, n_rim = _linear_taps(tiles, batch, group, taps, end)
+        end, n_empty, n_rim = _linear_taps(tiles, batch, taps, end)
     elif filter_code == QUADRATIC:
-        end, n_empty, n_rim = _quadratic_taps(tiles, batch, group, taps, end)
+        end, n_empty, n_rim = _quadratic_taps(tiles, batch, taps, end)
     else:
-        end, n_empty, n_rim = _quartic_taps(tiles, batch, group, taps, end)
-    for n in range(batch.places.shape[0] if is_off else 0):
-        scale_off(taps, batch.which[n])
+        end, n_empty, n_rim = _quartic_taps(tiles, batch, taps, end)
+    if is_off:
+        for n in batch.which:
+            scale_off(taps, n)
     return end, n_empty, n_rim

@@ -23,8 +23,8 @@ from octex.tree.search import Origin, Positions, placed, position
 BLOCK = 4096
 #: Points whose rows are asked for before any is read.
 AT_ONCE = 64
-#: Most taps of a point that tiles write, by filter.
-MOST_TILED = 2, 8, 27, 125
+#: Most taps of a point that tiles give, by filter.
+MOST_TILED = 1, 8, 27, 125
 #: What weights off the surface sum to.
 OFF = np.float32(1e-9)
 #: Taps that weigh less in sum lie at the rim of the spline's support, where products of single precision have
@@ -78,18 +78,6 @@ def new_taps(points: int, room: int, gradient: bool) -> Taps:
         np.zeros(points, np.int64),
         np.zeros(points, np.float32),
     )
-
-
-@kernel
-def with_room(taps: Taps, used: int, wanted: int) -> Taps:
-    """Return the same taps, of which so many are used, with room for as many as are wanted."""
-    if wanted <= taps.rows.size:
-        return taps
-    larger = new_taps(0, 2 * wanted, taps.slopes.shape[0] > 0)
-    larger.rows[:used], larger.weights[:used] = taps.rows[:used], taps.weights[:used]
-    if taps.slopes.shape[0] > 0:
-        larger.slopes[:used] = taps.slopes[:used]
-    return Taps(larger.rows, larger.weights, larger.slopes, taps.starts, taps.ends, taps.covers)
 
 
 @inlined

@@ -10,13 +10,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Floats, Int32s, Int64s, Uint8s
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
 from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, take, weigh_by_alpha
-from octex.field.find import Cells, find_held, new_room, search_tiles
+from octex.field.sources import Batch, find_taps, nearest_rows
 from octex.field.splines import NEAREST
-from octex.field.taps import MOST_TILED, Ahead, Taps, hold_outside, new_taps, place_points
+from octex.field.taps import (
+    MOST_TILED,
+    Ahead,
+    Taps,
+    hold_outside,
+    new_taps,
+    place_points,
+)
+from octex.field.tiles import Tiles
 from octex.field.values import Codes
-from octex.field.weights import Weighing, weigh_taps
+from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, part
 from octex.tree.search import Origin, Positions, count_of
 
@@ -27,8 +35,10 @@ _STEP = 256
 class Search(NamedTuple):
     """Where taps are found, and what changes their weights; what is not wanted is empty."""
 
-    filter_code: int
-    cells: Cells
+    filter_code: int  # NEAREST, LINEAR or QUADRATIC
+    tiles: Tiles
+    last: int  # the largest number of a cell
+    is_off: bool  # points are off the surface, as deeper tiles have none of their cells
     by: Weighing
 
 
@@ -52,10 +62,28 @@ class Additions(NamedTuple):
 @part
 def _new_additions(points: int, components: int) -> Additions:
     """Return those of points that own one look each, of which nothing is summed yet."""
-    columns = components + 1
-    sums = Sums(np.empty((points, columns), np.float64), np.empty((0, columns, 3), np.float64))
+    sums = Sums(
+        np.empty((points, components), np.float64),
+        np.empty(points, np.float64),
+        np.empty((0, components, 3), np.float64),
+        np.empty((0, 3), np.float64),
+    )
     owners, shares = np.arange(points, dtype=np.int32), np.ones(points, np.float32)
     return Additions(owners, shares, np.empty(0, np.float32), sums)
+
+
+@part
+def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
+    """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
+    # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
+    # would wait for writing the other, and `linear` take 8 % longer.
+    room = points * MOST_TILED[search.filter_code] + 520
+    if is_split:
+        room *= 1 + MOST_ROWS
+    numbers = np.empty(points, np.int64)
+    for n in range(points):
+        numbers[n] = n
+    return new_taps(points, room, gradient), np.empty((points, 3), np.float64), numbers
 
 
 @part
@@ -66,7 +94,7 @@ def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
 
 
 @kernel
-def look_up_points(
+def look_up_tiled(
     search: Search,
     singles: Floats,
     doubles: Floats,
@@ -77,78 +105,77 @@ def look_up_points(
     results: Float32s,
     gradients: Float32s,
     additions: Additions,
-    first: int,
     lost: Int64s,
 ) -> tuple[int, int, int]:
     """Write the mean (n, components) of a channel at points, see `Positions`, and its gradient.
 
     ``gradients`` (n, components, 3) or (0, components, 3). Where ``additions`` have owners, sums are added to
-    those of the owners instead, without alpha and gradients; normals are then the owners'.
-
-    Begins at the ``first`` point. Returns where it stopped, the level whose tiles must be built to go on,
-    which is −1 at the end and at a point that is not finite, and how many points are listed in ``lost`` (n,)
-    for the walk.
+    those of the owners instead, without alpha and gradients; normals are then the owners'. In ``lost`` (2, n)
+    are listed the points that have no cells around them, and those for the walk. Returns how many they are,
+    and the first that is not finite, where all stopped, or −1.
     """
-    points, cells, by = Positions(singles, doubles), search.cells, search.by
-    adds, faces = additions.owners.size > 0, by.faces
+    points = Positions(singles, doubles)
+    adds, faces = additions.owners.size > 0, search.by.faces
     gradient = gradients.shape[0] > 0 and not adds
     # Leaves toward normals are weighed as they are summed, too: that takes three quarters of the time.
     sees = faces and not (adds or gradient or channel.has_alpha)
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
-    room, places = new_room(step, gradient), np.empty((step, 3), np.float64)
-    # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
-    # would wait for writing the other, and `linear` take 8 % longer.
-    taps = new_taps(step, step * MOST_TILED[search.filter_code] + 520, gradient)
+    is_split = search.by.facings.rows.size > 0 and faces and not (adds or sees)
+    room, places, each = _new_room(search, step, is_split, gradient)
     facing = np.empty((step if faces else 0, 3), np.float32)
     if sees:
         additions = _new_additions(step, results.shape[1])
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
     ahead = _read_ahead(search, channel.codes, bytes_of(alpha))
-    only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or adds)
-    n_lost = 0
-    for begin in range(first, all_points, step):
+    only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
+    n_empty = n_rim = 0
+    for begin in range(0, all_points, step):
         end = min(begin + step, all_points)
         count = end - begin
-        here = places[:count]
+        here, empty, rim = places[:count], lost[0, n_empty:], lost[1, n_rim:]
         fault = place_points(
             Positions(points.singles[begin:end], points.doubles[begin:end]), origin, size, here
         )
         if fault >= 0:
-            return begin + fault, -1, n_lost
-        if only_cells and find_held(cells, here, ahead, room, taps.rows) == 0:
-            take(taps.rows[:count], channel.codes, results[begin:end])
-            continue
-        starts, ends, covers = taps.starts[:count], taps.ends[:count], taps.covers[:count]
-        found = Taps(taps.rows, taps.weights, taps.slopes, starts, ends, covers)
-        _, n_rim, lacking = search_tiles(cells, search.filter_code, here, ahead, room, found)
-        if lacking >= 0:
-            return begin, lacking, n_lost
-        for n in range(n_rim):
-            lost[n_lost + n] = begin + room.lists[2, n]
-        n_lost += n_rim
-        if gradient:
-            hold_outside(found, here)
-        if adds or sees:
-            at, sums = 0 if sees else begin, additions.sums
-            owners, shares = additions.owners[at : at + count], additions.shares[at : at + count]
-            for n in range(count if faces else 0):
-                owner = np.uint64(begin + n if sees else int(owners[n]))
-                for axis in range(3):
-                    facing[n, axis] = normals[owner, axis]
-            if sees:
-                sums.values[:] = 0.0
-            task = facing[:count], channel.codes, owners, shares, additions.left[at : at + count], sums
-            add_weighed(found, by, *task)
-            if sees:
-                divide(sums, 1.0, results[begin:end], gradients[:0])
-            continue
-        if faces:
-            split = bytes_of(channel.codes.split_values)
-            found = weigh_taps(found, by, normals[begin:end], split, additions.left, normals[:0])
-        if channel.has_alpha:
-            weigh_by_alpha(found, channel.alpha, True, False)
-        blend(found, channel.codes, True, results[begin:end])
-        if gradient:
-            blend_slopes(found, channel.codes, 1.0 / size, results[begin:end], gradients[begin:end])
-    return all_points, -1, n_lost
+            return n_empty, n_rim, begin + fault
+        batch = Batch(here, each[:count], search.last, empty, rim, ahead)
+        if only_cells:
+            more, rest = nearest_rows(search.tiles, batch, room.rows), 0
+            take(room.rows[:count], channel.codes, results[begin:end])
+        else:
+            starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
+            taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)
+            _, more, rest = find_taps(search.tiles, search.filter_code, search.is_off, batch, taps, 0)
+            if gradient:
+                hold_outside(taps, here)
+            if adds or sees:
+                at, sums = 0 if sees else begin, additions.sums
+                owners, shares = additions.owners[at : at + count], additions.shares[at : at + count]
+                for n in range(count if faces else 0):
+                    owner = np.uint64(begin + n if sees else int(owners[n]))
+                    for axis in range(3):
+                        facing[n, axis] = normals[owner, axis]
+                if sees:
+                    sums.values[:], sums.totals[:] = 0.0, 0.0
+                task = facing[:count], channel.codes, owners, shares, additions.left[at : at + count], sums
+                add_weighed(taps, search.by, *task)
+                if sees:
+                    mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
+                    divide(mean, 1.0, results[begin:end], gradients[:0])
+            else:
+                if faces:
+                    split = bytes_of(channel.codes.split_values)
+                    weigh_taps(taps, search.by, normals[begin:end], split, additions.left, normals[:0])
+                if channel.has_alpha:
+                    weigh_by_alpha(taps, channel.alpha, True, False)
+                blend(taps, channel.codes, True, results[begin:end])
+                if gradient:
+                    slopes = gradients[begin:end]
+                    blend_slopes(taps, channel.codes, 1.0 / size, results[begin:end], slopes)
+        for n in range(more):
+            empty[n] += begin
+        for n in range(rest):
+            rim[n] += begin
+        n_empty, n_rim = n_empty + more, n_rim + rest
+    return n_empty, n_rim, -1

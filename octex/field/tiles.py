@@ -18,7 +18,6 @@ tile is kept while points stay in it.
 
 from __future__ import annotations
 
-from threading import RLock
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,7 +28,6 @@ from octex.errors import OutputError
 from octex.jit import inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.children import children
-from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
 
@@ -51,7 +49,7 @@ _NO_MARKS = np.empty(0, np.uint64)
 
 
 class Tiles(NamedTuple):
-    """The tiles of a level. Row r has octants 8·r … 8·r + 7; the last row is that of no node, and empty."""
+    """The tiles of one tree. Row r has octants 8·r … 8·r + 7; the last row is that of no node, and empty."""
 
     depth: int  # the level of the cells
     top_level: int
@@ -62,86 +60,31 @@ class Tiles(NamedTuple):
     marks: Uint64s
 
 
-class Levels(NamedTuple):
-    """The tiles of all levels of a tree, which share their rows; those of the deepest one come last."""
-
-    tops: Int64s  # (22, 3)   of each level its top level, −1 for none, and where its ``top`` begins and ends
-    top: Int32s
-    masks: Uint64s
-    firsts: Uint32s
-
-
-@inlined
-def tiles_at(levels: Levels, level: int, marks: Uint64s) -> Tiles:
-    """Return the tiles of a level that has some."""
-    tops = levels.tops
-    top = levels.top[tops[level, 1] : tops[level, 2]]
-    return Tiles(level, tops[level, 0], top, levels.masks, levels.firsts, marks)
-
-
 def can_be_tiled(tree: Octree) -> bool:
     """Say whether a tree has leaves, all of them at the deepest level, and no kept coefficients."""
     counts = tree.cells_by_depth()
     return tree.n_leaves > 0 and not any(leaves for leaves, _ in counts[:-1]) and not tree.kept.cells.size
 
 
-def _top_level(depth: int) -> int:
-    return max(depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1), 0)
-
-
-class TileStore:
-    """The tiles of a tree, built level by level when they are asked for: only then they take memory."""
-
-    def __init__(self, tree: Octree) -> None:
-        self._tree, self._lock = tree, RLock()
-        nodes, depth = np.diff(tree.arrays.level_nodes), tree.max_depth
-        below = [
-            range(_top_level(level), level - 2, 3) if level > 2 else range(0) for level in range(depth + 1)
-        ]
-        counts = [int(nodes[above[0] : above[-1] + 1 : 3].sum()) if above else 1 for above in below]
-        self._rows = np.cumsum([0, *counts]).tolist()
-        tops = np.cumsum([0, *(8**above.start for above in below)])
-        self.levels = Levels(
-            np.full((MAX_DEPTH + 1, 3), -1, np.int64),
-            np.zeros(tops[-1], np.int32),
-            _new_rows(self._rows[-1], np.uint64),
-            _new_rows(self._rows[-1], np.uint32),
-        )
-        self._tops = tops.tolist()
-
-    def at(self, level: int) -> Tiles:
-        """Return the tiles of a level."""
-        with self._lock:
-            if self.levels.tops[level, 0] < 0:
-                begin, end = self._tops[level : level + 2]
-                top_level = build_tiles(self._tree, level, self._rows[level], begin, self.levels)
-                self.levels.tops[level, 1:] = begin, end
-                self.levels.tops[level, 0] = top_level  # from here on threads read it
-        top_level, begin, end = self.levels.tops[level].tolist()
-        return Tiles(level, top_level, self.levels.top[begin:end], *self.levels[2:], _NO_MARKS)
-
-
-def build_tiles(tree: Octree, depth: int, row: int, begin: int, levels: Levels) -> int:
-    """Derive the tiles of a level, from a row and a place in ``top`` on; return their top level."""
-    _, tops, masks, firsts = levels
-    if depth < 3:  # the only tile of so few levels: its cells lie in the first octant
-        masks[8 * row] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
-        firsts[8 * row] = tree.arrays.level_cells[depth]
-        tops[begin] = row
-        return 0
-    groups, level_nodes = tree.arrays.groups, tree.arrays.level_nodes.tolist()
-    top_level = _top_level(depth)
-    top = tops[begin : begin + 8**top_level].reshape((1 << top_level,) * 3)
-    top[:] = masks.size // 8 - 1
-    places = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
-    top[tuple(places.T[::-1])] = row + np.arange(len(places))
-    for level in range(top_level, depth - 2, 3):
-        first, end = level_nodes[level : level + 2]
+def build_tiles(tree: Octree) -> Tiles:
+    """Derive the tiles of a tree's deepest level."""
+    if tree.max_depth < 3:
+        return _one_tile(tree)
+    depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
+    top_level = depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1)
+    nodes = {level: level_nodes[level : level + 2] for level in range(top_level, depth - 2, 3)}
+    rows = sum(end - first for first, end in nodes.values())
+    masks, firsts = _new_rows(rows, np.uint64), _new_rows(rows, np.uint32)
+    row = 0
+    for level, (first, end) in nodes.items():
         some, row = slice(8 * row, 8 * (row + end - first)), row + end - first
         of_cells = level == depth - 3
         offset = 0 if of_cells else row - level_nodes[level + 3]
         _fill_tiles(groups, first, of_cells, offset, masks[some], firsts[some])
-    return top_level
+    top = np.full((1 << top_level,) * 3, rows, np.int32)
+    places = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
+    top[tuple(places.T[::-1])] = np.arange(len(places))
+    return Tiles(depth, top_level, top.reshape(-1), masks, firsts, _NO_MARKS)
 
 
 def painted_levels(tree: Octree) -> list[int]:
@@ -158,7 +101,7 @@ def painted_levels(tree: Octree) -> list[int]:
     return levels if first >= 3 and levels[:1] == [first] and len(levels) <= 2 and is_bare else []
 
 
-def marks_of(tiles: Tiles, tree: Octree) -> Uint64s:
+def marked(tiles: Tiles, tree: Octree) -> Tiles:
     """Mark the cells of tiles in whose fields others count: nodes, coarser leaves, kept coefficients.
 
     These count within one of their own cells. Marks reach two cells farther, as a window is known by any of
@@ -180,7 +123,7 @@ def marks_of(tiles: Tiles, tree: Octree) -> Uint64s:
         for _ in range(2):
             near = with_boundary(near, depth - 2 - up)
         _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
-    return marks
+    return tiles._replace(marks=marks)
 
 
 def _distinct(codes: Int64s) -> Int64s:
@@ -206,6 +149,15 @@ def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> N
             first = int(np.int64(tiles.firsts[octant]))
             for cell in range(first, min(first + popcount(tiles.masks[octant]), 64 * marks.size)):
                 marks[cell >> 6] |= np.uint64(1) << np.uint64(cell & 63)
+
+
+def _one_tile(tree: Octree) -> Tiles:
+    """Derive the only tile of a tree of less than three levels: its cells lie in the first octant."""
+    depth = tree.max_depth
+    masks, firsts = _new_rows(1, np.uint64), _new_rows(1, np.uint32)
+    masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
+    firsts[0] = tree.arrays.level_cells[depth]
+    return Tiles(depth, 0, np.zeros(1, np.int32), masks, firsts, _NO_MARKS)
 
 
 def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:

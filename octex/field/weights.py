@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Floats, Uint8s, Uint32s
-from octex.field.taps import AT_ONCE, Taps, end_of, let_sum_to_off, with_room
+from octex.field.taps import AT_ONCE, Taps, end_of, let_sum_to_off
 from octex.field.values import NO_FIVE, Codes, Five, Flat, flat_of, with_row
 from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.areas import AREAS
@@ -357,17 +357,15 @@ def _write(
 @kernel
 def weigh_taps(
     taps: Taps, by: Weighing, normals: Float32s, split: Uint8s, left: Float32s, left_slopes: Float32s
-) -> Taps:
-    """Weigh the taps of points in place, and return them; normals (points, 3), or none.
+) -> None:
+    """Weigh the taps of points in place; normals (points, 3), or none.
 
-    Points with split cells get their taps anew, after all others: then what is returned may be in arrays of
-    its own. Rows of the split table, as bytes, are asked for. Off the surface weights by
+    Points with split cells get their taps anew, after all others, where there must be room for MOST_ROWS
+    times those that there are. Rows of the split table, as bytes, are asked for. Off the surface weights by
     areas still sum to OFF. Where cells mix facings, the part of the weight that is taken away is written to
     ``left`` (points,), and its derivatives to ``left_slopes`` (points, 3), or (0, 3) if they are not wanted.
     """
     end, sight = end_of(taps), new_sight()
-    if by.faces and by.facings.rows.size > 0:
-        taps = with_room(taps, end, (1 + MOST_ROWS) * end)
     slopes, flat = sight.slopes, flat_of(Codes(split, split, split, sight.parts))  # of which nothing is read
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
@@ -387,7 +385,6 @@ def weigh_taps(
             if by.areas.size > 0 and taps.covers[n] == np.float32(0.0) and total > 0.0:
                 drift = slopes[0, 0], slopes[0, 1], slopes[0, 2]
                 let_sum_to_off(taps, start, stop, np.float32(total), *drift)
-    return taps
 
 
 @kernel

@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
 from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
-from octex.field.tiles import Levels, can_be_tiled
+from octex.field.tiles import Tiles
 from octex.kernels.layout import LookupArrays
 from octex.texture.blend import NO_TABLE, mixed_cells, stored
 from octex.texture.channel import Channel
 from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
+from octex.tree.layout import MAX_DEPTH
 
 
 def arrays_of(
@@ -41,19 +42,13 @@ def arrays_of(
     alpha = texture.channels.get("alpha")
     if alpha is known or (alpha is not None and alpha.format.components != 1):
         alpha = None
-    levels: Levels = field.cells.levels
-    tops = levels.tops.copy()
-    tops[:, 0] = -1  # tiles beside finer paint leave points to others
-    for level in range(tree.max_depth + 1):
-        if can_be_tiled(field.level(level).tree):
-            field.build(level)
-            tops[level] = levels.tops[level]
+    tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
     return LookupArrays(
         np.array([*texture.placement.origin, texture.placement.size]),
         *tree.arrays._replace(areas=areas),
         tree.kept.cells,
         field.facings.rows,
-        *levels._replace(tops=tops),
+        *tiles,
         *_values(known),
         *(_NO_VALUES if alpha is None else _values(alpha)),
         known.format.components,
@@ -83,3 +78,25 @@ def _values(channel: Channel) -> _Values:
     return _Values(
         locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
     )
+
+
+class _JoinedTiles(NamedTuple):
+    levels: Int64s
+    tops: Int32s
+    masks: Uint64s
+    firsts: Uint32s
+
+
+def _joined_tiles(
+    levels: list[Tiles | None],
+) -> _JoinedTiles:
+    """Join the tiles of levels; those without have a top level of −1."""
+    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
+    tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
+    top = row = 0
+    for level, tiles in enumerate(levels):
+        if tiles is not None:
+            tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
+            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
+            top, row = top + tiles.top.size, row + tiles.masks.size
+    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.field.find import Room, new_room
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.taps import Taps, new_taps
 from octex.field.weights import MOST_ROWS, Sight, new_sight
 from octex.field.windows import MOST_TAPS, Walk, new_walk
@@ -31,8 +30,8 @@ class LookupArrays(NamedTuple):
     areas: Uint8s
     kept: Uint32s  # (kept nodes,)
     facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
-    tops: Int64s  # the tiles of those levels that have some, see `Levels`
-    top: Int32s
+    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
+    tops: Int32s
     masks: Uint64s
     firsts: Uint32s
     values: Array  # (cells · components,)
@@ -50,12 +49,13 @@ class LookupArrays(NamedTuple):
 class Scratch(NamedTuple):
     """Where lookups work, and what they remember from one point to the next. One serves one thread."""
 
-    room: Room
     walk: Walk
     search: Search
     taps: Taps  # of one look, and these as they face a normal
     sight: Sight
-    place: Float64s  # (1, 3)
+    tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
+    codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
+    along: Float32s  # (3, 3)   and their weights
     sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
 
 
@@ -64,11 +64,12 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
     """Return room for lookups in one texture: make one for each thread, outside the loop."""
     tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
     return Scratch(
-        new_room(1, False),
         new_walk(),
         new_search(tree),
         new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
         new_sight(),
-        np.empty((1, 3), np.float64),
+        np.empty(8, np.int64),
+        np.empty((3, 3), np.int32),
+        np.empty((3, 3), np.float32),
         np.empty(10, np.float64),
     )

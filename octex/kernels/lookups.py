@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from octex.field.find import Cells, search_tiles
 from octex.field.footprints import ROUND_FINER, WHOLE
 from octex.field.neighborhood import Way, taps_around
-from octex.field.splines import LINEAR, NEAREST, QUADRATIC
-from octex.field.taps import OFF, Ahead
-from octex.field.tiles import Levels
+from octex.field.sources import look_in
+from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
+from octex.field.taps import LEAST, OFF
+from octex.field.tiles import Tiles, code_in_tile, tile_row
 from octex.field.values import Flat, value_of
 from octex.field.weights import Facings, Weighing, view_along, weigh
 from octex.jit import inlined, step
 from octex.kernels.layout import LookupArrays, Scratch
 from octex.tree.layout import MAX_DEPTH, TreeArrays
-from octex.tree.search import nearest_cell, placed
+from octex.tree.search import fixed, nearest_cell, placed
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
 Vector = Any
@@ -44,24 +44,92 @@ def _clamped(x: float, most: float) -> float:
 
 
 @inlined
-def _cells(arrays: LookupArrays, level: int) -> Cells:
-    """Return the cells of a truncated tree."""
-    cells = arrays.level_cells[: level + 2]
-    tree = TreeArrays(arrays.groups, cells, arrays.level_nodes, arrays.flags, arrays.areas)
-    levels = Levels(arrays.tops, arrays.top, arrays.masks, arrays.firsts)
-    first = level if arrays.tops[level, 0] >= 0 else -1
-    return Cells(tree, arrays.kept, arrays.flags.size, levels, arrays.masks[:0], first, -1)
+def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
+    """Return the tiles of a level that has some."""
+    known = arrays.tile_levels
+    rows = slice(known[level, 3], known[level, 4])
+    return Tiles(
+        level,
+        known[level, 0],
+        arrays.tops[known[level, 1] : known[level, 2]],
+        arrays.masks[rows],
+        arrays.firsts[rows],
+        arrays.masks[:0],  # none is painted more finely
+    )
+
+
+@inlined
+def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
+    """Weigh the cells around a coordinate along an axis; return the lowest, −1 … cells."""
+    along, codes = scratch.along, scratch.codes
+    if filter_code == QUADRATIC:
+        cell = min(np.floor(x * cells), cells - 1.0)
+        t = np.float32(x * cells - cell)
+        a, b, c = single_quadratic_weights(t)
+        low = np.int32(cell) - np.int32(1)
+    else:
+        cell = np.floor(x * cells - 0.5)
+        b = np.float32(x * cells - 0.5 - cell)
+        a, c = np.float32(1.0) - b, np.float32(0.0)
+        low = np.int32(cell)
+    along[axis, 0], along[axis, 1], along[axis, 2] = a, b, c
+    zero, seven = np.int32(0), np.int32(7)
+    for n in range(3):
+        code = code_in_tile((low + np.int32(n)) & seven, zero, zero)
+        codes[axis, n] = code << np.int32(axis)
+    return int(low)
+
+
+@inlined
+def _tiled(
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
+) -> tuple[int, np.float32]:
+    """Write the taps at a level that has tiles; return their number, and the weight of all."""
+    tiles = _tiles_of(arrays, level)
+    cells = float(1 << level)
+    i = _lay(scratch, 0, x, cells, filter_code)
+    j = _lay(scratch, 1, y, cells, filter_code)
+    k = _lay(scratch, 2, z, cells, filter_code)
+    side = 3 if filter_code == QUADRATIC else 2
+    # From which cell on, along each axis, they lie in the next tile.
+    next_i, next_j, next_k = 8 - (i & 7), 8 - (j & 7), 8 - (k & 7)
+    rows = scratch.tiles
+    for dz in range(2 if next_k < side else 1):
+        for dy in range(2 if next_j < side else 1):
+            for dx in range(2 if next_i < side else 1):
+                row = tile_row(tiles, (i >> 3) + dx, (j >> 3) + dy, (k >> 3) + dz)
+                rows[dx + 2 * dy + 4 * dz] = 8 * row
+    n = 0
+    total = np.float32(0.0)
+    last = arrays.flags.size - 1
+    along, codes = scratch.along, scratch.codes
+    for dz in range(side):
+        for dy in range(side):
+            of_yz = along[1, dy] * along[2, dz]
+            code_yz = codes[1, dy] | codes[2, dz]
+            tile = 2 * (dy >= next_j) + 4 * (dz >= next_k)
+            for dx in range(side):
+                code = np.int64(codes[0, dx] | code_yz)
+                octant = rows[tile + (dx >= next_i)] + (code >> 8)
+                cell, is_stored = look_in(tiles, int(octant), int(code))
+                weight = along[0, dx] * of_yz
+                at = np.uint64(n)  # without a branch, which could not be foretold
+                scratch.taps.rows[at] = min(cell, last)
+                scratch.taps.weights[at] = weight
+                total += weight * np.float32(is_stored)
+                n += is_stored
+    return n, total
 
 
 @step
 def _walked(
-    cells: Cells, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
+    arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    walk, taps = scratch.walk, scratch.taps
+    cells, walk, taps = arrays.level_cells[: level + 2], scratch.walk, scratch.taps
+    tree = TreeArrays(arrays.groups, cells, arrays.level_nodes, arrays.flags, arrays.areas)
     walk.previous[3] = min(walk.previous[3], level)
-    taps.starts[0] = 0
-    way = Way(cells.arrays, cells.kept, walk, filter_code, 2, 1, True)
+    way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
     return taps_around(way, x, y, z, True, taps.rows, taps.weights, taps.slopes, 0)
 
 
@@ -70,15 +138,24 @@ def _find(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, bool]:
     """Write the taps of a look at a level; return their number, and whether it is off the surface."""
-    cells, place, none = _cells(arrays, level), scratch.place, arrays.flags[:0]
-    if cells.first >= 0:
-        place[0, 0], place[0, 1], place[0, 2] = x, y, z
-        ahead = Ahead(none.reshape((0, 1)), none.reshape((0, 1)), none, none)
-        n, n_rim, _ = search_tiles(cells, filter_code, place, ahead, scratch.room, scratch.taps)
-        if n_rim == 0:
-            return n, scratch.taps.covers[0] == np.float32(0.0)
-    n, cover = _walked(cells, level, x, y, z, filter_code, scratch)
+    here = level
+    while here >= 0 and arrays.tile_levels[here, 0] >= 0:
+        n, total = _tiled(arrays, here, x, y, z, filter_code, scratch)
+        if total >= LEAST:
+            if here < level:
+                _scale(scratch, n, OFF / total)
+            return n, here < level
+        if n > 0:
+            break  # at the rim of the spline's support
+        here -= 1
+    n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
+
+
+@inlined
+def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
+    for tap in range(n):
+        scratch.taps.weights[tap] *= np.float32(factor)
 
 
 @inlined
@@ -148,9 +225,15 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
     x, y, z = _placed(arrays, point)
     flat = _flat(arrays)
     depth = arrays.level_cells.size - 2
-    if arrays.tops[depth, 0] >= 0:
-        _find(arrays, depth, x, y, z, NEAREST, scratch)
-        return value_of(flat, int(scratch.taps.rows[scratch.taps.starts[0]]), arrays.components)
+    if arrays.tile_levels[depth, 0] >= 0:
+        tiles = _tiles_of(arrays, depth)
+        shift = MAX_DEPTH - depth
+        i, j, k = fixed(x) >> shift, fixed(y) >> shift, fixed(z) >> shift
+        row = tile_row(tiles, i >> 3, j >> 3, k >> 3)
+        code = code_in_tile(np.int32(i & 7), np.int32(j & 7), np.int32(k & 7))
+        cell, is_stored = look_in(tiles, 8 * row + int(code >> 8), int(code))
+        if is_stored:
+            return value_of(flat, min(cell, arrays.flags.size - 1), arrays.components)
     cell, _ = nearest_cell(_tree_of(arrays), x, y, z, scratch.search)
     return value_of(flat, cell, arrays.components)
 

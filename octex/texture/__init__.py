@@ -4,7 +4,6 @@ channel     a named array of values, one a cell
 lookup      how points are looked up: options, checked; blocks, on any threads; where answers go
 blend       from rows to values: decoded, blended under the weights of taps
 file        what is on disk, drawn; opened and saved through container
-sampler     channels looked up, a block of points after another
 spans       which rows of its arrays, and bytes of its file, lookups read
 texture     tree + channels + placement
 remote      the source of a texture elsewhere, which fetches what lookups read; elsewhere: its file

@@ -181,7 +181,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         if out is not None:
             check_apart(given.values(), answers.arrays)
         look_ups = {
-            part: partial(texture._sampler.sampled, answers.channels, lens, normalize)
+            part: partial(texture._sampled, answers.channels, lens, normalize)
             for part, texture in self._ready_for(given, answers.channels, lens)
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
@@ -203,7 +203,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         given = {"points": placed(points)[0]}
         given["parts"] = self._numbers(parts, len(given["points"]))
         inside = np.empty(len(given["points"]), np.bool_)
-        look_ups = {part: texture._sampler.holds for part, texture in self._ready_for(given)}
+        look_ups = {part: texture._holds for part, texture in self._ready_for(given)}
         in_blocks(given, [inside], partial(_by_part, look_ups), threads, executor)
         return inside
 

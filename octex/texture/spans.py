@@ -105,7 +105,7 @@ def _read_of(
     texture: OctreeTexture, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]
 ) -> int:
     """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
-    query, ((read,), _) = texture._sampler.query(lens, given, name), texture._sampler.read(name)
+    query, ((read,), _) = texture._query(lens, given, name), texture._read(name)
     task = texture._field, texture.placement, given["points"], query, read
     found = reads_of(*task, cells_alone=cells_alone)
     answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
@@ -170,7 +170,7 @@ def add_reads(
     texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given, spans: Rows
 ) -> None:
     """Add the rows that lookups read, but for the groups of nodes."""
-    alpha = [] if texture._sampler.read()[1] is None else [texture.channels["alpha"]]
+    alpha = [] if texture._read()[1] is None else [texture.channels["alpha"]]
     by_facing = "normals" in given
     is_ruled = not by_facing and lens.has_footprints(given)  # by the bleed threshold
     for name, levels in reads.items():

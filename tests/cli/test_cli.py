@@ -198,7 +198,7 @@ def called() -> set[str]:
 
     with pytest.MonkeyPatch.context() as changed:
         changed.syspath_prepend(str(TOOLS))
-        changed.setattr(lookups, "_look_up_points", lookups.look_up_points)  # called without recording
+        changed.setattr(lookups, "_look_up_tiled", lookups.look_up_tiled)  # which is called without recording
         import every_path
         import signatures
 

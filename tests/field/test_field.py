@@ -20,13 +20,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.field.blend import Listed, blend
-from octex.field.field import Field, Finder, NotFiniteError
+from octex.field.blend import blend
+from octex.field.field import Field, Finder, Listed, NotFiniteError
 from octex.field.splines import FILTERS
-from octex.field.tiles import CACHE_LINE, TileStore, build_tiles
+from octex.field.taps import place_points
+from octex.field.tiles import CACHE_LINE, build_tiles
 from octex.field.values import Codes
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from octex.tree.search import Positions
 from tests.conftest import needs_jit
 from tests.make.strategies import Leaves, leaf_sets, points_around, with_random_data
 from tests.oracles import naive
@@ -165,9 +167,10 @@ def test_taps_do_not_depend_on_the_points_before_them(
     values = random.random((tree.n_cells, 1))
     found = blended(Field(tree).taps(points, UNIT, filter), values)
     monkeypatch.setattr("octex.field.field.BLOCK", 100)
+    monkeypatch.setattr("octex.field.field._WALKED", 1)
     field = Field(tree)
     again = field.taps(points[order], UNIT, filter)
-    assert len(list(field.runs(points, UNIT, filter))) > 1
+    assert len(list(field.batches(points, UNIT, filter))) > 1
     assert (found[order] == blended(again, values)).all()
 
 
@@ -184,9 +187,9 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
         table = random.random(np.iinfo(dtype).max + 1, np.float32 if dtype == np.uint16 else np.float64)
         values = [random.integers(0, table.size, shape, dtype) for shape in rows]
         decoded = [table[codes] for codes in values]
-    results = np.empty((len(points), 3), np.float32)
-    taps, fault = Finder(Field(tree), filter).at(points, UNIT)
-    assert fault == -1
+    places, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
+    assert place_points(Positions.of(points), *UNIT, places) == -1
+    taps = Finder(Field(tree), filter).find(places)
     blend(taps, Codes(*values, table), False, results)
     field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):
@@ -245,8 +248,8 @@ def test_threads_build_what_they_share_once(monkeypatch: pytest.MonkeyPatch) -> 
 
     truncated = partial(slowly, Octree.truncated, lambda _, level: -1 - level)
     monkeypatch.setattr(Octree, "truncated", lambda tree, level: truncated(tree, level))
-    tiled = partial(slowly, build_tiles, lambda _, level, *__: level)
-    monkeypatch.setattr("octex.field.tiles.build_tiles", tiled)
+    tiled = partial(slowly, build_tiles, lambda tree: tree.max_depth)
+    monkeypatch.setattr("octex.field.field.build_tiles", tiled)
     field, start = Field(tree), Barrier(4)
     with ThreadPoolExecutor(4) as threads:
         found = list(threads.map(lambda _: (start.wait(), field.taps(points, UNIT)), range(4)))
@@ -274,11 +277,11 @@ def test_tiles_of_many_cells_lie_in_a_file_if_there_is_room(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     tree = Octree.from_leaves(np.unique(np.random.default_rng(0).integers(0, 8**5, 3000)), 5)
-    expected = TileStore(tree).at(5)
+    expected = build_tiles(tree)
     monkeypatch.setattr("octex.field.tiles._IN_MEMORY", 0)
     if is_full:
         monkeypatch.setattr("octex.arrays.zeros_in", no_room)
-    found = TileStore(tree).at(5)
+    found = build_tiles(tree)
     for ours, theirs in ((found.masks, expected.masks), (found.firsts, expected.firsts)):
         assert np.array_equal(ours, theirs)
         assert ours.ctypes.data % CACHE_LINE == 0
