@@ -121,7 +121,7 @@ class Camera:
         Raises ArgumentError for a matrix that is not a pose or not intrinsics, for a wrong number of
         distortion coefficients, and unless exactly one of K and focal is given.
         """
-        width, height = _as_size(size)
+        width, height = as_size(size)
         if (K is None) == (focal is None) or (K is not None and center is not None):
             raise ArgumentError("give a pinhole camera either K, or focal with or without center")
         if K is None:
@@ -149,7 +149,7 @@ class Camera:
         center: tuple[float, float] | None = None,
     ) -> Camera:
         """Make a camera with parallel rays: a length of 1 is ``pixels_per_unit`` pixels. See ``pinhole``."""
-        width, height = _as_size(size)
+        width, height = as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
         K = intrinsics(scale, scale, *_as_center(center, width, height))
         return cls(width, height, _as_intrinsics(K), _as_view(pose, convention), "orthographic")
@@ -176,7 +176,7 @@ class Camera:
         Raises ArgumentError for no points, non-finite ones, a direction of no length, or an angle or margin
         out of range.
         """
-        width, height = _as_size(size)
+        width, height = as_size(size)
         points = as_points(points).astype(np.float64, copy=False)
         if not points.size or not (np.abs(points) <= LARGEST).all():
             raise ArgumentError(f"points must be finite, up to {LARGEST:g}, and at least one")
@@ -187,7 +187,7 @@ class Camera:
             )
         if margin == 0.5:
             raise ArgumentError("margin must be at least 0 and below 0.5")
-        rotation = _look_along(-_as_vector(direction, "direction"), _as_vector(up, "up"))
+        rotation = _look_along(-as_vector(direction, "direction"), as_vector(up, "up"))
 
         focal = min(width, height) / 2 / np.tan(np.radians(fov) / 2)
         x, y, z = rotation @ points.T
@@ -333,7 +333,7 @@ class Camera:
 
     def resized(self, size: tuple[int, int]) -> Camera:
         """Return the same view with other pixels: ``size`` (width, height) of them."""
-        width, height = _as_size(size)
+        width, height = as_size(size)
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, width=width, height=height, K=K)
 
@@ -343,7 +343,8 @@ def intrinsics(focal_x: float, focal_y: float, center_x: float, center_y: float)
     return np.array([[focal_x, 0.0, center_x], [0.0, focal_y, center_y], [0.0, 0.0, 1.0]])
 
 
-def _as_size(size: tuple[int, int]) -> tuple[int, int]:
+def as_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a width and a height in pixels, or raise ArgumentError."""
     given = list(size) if is_several(size) else []
     is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in given]
     if is_size != [True, True]:
@@ -358,7 +359,8 @@ def _as_center(center: npt.ArrayLike | None, width: int, height: int) -> tuple[f
     return x, y
 
 
-def _as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
+def as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
+    """Return the unit vector (3,) along a vector, or raise ArgumentError."""
     array = as_reals(vector, name, (3,), most=np.finfo(np.float64).max)
     largest = np.abs(array).max()
     if not largest > 0.0:

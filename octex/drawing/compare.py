@@ -15,9 +15,9 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
 from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
-from octex.checks import as_choice
+from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError
-from octex.parallel import Progress, silent
+from octex.parallel import Progress, as_progress
 from octex.source.base import by_channel
 from octex.source.corners import area_vectors
 from octex.source.separation import SEPARATION
@@ -29,6 +29,8 @@ from octex.tree.walk import walk_leaves
 
 #: Points compared on a model.
 DEFAULT_POINTS = 1_000_000
+_MOST_POINTS = 1 << 40
+_WIDEST = 1e30
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
 #: The measure of a channel's differences by its colour space.
@@ -124,18 +126,18 @@ def difference(
     not in both or do not mean the same in both, for an unknown filter, if the surfaces have nothing in
     common, and for textures whose parts were not moved apart alike.
     """
-    report = progress or silent
+    report = as_progress(progress)
+    points = as_whole(points, "points", 1, _MOST_POINTS)
+    seed = as_whole(seed, "seed", 0, _MOST_POINTS)
+    for side in (a, b):
+        if not isinstance(side, (Surface, OctreeTexture)):
+            raise ArgumentError(f"compare octex.OctreeTexture and octex.Surface, not {side!r}")
     sides = placed(a, b)
     textures = [side for side in sides if isinstance(side, OctreeTexture)]
     models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
     if not textures:
         raise ArgumentError("two models cannot be compared with each other; convert one of them first")
-    if points < 1 or seed < 0:
-        raise ArgumentError(f"points must be above 0 and seed at least 0, not {points} and {seed}")
-    if width is None:
-        width = finest_edge(textures[0])
-    if not 0 <= width < np.inf:
-        raise ArgumentError(f"width must be finite and not negative, not {width!r}")
+    width = finest_edge(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
     total = points if models else sum(texture.tree.n_leaves for texture in textures)
@@ -273,7 +275,7 @@ def readers_of(
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
-    chosen = both if channels is None else list(channels)
+    chosen = both if channels is None else as_names(channels, "channels")
     if not both or not chosen:
         raise ArgumentError(
             f"no channel to compare: one has {', '.join(first) or 'none'}, "

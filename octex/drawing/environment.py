@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int64s
-from octex.cameras.camera import Camera
+from octex.cameras.camera import Camera, as_vector
 from octex.channels import decode
-from octex.checks import as_number, as_reals
+from octex.checks import as_number, as_path, as_reals
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.source.images.decode import as_texels, read_image_file
@@ -44,6 +44,10 @@ class Tables(NamedTuple):
     light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
     shapes: Int64s  # (tables, 3)   first texel, height and width
     axes: Float64s  # (3, 3)   from directions of the world to those of the picture
+
+
+#: Squares of longer directions could overflow.
+_LONGEST = 1e150
 
 
 class Environment:
@@ -77,8 +81,9 @@ class Environment:
         cls, path: str | Path, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
     ) -> Environment:
         """Make one of an image file, ``.hdr``, ``.exr`` or another; else as ``of``."""
-        texels, _ = read_image_file(Path(path))
-        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up, Path(path).name)
+        file = as_path(path)
+        texels, _ = read_image_file(file)
+        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up, file.name)
 
     @classmethod
     def _of(
@@ -107,6 +112,8 @@ class Environment:
 
     def seen_by(self, camera: Camera) -> Tables:
         """Return the tables with the axes that they have for a camera."""
+        if not isinstance(camera, Camera):
+            raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
         if not self.follows:
             return self.tables
         return self.tables._replace(
@@ -122,7 +129,7 @@ class Environment:
         return self._read(normals, -1.0)
 
     def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
-        given = as_reals(directions, "directions", (-1, 3))
+        given = as_reals(directions, "directions", (-1, 3), most=_LONGEST)
         lengths = np.linalg.norm(given, axis=1, keepdims=True)
         if not lengths.all():
             raise ArgumentError("directions must have a length")
@@ -141,11 +148,7 @@ def _as_light(texels: Texels) -> Float64s:
 
 def _axes_of(up: npt.ArrayLike) -> Float64s:
     """Return the rotation that takes ``up`` to +y, the shortest way."""
-    given = as_reals(up, "up", (3,))
-    length = float(np.linalg.norm(given))
-    if not 0.0 < length < np.inf:
-        raise ArgumentError("up must have a length")
-    x, y, z = given / length
+    x, y, z = as_vector(up, "up")
     if y < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     scale = 1.0 / (1.0 + y)

@@ -14,6 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from octex.arrays import Float32s, Floats, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import encode, linear_to_srgb
+from octex.checks import as_path
+from octex.drawing.arguments import Arguments
 from octex.drawing.directions import USUAL, Viewpoint
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
@@ -61,7 +63,10 @@ def write_preview(
     written, and ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
     for an unknown channel.
     """
-    view = Viewpoint(direction, up, zoom)
+    path = as_path(path)
+    texture, surface, size, view, channel, light, bump, supersample = Arguments.checked(
+        texture, surface, size, (direction, up, zoom), channel, light, bump, supersample
+    )
     codes = draw_preview(
         texture, surface, size, supersample, view=view, channel=channel, light=light, bump=bump
     )

@@ -12,6 +12,8 @@ from PIL import Image
 
 from octex.arrays import Uint8s
 from octex.channels import encode
+from octex.checks import as_flag, as_path
+from octex.drawing.arguments import Arguments, as_camera, as_level
 from octex.drawing.directions import Viewpoint
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import leaf_camera, surface_camera, write_png
@@ -61,9 +63,15 @@ def render(
     and for an unknown channel; OutputError if the file cannot be written.
     """
     if texture is None and surface is None:
-        raise ArgumentError("a picture needs a texture, or a surface, or both")
+        raise ArgumentError("a picture needs a texture, a surface or both")
+    texture, surface, size, view, channel, light, bump, supersample = Arguments.checked(
+        texture, surface, size, (direction, up, zoom), channel, light, bump, supersample
+    )
+    camera = None if camera is None else as_camera(camera)
+    level, cubes = as_level(level), as_flag(cubes, "cubes")
+    path = None if path is None else as_path(path)
     if camera is None:
-        camera = camera_of(texture, surface, size, Viewpoint(direction, up, zoom), channel)
+        camera = camera_of(texture, surface, size, view, channel)
     if surface is not None and (texture is None or not cubes):
         materials = light is not None
         if texture is None:

@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Array
 from octex.errors import ArgumentError
 from octex.files import replacing
-from octex.formats.ply import leaf_points
+from octex.formats.ply import LeafPoints, leaf_points
 from octex.parallel import Progress, silent
 from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
@@ -37,7 +37,9 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     the name of another array, and TextureFileError if the tree is damaged so that it holds fewer leaves than
     it says.
     """
-    blocks = list(leaf_points(texture, path, progress))
+    none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
+    nothing = LeafPoints(none, np.empty((0, 3)), np.empty((0, 3), np.float32))
+    blocks = [nothing, *leaf_points(texture, path, progress)]  # an empty texture yields none
     columns = zip(*(each.leaves for each in blocks), strict=True)
     leaves = Leaves(*(np.concatenate(column) for column in columns))
     points = np.concatenate([each.centres for each in blocks])

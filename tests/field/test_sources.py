@@ -115,7 +115,7 @@ def test_other_rest_positions_and_filters_reach_every_source() -> None:
     larger = both.with_rest(SQUARE.astype(float) * 4)
     np.testing.assert_array_equal(values(larger, 2.0), values(both, 0.5))
     changed = both.with_filter("sat")
-    sources = set(changed._sources.values())
+    sources = changed._inputs
     assert {(each.filter, *each.names) for each in sources if isinstance(each, Ramp)} == {
         ("sat", "metallic"), ("sat", "roughness", "emissive")
     }  # fmt: skip

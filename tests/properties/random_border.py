@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
+import PIL.Image
 
 import octex
 from octex import jit
@@ -60,6 +61,7 @@ class World(NamedTuple):
     cloud: octex.PointCloud
     camera: octex.Camera
     picture: octex.Projection
+    light: octex.Environment
 
     def content(self) -> list[bytes]:
         """Return what no call may change."""
@@ -94,6 +96,7 @@ def folder() -> Path:
     lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON] + [
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
     ]
+    PIL.Image.new("RGB", (4, 2), (90, 80, 70)).save(path / "light.png")
     (path / "model.obj").write_text("\n".join(lines))
     octex.write_ptex(w.texture, w.surface, path / "written.ptx")
     return path
@@ -109,7 +112,7 @@ def world() -> World:
     layer = octex.project(surface, picture, like=texture, max_depth=2, fit=False)
     parts = octex.TextureSet({"a": texture, "b": texture})
     cloud = octex.PointCloud(TETRAHEDRON, colors, TETRAHEDRON + 1.0)
-    return World(surface, texture, layer, parts, cloud, camera, picture)
+    return World(surface, texture, layer, parts, cloud, camera, picture, octex.Environment.studio())
 
 
 def ball(points: np.ndarray[Any, Any]) -> Any:
@@ -147,6 +150,12 @@ def calls() -> list[Call]:
         (w.camera.scaled, {"factor": 2}),
         (w.camera.resized, {"size": (5, 3)}),
         (w.camera.zoomed, {"times": 2.0}),
+        (octex.Environment.load, {"path": at / "light.png"}),
+        (octex.Environment.of, {"picture": rows[None] / 10}),
+        (octex.Environment.studio, {}),
+        (w.light.seen_by, {"camera": w.camera}),
+        (w.light.radiance, {"directions": rows, "roughness": 0.5}),
+        (w.light.irradiance, {"normals": rows}),
         (octex.MappedImage, {"image": w.picture.image, "kind": "box"}),
         (octex.OctreeTexture, {**tree, "bounds": w.texture.bounds}),
         (w.texture.with_cells, {"tree": w.texture.tree, "channels": w.texture.channels}),
@@ -216,6 +225,7 @@ def calls() -> list[Call]:
         (octex.convert_set, {"parts": {"a": w.surface}, **DEPTH, "fit": False}),
         (octex.crop, {**one, "low": (0, 0, 0), "high": (1, 1, 1)}),
         (octex.curves, {**one, "channel": "base_color", "points": [[0, 0], [1, 0.5]]}),
+        (octex.difference, {"a": w.texture, "b": w.surface, "points": 9}),
         (octex.displace, {**painted, "channel": "base_color", "scale": 0.1, "most_triangles": 999}),
         (octex.fill, {**painted, "region": sphere, "color": (1, 0, 0)}),
         (octex.levels, one),
@@ -228,12 +238,15 @@ def calls() -> list[Call]:
         (octex.project, pictures),
         (octex.refine_cameras, {"surface": w.surface, "projections": [w.picture, w.picture], "reference": 0}),
         (octex.read_cameras, {"path": at / "cameras.json"}),
+        (octex.render, {**painted, "size": (4, 4), "supersample": 1}),
+        (octex.render, {**one, "camera": w.camera, "supersample": 1}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
         (octex.subdivide, {"mesh": w.surface, "levels": 1}),
         (octex.unwrap, {"surface": w.surface, "center": rows[0], "radius": 0.3, "size": 4}),
         (octex.write_ptex, {**painted, "path": at / "written.ptx"}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
+        (octex.write_preview, {**painted, "path": at / "a.png", "size": (64, 64), "supersample": 1}),
         (octex.write_cameras, {"path": at / "written.json", "cameras": {"one": w.camera}}),
     ]
     return [Call(function, arguments) for function, arguments in listed]

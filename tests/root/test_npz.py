@@ -57,7 +57,7 @@ def test_an_empty_texture_has_empty_arrays_and_a_damaged_one_is_not_written(
     write_arrays(texture_of(leaves=[]), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as arrays:
         assert arrays["points"].shape == arrays["base_color"].shape == (0, 3)
-    monkeypatch.setattr("octex.formats.npz.walk_leaves", lambda arrays: [*walk_leaves(arrays, 2)][:1])
+    monkeypatch.setattr("octex.formats.ply.walk_leaves", lambda arrays: [*walk_leaves(arrays, 2)][:1])
     with pytest.raises(TextureFileError, match="with 2 of 5 leaves"):
         write_arrays(texture_of(), tmp_path / "b.npz")
     assert not (tmp_path / "b.npz").exists()
