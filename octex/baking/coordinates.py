@@ -47,7 +47,7 @@ def check_overlaps(
     if shared > _MOST:
         raise ModelError(
             f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
-            "one texel would show several places that differ; let octex make an atlas"
+            "one texel would show several places that differ; have an atlas made"
         )
 
 
@@ -69,8 +69,8 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
-            f"{mesh.name}: its texture coordinates are too small: on {100 * spread:.3g} % of it one "
-            "texel shows several places that differ; let octex make an atlas"
+            f"{mesh.name}: its texture coordinates are squeezed, so that on {100 * spread:.3g} % of it one "
+            "texel shows several places that differ; have an atlas made"
         )
 
 

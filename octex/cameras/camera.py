@@ -182,11 +182,9 @@ class Camera:
             raise ArgumentError(f"points must be finite, up to {LARGEST:g}, and at least one")
         fov, margin = as_number(fov, "fov", 0.0, 180.0), as_number(margin, "margin", 0.0, 0.5)
         if not _LEAST_ANGLE <= fov <= 180.0 - _LEAST_ANGLE:
-            raise ArgumentError(
-                f"fov must be at least {_LEAST_ANGLE:g} degrees away from 0 and 180, not {fov:g}"
-            )
+            raise ArgumentError(f"fov must be between 0 and 180 degrees, by {_LEAST_ANGLE:g}, not {fov:g}")
         if margin == 0.5:
-            raise ArgumentError("margin must be at least 0 and below 0.5")
+            raise ArgumentError("margin must be from 0 to below 0.5, which leaves nothing")
         rotation = _look_along(-as_vector(direction, "direction"), as_vector(up, "up"))
 
         focal = min(width, height) / 2 / np.tan(np.radians(fov) / 2)

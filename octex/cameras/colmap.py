@@ -55,7 +55,7 @@ def find(path: Path) -> tuple[Path, str] | None:
                 return folder, ending
     raise CameraError(
         f"{path}: has no COLMAP model; choose a folder with cameras.bin and images.bin, or cameras.txt and "
-        "images.txt, or a camera file"
+        "images.txt, or a file of cameras"
     )
 
 

@@ -35,7 +35,7 @@ def reading(path: Path) -> Iterator[None]:
         raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
     except (OSError, ValueError) as error:  # ValueError: names that no file can have
         reason = getattr(error, "strerror", None) or str(error)
-        raise CameraError(f"{path}: cannot be read: {reason}; give a camera file") from error
+        raise CameraError(f"{path}: cannot be read: {reason}; give a file of cameras") from error
 
 
 @contextlib.contextmanager

@@ -93,18 +93,18 @@ def _read(path: Path, content: bytes) -> list[Frame]:
         raise
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, json.JSONDecodeError) else "a number or nesting too long"
-        raise BrokenError(f"is not JSON ({reason}), nor another camera file; is it damaged?") from None
+        raise BrokenError(f"is not JSON ({reason}), nor another file of cameras; is it damaged?") from None
     if isinstance(document, list) and document and isinstance(document[0], dict) and "shots" in document[0]:
         return opensfm.read(path, document)
     if not isinstance(document, dict):
-        raise BrokenError("is not a camera file: its JSON must be an object; choose another file")
+        raise BrokenError("is no file of cameras: its JSON must be an object; choose another file")
     for fields, read_fields in _BY_FIELDS.items():
         if all(field in document for field in fields):
             return read_fields(path, document)
     if "asset" in document:
         return gltf.read(path, content)
     raise BrokenError(
-        "is not a camera file; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
+        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
         ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
         "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
     )

@@ -55,7 +55,7 @@ class Frame(NamedTuple):
         """
         frame = f"frame {self.name!r} of {self.file}"
         if size is None and self.size is None:
-            raise CameraError(f"{frame} has no image size; give the size or the image")
+            raise CameraError(f"{frame} does not say how large its picture is; give the size or the picture")
         width, height = self.size or size or (0, 0)
         if size is not None and not self.fits(size):
             raise CameraError(

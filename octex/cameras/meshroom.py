@@ -39,7 +39,7 @@ def read(path: Path, document: dict[str, Any]) -> list[Frame]:
             continue  # not placed
         with within(f"view {name!r}"):
             if "rigId" in record and str(record.find("isPoseIndependant", True)).lower() in ("false", "0"):
-                raise BrokenError("belongs to a rig, which octex does not read; leave the rig out")
+                raise BrokenError("is one of a rig's, which octex does not read; leave the rig out")
             with within("pose"):
                 view = _view(pose.record("pose").record("transform"))
             if version >= [1, 2, 3]:

@@ -95,4 +95,4 @@ def _decoded(text: str) -> bytes:
     try:
         return b64decode(text, validate=True)
     except ValueError as error:
-        raise BrokenError(f"view is not an image in base64 ({error}); draw the view again") from None
+        raise BrokenError(f"view is no picture in base64 ({error}); draw the view again") from None

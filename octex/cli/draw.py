@@ -75,13 +75,13 @@ def _check(options: Options, kind: str) -> None:
         refuse(options, ["--direction", "--up"], "has no meaning with --camera; give one of them")
     if options.unwrap is not None:
         words = "--camera", "--camera-out", "--direction", "--up", "--zoom"
-        refuse(options, words, "cannot be used with --unwrap, which sets the view")
+        refuse(options, words, "has no meaning with --unwrap, which says what is seen")
     elif kind == "paint" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
         )
     if options.light is None:
-        refuse(options, ["--exposure"], "needs --light")
+        refuse(options, ["--exposure"], "has no meaning without --light")
         if kind == "paint":
             refuse(options, ["--bump"], "has no meaning in a picture without --light")
     outputs = (
@@ -93,8 +93,7 @@ def _check(options: Options, kind: str) -> None:
     check_outputs(outputs, inputs, force=options.force)
     if options.empty_layer is not None and options.empty_layer.name == options.OUTPUT.name:
         raise ArgumentError(
-            f"--empty-layer has the name of OUTPUT, {options.OUTPUT.name}, but cameras are found by "
-            "file name; "
+            f"--empty-layer has the name of OUTPUT, {options.OUTPUT.name}, by which its camera is found; "
             "give it another"
         )
 
@@ -196,8 +195,7 @@ def _frame(options: Options, kind: str) -> Frame | None:
     if not frame.fits(options.size):
         width, height = frame.size
         raise ArgumentError(
-            f"--size has another aspect ratio than frame {frame.name!r} of {file}, {width},{height}; "
-            "leave --size out"
+            f"--size has not the shape of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
         )
     return frame
 

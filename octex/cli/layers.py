@@ -136,7 +136,7 @@ class Painting:
         for names, name in ((paths, path), ([path.name for path in paths], path.name)):
             if names.count(name) == 1:
                 return names.index(name)
-        raise ArgumentError(f"--reference {path} must name exactly one of the pictures")
+        raise ArgumentError(f"--reference {path} is none of the pictures, or several of them")
 
 
 def _camera_names(shots: Sequence[Shot]) -> list[str]:

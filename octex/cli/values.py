@@ -118,14 +118,16 @@ def texture_file(text: str) -> Path | Address:
 def file_here(text: str) -> Path:
     """Read the name of a file on this machine that is read."""
     if is_address(text):
-        raise ArgumentError(f"{text} is a URL, and octex reads this file from disk: download it first")
+        raise ArgumentError(f"{text} is an address, and this file is read here: download it first")
     return Path(text)
 
 
 def output_file(text: str) -> Path:
     """Read the name of a file or folder that is written."""
     if is_address(text):
-        raise ArgumentError(f"{text} is a URL, and octex writes to disk only; write a file, then upload it")
+        raise ArgumentError(
+            f"{text} is an address, and octex writes files of this machine; write one, and upload it"
+        )
     return Path(text)
 
 
@@ -145,7 +147,7 @@ def one_of(*known: str) -> Callable[[str], str]:
 
     def read(text: str) -> str:
         if text not in known:
-            raise ArgumentError(f"{text!r} is not one of {', '.join(known)}")
+            raise ArgumentError(f"{text!r} is none of {', '.join(known)}")
         return text
 
     return read
@@ -156,7 +158,7 @@ def whole_number(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise ArgumentError(f"{text!r} is not a whole number") from None
+        raise ArgumentError(f"{text!r} is no whole number") from None
 
 
 def count(text: str) -> int:
@@ -171,7 +173,7 @@ def port_number(text: str) -> int:
     """Read a port of this machine."""
     number = whole_number(text)
     if not 1 <= number <= 65535:
-        raise ArgumentError(f"{number} is not a port from 1 to 65535")
+        raise ArgumentError(f"{number} is no port, 1 to 65535")
     return number
 
 
@@ -244,7 +246,7 @@ def bump(text: str) -> tuple[str, float]:
     """Read CHANNEL=HEIGHT."""
     name, equals, height = (part.strip() for part in text.partition("="))
     if not (name and equals):
-        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, such as roughness=0.01")
+        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, like roughness=0.01")
     return name, real(height)
 
 
@@ -264,7 +266,7 @@ def channel_names(text: str) -> list[str]:
         raise ArgumentError(f"{text!r} has an empty name; write base_color,normal")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise ArgumentError(f"{twice} is named twice")
+        raise ArgumentError(f"{twice} is there twice")
     return names
 
 
@@ -278,7 +280,7 @@ def dtypes(text: str) -> str | dict[str, str]:
         if not (name and equals):
             raise ArgumentError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
         if name in found:
-            raise ArgumentError(f"{name} is named twice")
+            raise ArgumentError(f"{name} is there twice")
         found[name] = one_of(*DTYPES)(dtype)
     return found
 
@@ -344,7 +346,7 @@ def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[
         try:
             numbers = tuple(float(number) for number in text.split(","))
         except ValueError:
-            raise ArgumentError(f"{text!r} must be numbers separated by commas") from None
+            raise ArgumentError(f"{text!r} is not numbers with commas between") from None
         if not all(abs(number) < _INFINITE for number in numbers):
             raise ArgumentError(f"{text} has numbers that are not finite")
         if not fits(numbers):

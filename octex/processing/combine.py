@@ -136,8 +136,7 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
             for origin, size in (first.placement, second.placement)
         )
         raise ArgumentError(
-            f"the textures' root cells differ, {cells}, and so do their cells, and octex does not "
-            "resample them; "
+            f"the textures' root cells differ, {cells}, and so do their cells, which are not resampled; "
             "convert both models with the same bounds and depth or cell"
         )
     one, other = {}, {}

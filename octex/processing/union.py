@@ -56,7 +56,7 @@ def unite(first: Octree, second: Octree) -> Union:
     level_cells, level_nodes = level_cells[: depth + 2].copy(), level_nodes[: depth + 2].copy()
     n_cells, n_nodes = int(level_cells[-1]), int(level_nodes[-1])
     if n_cells > MAX_CELLS:
-        raise ArgumentError(f"{n_cells:,} cells together are more than a tree can hold")
+        raise ArgumentError(f"{n_cells:,} cells together are more than a tree can number")
     groups = groups_of(masks[:, : -(-n_nodes // 8) * 8])
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))

@@ -70,7 +70,7 @@ class PointCloud(Placeable):
         self.name = as_text(name, "name")
         self.points = locked(_rows(points, f"{name}: points"))
         if len(self.points) < _LEAST_POINTS:
-            raise ModelError(f"{name} has {len(self.points)} points; a cloud needs at least three")
+            raise ModelError(f"{name} has {len(self.points)} points; a cloud needs three at least")
         light = linear_colors(colors, len(self.points), f"{name}: colors")
         if not np.isfinite(light).all():
             raise ModelError(f"{name}: colour {_first_bad(light)} is not finite")
@@ -116,9 +116,7 @@ class PointCloud(Placeable):
         path = as_path(path)
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
-            raise ModelError(
-                f"{path.name} is not a point cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}"
-            )
+            raise ModelError(f"{path.name} is no cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}")
         with reading(path):
             arrays = reader(path)
         try:
@@ -161,7 +159,7 @@ class PointCloud(Placeable):
         thousands of points.
         """
         if form.name not in ("base_color", "alpha"):
-            raise ArgumentError(f"{self.name}: points have colours and alpha, but not {form.name}")
+            raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
         return self._shared(mesh, lambda: self._laid_on(mesh)), {
             f"source_{form.name}": f"points of {self.name}"
         }
@@ -247,7 +245,7 @@ _Arrays = tuple[Array, Array, Array | None]
 def _read_npz(path: Path) -> _Arrays:
     with open_file(path) as file:
         if not zipfile.is_zipfile(file):
-            raise ModelError(f"{path.name} is not an .npz file; save it with np.savez(…, points=…, colors=…)")
+            raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
     arrays = npz_arrays(path, {name for names in _NAMES.values() for name in names})
     chosen = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
     for kind in ("points", "colors"):

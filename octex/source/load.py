@@ -107,7 +107,7 @@ def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> S
     other = _read(as_path(rest, "rest"), Options(materials=False))
     if len(other.vertices) != len(surface.vertices) or not np.array_equal(other.triangles, surface.triangles):
         raise ModelError(
-            f"{other.name} cannot be the rest mesh of {surface.name}: the topology differs "
+            f"{other.name} is no rest mesh of {surface.name}: the topology differs "
             f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
             f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
         )

@@ -84,9 +84,7 @@ class MappedImage(Placeable):
         self._axis = as_choice(axis, FRAMES, "axis")
         self._center = None if center is None else _three(center, "center", -_FARTHEST)
         if size is not None and self._kind == SPHERICAL:
-            raise ArgumentError(
-                "a spherical projection has no size: it goes once around and from pole to pole"
-            )
+            raise ArgumentError("a spherical picture goes once around and from pole to pole: no size")
         self._size = None if size is None else _three(size, "size", 1.0 / _FARTHEST)
         self._wraps = as_wraps(wrap)
         self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"

@@ -233,7 +233,7 @@ class MaterialSource(Source):
         last = max((each.slot for material in self._used for each in material.textures), default=-1)
         if last >= len(self.coordinates):
             raise ModelError(
-                f"{self._name}: an image reads set {last} of texture coordinates, which is missing"
+                f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
             )
         for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():

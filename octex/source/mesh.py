@@ -127,7 +127,7 @@ class Mesh:
                 f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
             )
         if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(self.triangles):
-            raise ArgumentError(f"{self.name} has triangles 0 to {len(self.triangles) - 1}only")
+            raise ArgumentError(f"{self.name} has triangles 0 to {len(self.triangles) - 1}, not all of these")
         chosen = chosen.astype(np.int32)
         faces = self.triangles[chosen]
         used = self._used(faces)

@@ -66,7 +66,7 @@ class FunctionSource(SpatialSource):
             lengths = np.linalg.norm(values, axis=1, keepdims=True)
             if not lengths.all():
                 place = ", ".join(f"{x:.6g}" for x in points[int(np.argmin(lengths))])
-                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which is not a direction")
+                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which point nowhere")
             values = values / lengths
         return np.clip(values, self._least, self._most).astype(np.float32)
 

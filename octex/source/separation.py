@@ -29,11 +29,9 @@ def separation_of(mesh: Mesh, margin: float, found: Overlaps | None = None) -> s
     margin = as_positive(margin, "margin")
     found = mesh.overlapping_parts(margin) if found is None else found
     if not isinstance(found, Overlaps):
-        raise ArgumentError(f"overlaps must be the result of overlapping_parts, not {found!r}")
+        raise ArgumentError(f"found must be what overlapping_parts returns, not {found!r}")
     if found.margin < margin or len(found.parts) != len(mesh.triangles):
-        raise ArgumentError(
-            f"the overlaps were computed with a margin of {found.margin:g}, or of another surface"
-        )
+        raise ArgumentError(f"the overlaps given are of a margin of {found.margin:g}, or of another surface")
     pairs = [(pair.a, pair.b) for pair in found.pairs if pair.gap < margin or pair.gap == 0.0]
     if not pairs:
         return None
@@ -57,7 +55,7 @@ def separated_rest(mesh: Mesh, separation: str) -> Float64s:
             raise ValueError
     except (ValueError, TypeError, KeyError, AttributeError):
         raise ArgumentError(
-            f"the texture's metadata about its separated parts cannot be read: {separation[:80]!r}"
+            f"what the texture says of its separated parts cannot be read: {separation[:80]!r}"
         ) from None
     if digest != _digest(parts):
         raise ArgumentError(

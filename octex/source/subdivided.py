@@ -59,9 +59,7 @@ def subdivide(
     if scheme is None:
         scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
     if scheme == "loop" and (cage.sizes != 3).any():
-        raise ModelError(
-            f"{mesh.name} has polygons that are not triangles, which Loop's scheme does not support"
-        )
+        raise ModelError(f"{mesh.name} has polygons that are no triangles; Loop's scheme takes none")
     first = len(cage.sizes) if scheme == "loop" else len(cage.corners) // 2
     if first * 4**levels > _MOST_TRIANGLES:
         raise ModelError(f"{mesh.name}: {levels} levels make more than {_MOST_TRIANGLES:,} triangles")

@@ -235,7 +235,7 @@ class Surface(Mesh):
         """
         channels = as_names(channels, "channels")
         if not channels:
-            raise ArgumentError("channels must name at least one channel")
+            raise ArgumentError("channels must name one at least")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
@@ -345,8 +345,7 @@ class Surface(Mesh):
             return self
         if separation is None or moves is not None:
             raise ArgumentError(
-                f"{self.name} is separated otherwise than the texture; use the surface that the "
-                "texture was made from"
+                f"{self.name} is separated, and the texture is not, or otherwise; use the surface as it was"
             )
         return self._separated(separation)
 
@@ -376,7 +375,7 @@ class Surface(Mesh):
         """
         as_choice(channel, [form.name for form in self.channels], "channel")
         if not isinstance(samples, SurfaceSamples):
-            raise ArgumentError(f"samples must be the result of scatter, not {samples!r}")
+            raise ArgumentError(f"samples must be what scatter returns, not {samples!r}")
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")

@@ -169,8 +169,8 @@ class Voxels:
         low, high = int(array.min()), int(array.max())
         if low < 0 or high >= 1 << _DEEPEST:
             raise ModelError(
-                f"{self.name}: coords from {low} to {high} do not fit a grid of 2²¹ cells a side from 0 on; "
-                "subtract the lowest, and give it as origin"
+                f"{self.name}: coords from {low} to {high} are in no grid of 2²¹ cells a side from 0 on; "
+                "subtract their least, and say where that lies by origin"
             )
         return array.astype(np.int64)
 
@@ -232,7 +232,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     Raises ModelError, with ``name``, for what is damaged, and for filters and codes that octex does not read.
     """
     if data[:3] != b"VXZ" or len(data) < 8:
-        raise ModelError(f"{name} is not a .vxz file, or is damaged")
+        raise ModelError(f"{name} is no .vxz file, or is damaged")
     if data[3]:
         raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0")
     try:

@@ -763,7 +763,7 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
     [
         ("<document>", "is not XML"),
         ("<!DOCTYPE a><document/>", "has a document type"),
-        ("<plist/>", "is not a camera file; export the cameras from Metashape as Agisoft XML"),
+        ("<plist/>", "is no file of cameras; export them from Metashape as Agisoft XML"),
         ("<document><chunk/></document>", "has no cameras"),
         (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
         (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
@@ -829,8 +829,8 @@ def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
         (b"MVSI" + struct.pack("<II", 8, 0), "is of version 8 of OpenMVS's scenes; octex reads 1 to 7"),
         (openmvs(3)[:60], "the file ends here"),
         (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
-        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 is not in the file"),
-        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 is not in the file"),
+        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 does not stand in the file"),
+        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 does not stand in the file"),
         (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
     ],
 )

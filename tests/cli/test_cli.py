@@ -46,7 +46,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
         ),
         ("a.glb b.octex --dept 3", "--dept is no option: do you mean --depth; see octree-convert --help"),
-        ("a.glb b.octex --depth x", "--depth: 'x' is not a whole number; see octree-convert --help"),
+        ("a.glb b.octex --depth x", "--depth: 'x' is no whole number; see octree-convert --help"),
         ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
         ("a.glb b.octex --cell x", "--cell: 'x' is no number; see octree-convert --help"),
         (
@@ -56,11 +56,11 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ("a.glb b.octex --threads 0", "--threads: 0 is not above zero; see octree-convert --help"),
         (
             "a.glb b.octex --threads x",
-            "--threads: 'x' is not a whole number; see octree-convert --help",
+            "--threads: 'x' is no whole number; see octree-convert --help",
         ),
         (
             "a.glb b.octex --depth 0 --cell 1",
-            "--depth and --cell both set the cell size; give one of them",
+            "--depth and --cell both say how fine the cells are; give one of them",
         ),
         (
             "a.glb b.octex --points 9",
@@ -80,7 +80,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "a.glb b.octex --channels a,b,a",
-            "--channels: a is named twice; see octree-convert --help",
+            "--channels: a is there twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype int8",
@@ -92,7 +92,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "a.glb b.octex --dtype normal=uint16,normal=uint8",
-            "--dtype: normal is named twice; see octree-convert --help",
+            "--dtype: normal is there twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --filter cubic",
@@ -290,7 +290,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
         assert (
             said.count(
                 "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
-                "put it next to the model"
+                "put it beside the model"
             )
             == 1
         )

@@ -83,7 +83,7 @@ def test_a_texture_cannot_adapt_any_more(
     octex.convert(model, 3).save(texture)
     word = option.split()[0]
     assert refusal(capsys, texture, tmp_path / "b.octex", *option.split()) == (
-        f"{texture}: {word} needs the model, but this is a texture made from it; see octex edit"
+        f"{texture}: {word} needs the model, and this is a texture made from one; see octex edit"
     )
 
 

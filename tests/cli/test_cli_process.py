@@ -102,7 +102,7 @@ def test_models_are_converted_first(
         ("--crop 0,0,0,1,1,nan", "--crop: 0,0,0,1,1,nan has numbers that are not finite"),
         ("--levels 0.5", "--levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
         ("--levels 0.5,0.4", "--levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
-        ("--levels a,b", "--levels: 'a,b' must be numbers separated by commas"),
+        ("--levels a,b", "--levels: 'a,b' is not numbers with commas between"),
         ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
         ("--mix b.octex=2", "--mix: 2 is not from 0 to 1"),
         ("--loss 1", "--loss is for NAME.octz"),

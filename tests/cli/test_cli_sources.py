@@ -71,8 +71,8 @@ def test_points_alone_become_a_texture(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["wide.ply", "--radius", "1"], "--radius needs --transfer"),
-        (["wide.ply", "--within", "1"], "--within needs --transfer"),
+        (["wide.ply", "--radius", "1"], "--radius has no meaning without --transfer"),
+        (["wide.ply", "--within", "1"], "--within has no meaning without --transfer"),
         (["wide.ply", "--within", "1,181"], "--within: 181 is not from 0 to 180"),
         (["wide.ply", "--transfer", "green.npz", "--radius", "1", "--within", "1"], "give one of them"),
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),

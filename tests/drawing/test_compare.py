@@ -349,8 +349,8 @@ def test_a_model_is_compared_where_it_is_at_rest() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"points": 0}, "points must be above 0 and seed at least 0, not 0 and 0"),
-        ({"seed": -1}, "points must be above 0 and seed at least 0, not 1000000 and -1"),
+        ({"points": 0}, "points must be above 0 and seed not below, not 0 and 0"),
+        ({"seed": -1}, "points must be above 0 and seed not below, not 1000000 and -1"),
         ({"width": -1.0}, "width must be finite and not negative, not -1.0"),
         ({"width": math.nan}, "width must be finite and not negative, not nan"),
         ({"filter": "cubic"}, "unknown filter 'cubic'; there are: nearest"),

@@ -365,7 +365,7 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         pictures[name] = png.read_bytes()
     assert len(set(pictures.values())) == 6
     for words, said in (
-        (["--exposure", "1"], "--exposure needs --light"),
+        (["--exposure", "1"], "--exposure has no meaning without --light"),
         (["--light", "missing.hdr"], "missing.hdr"),
         (["--bump", "roughness"], "is not CHANNEL=HEIGHT"),
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),

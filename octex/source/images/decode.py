@@ -96,7 +96,7 @@ def decode_image(data: bytes, name: str) -> Texels:
     except (ImageError, MissingExtraError):
         raise
     except MemoryError:
-        raise ImageError(f"{name}: the image does not fit into memory") from None
+        raise ImageError(f"{name}: the image needs more memory than there is") from None
     except Exception as error:  # Pillow's plugins raise nearly anything for damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, PIL.UnidentifiedImageError):
@@ -224,7 +224,7 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
         return _finite(spread(np.asarray(image)[:, :, None]), name)
     raw_modes = str([tile[3] for tile in getattr(image, "tile", [])])
     if image.mode == "I" or any(deep in raw_modes for deep in (";16L", ";16B", ";16N")):
-        raise ImageError(f"{name} has a bit depth that Pillow does not read; save it as a 16-bit PNG")
+        raise ImageError(f"{name} has texels of a depth that Pillow does not keep; save it as a 16-bit PNG")
     whole = image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info
     values = np.asarray(image if whole else image.convert("RGBA"))
     return spread(values[:, :, None] if values.ndim == 2 else values)

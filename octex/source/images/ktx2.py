@@ -92,7 +92,7 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     if size == 0 or len(texels) != size:
         raise ImageError(
             f"{name} is damaged: {width} × {height} texels of vkFormat {header.vk_format} take {size} bytes, "
-            "and it has another number; save it again"
+            "and it has others; save it again"
         )
     metadata = _metadata(data[header.entries : header.entries + header.entries_bytes])
     orientation = metadata.get(b"KTXorientation", b"rd")
@@ -149,5 +149,5 @@ def _universal(data: bytes, name: str, header: _Header) -> Texels:
     check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE)
     blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
     if header.unpacked_bytes > 16 * blocks:  # of the largest image
-        raise ImageError(f"{name} is damaged: its texels unpack to too many bytes; save it again")
+        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
     return spread(texture.transcode("rgba8").data)

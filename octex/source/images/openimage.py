@@ -184,7 +184,7 @@ def _integers(spec: Any, places: Sequence[int], ending: str, name: str) -> bool:
     if photometric not in (*_PHOTOMETRIC, None):
         raise ImageError(f"{name} has colours in a form that octex does not read; save it as RGB")
     if not floats and (ending == "exr" or not kinds <= {"uint8", "uint16", "uint"}):
-        raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are not colours")
+        raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are no colours")
     return not floats
 
 

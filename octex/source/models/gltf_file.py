@@ -79,8 +79,7 @@ class Document:
             self.json = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
         except UnicodeDecodeError:
             raise ModelError(
-                f"{self.name} is not a glTF file: it is neither GLB nor JSON; give it the ending of "
-                "its format"
+                f"{self.name} is not a glTF file: it is neither GLB nor JSON; name it for what it is"
             ) from None
         except (ValueError, RecursionError) as error:
             raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None

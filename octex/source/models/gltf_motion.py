@@ -406,7 +406,7 @@ class _Bones:
         )[:, :3]
         weights = np.array([w for _, each in self._weights.values() for w in pose.weights(each)], np.float64)
         if not (np.isfinite(bones).all() and np.isfinite(weights).all()):
-            raise ModelError("moves vertices to infinity; export it again")
+            raise ModelError("moves vertices beyond all numbers; export it again")
         return bones, weights
 
     def links(self) -> tuple[Links, Links, Float64s]:

@@ -250,7 +250,7 @@ class _Ply:
             data = read_bytes(referred(self.path.parent, image))
         except OSError as error:
             raise ImageError(
-                f"{what} cannot be read: {error.strerror or error}; put it next to the model"
+                f"{what} cannot be read: {error.strerror or error}; put it beside the model"
             ) from None
         texels = decode_image(data, what)
         texels[..., 3] = ONE[texels.dtype.name]

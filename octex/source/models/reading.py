@@ -62,7 +62,7 @@ def npz_arrays(path: Path, names: Container[str] | None = None) -> dict[str, Arr
         try:
             return read_npz(file, names)
         except ValueError as error:
-            raise ModelError(f"{path.name} is not an .npz file of arrays ({error}); save it again") from None
+            raise ModelError(f"{path.name} is no .npz file of arrays ({error}); save it again") from None
 
 
 def whole_numbers(values: Array) -> Int64s:

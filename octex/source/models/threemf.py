@@ -45,7 +45,7 @@ def load_3mf(path: Path, options: Options) -> Surface:
     try:
         package = zipfile.ZipFile(io.BytesIO(data))
     except zipfile.BadZipFile:
-        raise ModelError(f"{path.name} is damaged, or is not a 3MF package; export it again") from None
+        raise ModelError(f"{path.name} is damaged, or no 3MF package; export it again") from None
     with package:
         return _Package(package, path.name, options, len(data)).surface()
 

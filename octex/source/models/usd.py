@@ -81,7 +81,7 @@ def load_usd(path: Path, options: Options) -> Surface:
             warnings.warn(text, ModelWarning, stacklevel=2)
         return _Scene(stage, path.name, options).surface()
     except Tf.ErrorException:
-        raise ModelError(f"{path.name} is damaged, or is not a USD stage; export it again") from None
+        raise ModelError(f"{path.name} is damaged, or no USD stage; export it again") from None
     finally:
         del quiet
 
@@ -426,7 +426,7 @@ class _Materials:
         if (place, "") not in self._texels:
             file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
             if file is None:
-                raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
+                raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
             data = bytes(file.GetBuffer())
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
             self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
