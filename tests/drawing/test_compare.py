@@ -349,10 +349,10 @@ def test_a_model_is_compared_where_it_is_at_rest() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"points": 0}, "points must be above 0 and seed not below, not 0 and 0"),
-        ({"seed": -1}, "points must be above 0 and seed not below, not 1000000 and -1"),
-        ({"width": -1.0}, "width must be finite and not negative, not -1.0"),
-        ({"width": math.nan}, "width must be finite and not negative, not nan"),
+        ({"points": 0}, "points must be a whole number from 1 to 1099511627776, not 0"),
+        ({"seed": -1}, "seed must be a whole number from 0 to 1099511627776, not -1"),
+        ({"width": -1.0}, "width must be from 0 to 1e.30, not -1"),
+        ({"width": math.nan}, "width must be from 0 to 1e.30, not nan"),
         ({"filter": "cubic"}, "unknown filter 'cubic'; there are: nearest"),
     ],
 )

@@ -93,7 +93,7 @@ def test_without_a_camera_the_whole_model_is_seen_and_a_file_is_written(
 
 
 def test_nothing_to_draw_is_refused(texture: octex.OctreeTexture) -> None:
-    with pytest.raises(ArgumentError, match="a texture, or a surface, or both"):
+    with pytest.raises(ArgumentError, match="a texture, a surface or both"):
         octex.render(None)
     with pytest.raises(ArgumentError, match="unknown channel 'height'"):
         octex.render(texture, channel="height", size=(8, 8))
