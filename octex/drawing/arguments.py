@@ -76,9 +76,11 @@ def _as_bump(bump: Any) -> Bump:
 
 
 def as_camera(camera: Camera) -> Camera:
-    """Return a camera, or raise ArgumentError."""
+    """Return a camera whose lens draws straight lines straight, or raise ArgumentError."""
     if not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
+    if camera.is_distorted:
+        raise ArgumentError("the camera's lens distorts, which pictures do not show; give camera.undistorted")
     return camera
 
 

@@ -49,7 +49,7 @@ def render(
 
     texture        its colours; None: the surface's own, from its images
     surface        the model; None: draw the leaves
-    camera         default: one of ``size`` that sees all from ``direction``, see ``write_preview``
+    camera         without distortion; default: sees all in ``size`` from ``direction``, see ``write_preview``
     path           also write the picture to this PNG file
     channel        default: base colour in the light, or else the channel that is most like a colour
     level          read this level of the texture; of leaves by default the deepest that a pixel shows
@@ -60,7 +60,8 @@ def render(
 
     Returns an sRGB image (height, width, 3) over a grey backdrop, uint8. Transparent surface shows what is
     behind it. Raises ArgumentError for neither a texture nor a surface, without leaves or channels to draw,
-    and for an unknown channel; OutputError if the file cannot be written.
+    for an unknown channel, ``level`` or ``cubes`` without a texture and ``bump`` on cubes; OutputError if the
+    file cannot be written.
     """
     if texture is None and surface is None:
         raise ArgumentError("a picture needs a texture, a surface or both")
@@ -69,10 +70,14 @@ def render(
     )
     camera = None if camera is None else as_camera(camera)
     level, cubes = as_level(level), as_flag(cubes, "cubes")
+    if texture is None and (cubes or level is not None):
+        raise ArgumentError("level and cubes are for a texture; give one, or leave them out")
+    if cubes and bump is not None:
+        raise ArgumentError("cubes have flat sides; leave bump or cubes out")
     path = None if path is None else as_path(path)
     if camera is None:
         camera = camera_of(texture, surface, size, view, channel)
-    if surface is not None and (texture is None or not cubes):
+    if surface is not None and not cubes:
         materials = light is not None
         if texture is None:
             look = source_shader(surface, channel, materials=materials, bump=bump)
@@ -85,7 +90,7 @@ def render(
         assert texture is not None
         picture = render_leaves(
             texture, camera, level=level, cubes=cubes, supersample=supersample, channel=channel, light=light,
-            bump=None if cubes else bump,
+            bump=bump,
         )  # fmt: skip
     codes = encode(picture, "uint8", "srgb")
     if path is not None:

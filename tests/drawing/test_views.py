@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from tests.make.command import result, run
 
 pytestmark = needs_jit
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+BENT = octex.Camera.pinhole(
+    size=(4, 4), pose=np.eye(4), convention="opencv", focal=3.0, distortion=[0.1, 0.0]
+)
 COLORS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 
 
@@ -97,6 +101,35 @@ def test_nothing_to_draw_is_refused(texture: octex.OctreeTexture) -> None:
         octex.render(None)
     with pytest.raises(ArgumentError, match="unknown channel 'height'"):
         octex.render(texture, channel="height", size=(8, 8))
+
+
+def test_what_is_of_textures_or_of_smooth_surfaces_is_refused_elsewhere(texture: octex.OctreeTexture) -> None:
+    box = octex.Surface.from_arrays(np.eye(3), [[0, 1, 2]])
+    for options in ({"level": 1}, {"cubes": True}):
+        with pytest.raises(ArgumentError, match="level and cubes are for a texture"):
+            octex.render(None, box, size=(8, 8), **options)
+    with pytest.raises(ArgumentError, match="leave bump or cubes out"):
+        octex.render(texture, cubes=True, bump=("base_color", 0.1), size=(8, 8))
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"size": (1 << 15, 1 << 15)}, "has at most 268,435,456 pixels"),
+        ({"light": "studio"}, "light must be an octex.Environment"),
+        ({"bump": "base_color"}, r"bump must be \(channel, height\)"),
+        ({"camera": 3}, "camera must be an octex.Camera"),
+        ({"camera": BENT}, "give camera.undistorted"),
+        ({"level": -1}, "level must be a whole number from 0"),
+        ({"supersample": 0}, "supersample must be a whole number from 1"),
+        ({"zoom": 0}, "zoom"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(
+    texture: octex.OctreeTexture, options: dict[str, Any], word: str
+) -> None:
+    with pytest.raises(ArgumentError, match=word):
+        octex.render(texture, **options)
 
 
 def test_the_command_draws_every_kind(
