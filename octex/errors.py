@@ -92,6 +92,11 @@ class DefectError(Exception):
     """Octex itself made something inconsistent: a defect, whatever was given to it."""
 
 
+def damaged(fault: str) -> ModelError:
+    """Return the error for a fault of a file that only another export can mend."""
+    return ModelError(f"{fault}; export it again")
+
+
 @contextmanager
 def own_making() -> Iterator[None]:
     """Raise DefectError for what is refused inside: for parts that octex made itself out of checked input."""

@@ -20,7 +20,7 @@ from octex.errors import ArgumentError
 from octex.parallel import Progress, as_progress
 from octex.source.base import by_channel
 from octex.source.corners import area_vectors
-from octex.source.separation import SEPARATION
+from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
 from octex.tree.areas import AREAS

@@ -19,7 +19,7 @@ from octex.errors import ModelError
 from octex.formats.units import Unit
 from octex.jit import kernel
 from octex.parallel import ordered_map, workers
-from octex.source.images.png import SIGNATURE
+from octex.source.images.decode import PNG_SIGNATURE
 from octex.source.materials import Material, MaterialSource
 from octex.source.surface import Surface
 
@@ -190,7 +190,7 @@ def _png16_file(texels: Uint16s) -> bytes:
     filtered[1:, 1:] = rows[1:] - rows[:-1]
     header = struct.pack(">IIBBBBB", width, height, 16, {1: 0, 3: 2, 4: 6}[lanes], 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), _LEVEL)), (b"IEND", b"")
-    parts = [SIGNATURE]
+    parts = [PNG_SIGNATURE]
     for kind, body in chunks:
         parts += [struct.pack(">I", len(body)), kind, body, struct.pack(">I", zlib.crc32(kind + body))]
     return b"".join(parts)

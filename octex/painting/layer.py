@@ -13,7 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
 from octex.source.base import Source
-from octex.source.separation import SEPARATION
+from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel

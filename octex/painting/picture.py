@@ -27,9 +27,9 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
-from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
+from octex.source.images.taps import catmull_rom
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 

@@ -11,7 +11,7 @@ from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
 from octex.painting.picture import clipped, read_paint
 from octex.painting.sight import TRUSTED, Shot
-from octex.source.images.cubic import catmull_rom
+from octex.source.images.taps import catmull_rom
 from octex.view.visibility import (
     View,
     nearness,
@@ -162,7 +162,7 @@ def _read_beside(
     In place of what others hold stands the mean of these, the nearer the more. ``pixel`` is where the camera
     without distortion sees the place.
     """
-    (u, v), (x, y), (near, right, down) = place, pixel, plane
+    (u, v), (x, y) = place, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.triangle.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
@@ -179,7 +179,7 @@ def _read_beside(
         if not (0 <= i < height and 0 <= j < width):
             continue
         other = shot.seen.triangle[i, j]
-        if other < 0 or (other != triangle and parts(shot.seen, i, j, x, y, near, right, down, slack)):
+        if other < 0 or (other != triangle and parts(shot.seen, i, j, pixel, plane, slack)):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
         own = np.float32(1.0) / (far * far)
@@ -278,7 +278,7 @@ def add_paint(
         fine = _pixels(view, z)
         near = base + right * px + down * py
         slack = tolerance(view, near, right, down, 0.5 * area * cosine * fine * fine)
-        part = visible_part(shot.seen, triangle, px, py, near, right, down, slack)
+        part = visible_part(shot.seen, triangle, (px, py), (near, right, down), slack)
         coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))

@@ -30,7 +30,7 @@ import numpy as np
 from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
-from octex.processing.cast import cast
+from octex.processing.mapping import cast
 from octex.source.materials import MaterialSource
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.children import masks_of

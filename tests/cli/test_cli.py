@@ -290,7 +290,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
         assert (
             said.count(
                 "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
-                "put it beside the model"
+                "put it next to the model"
             )
             == 1
         )

@@ -860,7 +860,7 @@ def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
     assert complaint(capsys, *shot).startswith(f"the view in {file}")
     text = file.read_text()
     file.write_text(re.sub('"view": "', '"view": "é', text))
-    assert "view is no picture in base64" in complaint(capsys, *shot)
+    assert "view is not an image in base64" in complaint(capsys, *shot)
     with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
         octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
 

@@ -78,7 +78,7 @@ def test_points_alone_become_a_texture(
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
         (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
         (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
-        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "no cloud that octex reads"),
+        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "not a point cloud that octex reads"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

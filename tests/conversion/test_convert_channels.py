@@ -189,7 +189,7 @@ def test_a_texture_holds_nothing_that_is_not_finite() -> None:
             {"channels": ["normal", "clearcoat"]},
             "unknown channel 'clearcoat'; there are: base_color, metallic",
         ),
-        ({"channels": []}, "channels must name one at least"),
+        ({"channels": []}, "channels must name at least one channel"),
         ({"dtype": "int8"}, "unknown dtype 'int8'; there are: uint8, uint16, float16, float32"),
         ({"dtype": {"alpha": "uint8"}}, "unknown channel of dtype 'alpha'; there are: base_color, metallic"),
         (

@@ -471,7 +471,11 @@ def test_a_mapped_picture_is_converted_on_every_side() -> None:
         ("box", {"size": (1, -1, 1)}, "size must be from 1e-30 to 1e+30, not -1"),
         ("box", {"size": (1, 1)}, "size must be numbers of shape (3,) or (), not (1, 1)"),
         ("box", {"size": "big"}, "size must be numbers of shape (3,) or (), not 'big'"),
-        ("spherical", {"size": 1}, "a spherical picture goes once around and from pole to pole: no size"),
+        (
+            "spherical",
+            {"size": 1},
+            "a spherical projection has no size: it goes once around and from pole to pole",
+        ),
         ("box", {"wrap": "tile"}, "unknown wrap 'tile'; there are: repeat, mirror, clamp"),
         ("box", {"wrap": ("clamp",)}, "wrap must be one name, or one for u and one for v, not ('clamp',)"),
         ("box", {"mag_filter": "cubic"}, "unknown mag_filter 'cubic'; there are: linear, nearest"),

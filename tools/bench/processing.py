@@ -10,7 +10,7 @@ from measuring import Report, Setup, Spent
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.processing.tone import look_up_codes
+from octex.processing.mapping import look_up_codes
 from octex.texture import Channel, OctreeTexture
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
