@@ -112,7 +112,7 @@ def test_frames_stay_with_their_corners() -> None:
     ("triangles", "error", "message"),
     [
         ([0, 24], ArgumentError, "parts has only triangles 0 to 23"),
-        ([-1], ArgumentError, "parts has triangles 0 to 23"),
+        ([-1], ArgumentError, "parts has only triangles 0 to 23"),
         ([0.0], ArgumentError, r"whole numbers of shape \(k,\), not float64 \(1,\)"),
         ([[0]], ArgumentError, r"not int64 \(1, 1\)"),
         (np.ones(24, bool), ArgumentError, "not bool"),

@@ -132,7 +132,7 @@ def test_margins_and_overlaps_that_do_not_fit_are_refused() -> None:
         surface.separated(0.0)
     with pytest.raises(ArgumentError, match=r"overlaps were computed with a margin of 0\.05"):
         surface.separated(0.1, surface.overlapping_parts(0.05))
-    with pytest.raises(ArgumentError, match="or of another surface"):
+    with pytest.raises(ArgumentError, match="or for another surface"):
         surface.separated(0.1, colored(cube([0, 0, 0])).overlapping_parts(0.1))
     with pytest.raises(ArgumentError, match="parts is separated already"):
         surface.separated(0.1).separated(0.2)
@@ -232,7 +232,7 @@ def test_a_separated_surface_is_where_its_texture_is() -> None:
     texture = octex.convert(apart, 4)
     assert apart.placed_in(texture) is apart
     assert np.array_equal(pair().rest_positions(texture), apart.rest)
-    with pytest.raises(ArgumentError, match="parts is separated, and the texture is not"):
+    with pytest.raises(ArgumentError, match="parts is separated otherwise than the texture"):
         apart.placed_in(octex.convert(pair(), 4))
     with pytest.raises(ArgumentError, match="otherwise than the texture"):
         pair().separated(0.3).placed_in(texture)

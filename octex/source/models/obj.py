@@ -251,7 +251,7 @@ def _bind(
         fault = f"{', '.join(libraries)} does not define the {what}, which {are} white; add what is missing"
         if library.missing:
             files = " and ".join(library.missing)
-            fault = f"{files} {lie} missing, so the {what} {are} white; put {them} beside the model"
+            fault = f"{files} {lie} missing, so the {what} {are} white; put {them} next to the model"
         warn(f"{path.name}: {fault}")
     known += [library.materials.get(name, Description()) for name in names]
     for first, end, material in uses:
