@@ -66,7 +66,7 @@ class Change(NamedTuple):
         Raises ArgumentError for a texture that is not as the one was from which the change was made.
         """
         if not _is_cut_from(self.before, texture, self.tiles):
-            raise ArgumentError("the change was made from another texture, or from this one as it was once")
+            raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
 
     def put_into(self, texture: OctreeTexture) -> OctreeTexture:

@@ -15,7 +15,7 @@ A renderer looks a texture up at every hit, inside its own compiled loop:
 filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
 that can be indexed, and return four, linear light for colours: those beyond a channel's components are
 zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
-no lock; a position that is no number is taken for the root cell's corner. These four are called in kernels
+no lock; a position that is not a number is taken for the root cell's corner. These four are called in kernels
 only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
 """
 

@@ -154,7 +154,7 @@ class Archive:
             except (DamagedError, ArgumentError) as error:
                 raise TextureFileError(f"{self._remote.address}: {error}") from error
             except (MemoryError, OverflowError):
-                raise TextureFileError(f"{self._remote.address}: needs more memory than there is") from None
+                raise TextureFileError(f"{self._remote.address}: does not fit into memory") from None
 
 
 #: A file elsewhere.
