@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.blend import list_taps
+from octex.field.blend import Listed, joined, listed
 from octex.field.field import Field, NotFiniteError
 from octex.field.footprints import NO_SLOPES, Probes
 from octex.field.lookups import ChannelRows, Lookup, Query, pass_on
@@ -18,7 +18,7 @@ from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
-_NO_ROWS = np.empty(0, np.uint32)
+_NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
 
 
 class TapList(NamedTuple):
@@ -39,12 +39,10 @@ def list_blends(
     query: Query,
     channel: ChannelRows,
     alpha: ChannelRows | None,
-) -> TapList:
+) -> Listed:
     """List what `lookups.look_up` blends of a channel. Raises NotFiniteError."""
     task = _Listing(field, placement, query, [channel], alpha, [], [])
-    if query.footprints is None:
-        return task.leaves_listed(points)
-    return task.footprints_listed(points)
+    return task.leaves_listed(points) if query.footprints is None else task.footprints_listed(points)
 
 
 class Reads(NamedTuple):
@@ -75,23 +73,16 @@ def reads_of(
 class _Listing(Lookup):
     """Lookups of one channel."""
 
-    def leaves_listed(self, points: Floats) -> TapList:
-        """List the blends of leaves."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-        for some, taps in self.each_block(points):
+    def leaves_listed(self, points: Floats) -> Listed:
+        found = []
+        for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
-            room = int((taps.ends - taps.starts).sum()) + 1
-            starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
-            shares = np.empty(room, np.float32)
-            list_taps(taps, 1.0, starts, found, shares, NO_SLOPES)
-            counts.append(np.diff(starts))
-            rows.append(found[: starts[-1]])
-            weights.append(shares[: starts[-1]])
-        return _join_parts(counts, rows, weights)
+            found.append(listed(taps, 1.0))
+        return joined(found)
 
-    def footprints_listed(self, points: Floats) -> TapList:
+    def footprints_listed(self, points: Floats) -> Listed:
         """List the blends of footprints: looks at all levels, added up."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        found = []
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
@@ -117,10 +108,9 @@ class _Listing(Lookup):
                 order = np.argsort(owner, kind="stable")
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
-            counts.append(np.bincount(owner, minlength=n_points))
-            rows.append(row)
-            weights.append(part.astype(np.float32))
-        return _join_parts(counts, rows, weights)
+            starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
+            found.append(Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS))
+        return joined(found)
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List what is read at each level."""
@@ -202,22 +192,3 @@ def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
     points = np.repeat(np.arange(counts.size), counts)
     before = np.cumsum(counts) - counts
     return points, np.arange(points.size) + (taps.starts - before)[points]
-
-
-def _join_parts(
-    counts: Sequence[Int64s], rows: Sequence[Uint32s] | Sequence[Int64s], weights: Sequence[Float32s]
-) -> TapList:
-    """Join the taps of runs of points, of which so many are each point's."""
-    return TapList(
-        np.cumsum(np.concatenate(counts)), np.concatenate(rows).astype(np.int64), np.concatenate(weights)
-    )
-
-
-def joined(lists: Sequence[TapList]) -> TapList:
-    """Join the taps of points, one list's after another's."""
-    if len(lists) == 1:
-        return lists[0]
-    none = np.zeros(1, np.int64), np.empty(0, np.int64), np.empty(0, np.float32)
-    _, *more = zip(none, *lists, strict=True)
-    counts = [none[0], *(np.diff(each.starts) for each in lists)]
-    return _join_parts(counts, *more)
