@@ -9,7 +9,18 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint32s
 from octex.field.taps import AT_ONCE, OFF, Taps, end_of
-from octex.field.values import NO_FIVE, Codes, Five, Flat, Four, flat_of, value_at, value_of, with_row
+from octex.field.values import (
+    NO_FIVE,
+    Codes,
+    Five,
+    Flat,
+    Four,
+    flat_of,
+    put_value,
+    value_at,
+    value_of,
+    with_row,
+)
 from octex.field.weights import NO_VIEW, Weighing, find_split, new_sight, view_of, weigh
 from octex.jit import fused_kernel, fused_part, inlined, kernel, part, prefetch
 
@@ -51,17 +62,6 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     return _sum(taps, n, flat, 4)
 
 
-@inlined
-def _put_value(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
-    results[np.uint64(at)] = a
-    if components > 1:
-        results[np.uint64(at + 1)] = b
-    if components > 2:
-        results[np.uint64(at + 2)] = c
-    if components > 3:
-        results[np.uint64(at + 3)] = d
-
-
 @part
 def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     """Write the values of rows (points,), which are cells."""
@@ -69,7 +69,7 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     flat_results = results.reshape(-1)
     for n in range(rows.size):
         a, b, c, d = value_of(flat, int(rows[np.uint64(n)]), components)
-        _put_value(flat_results, n * components, components, a, b, c, d)
+        put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @fused_kernel
@@ -87,12 +87,12 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
                 a, b, c, d = value_of(flat, int(taps.rows[taps.starts[n]]), components)
-                _put_value(flat_results, n * components, components, a, b, c, d)
+                put_value(flat_results, n * components, components, a, b, c, d)
                 continue
             a, b, c, d, total = _sum_any(taps, n, flat, components)
             inverse = 1.0 / total if total > 0.0 else 0.0
             a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
-            _put_value(flat_results, n * components, components, a, b, c, d)
+            put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @inlined

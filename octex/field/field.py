@@ -14,13 +14,14 @@ from octex.errors import TextureFileError
 from octex.field.blend import Listed, joined, listed
 from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
-from octex.field.sources import Batch, find_taps
+from octex.field.sources import find_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
     MOST_TILED,
     OFF,
     Ahead,
+    Batch,
     Taps,
     hold_outside,
     new_taps,

@@ -20,10 +20,10 @@ only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octe
 """
 
 from octex.kernels.arrays import arrays_of as arrays_of
-from octex.kernels.layout import LookupArrays as LookupArrays
-from octex.kernels.layout import Scratch as Scratch
-from octex.kernels.layout import new_scratch as new_scratch
+from octex.kernels.lookups import LookupArrays as LookupArrays
+from octex.kernels.lookups import Scratch as Scratch
 from octex.kernels.lookups import footprint as footprint
 from octex.kernels.lookups import linear as linear
 from octex.kernels.lookups import nearest as nearest
+from octex.kernels.lookups import new_scratch as new_scratch
 from octex.kernels.lookups import quadratic as quadratic

@@ -31,8 +31,7 @@ from octex.field.field import Field
 from octex.field.listing import TapList, list_blends
 from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
-from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
-from octex.texture.channel import Channel, as_channels
+from octex.texture.channel import NO_GRADIENTS, Channel, as_channels, make_unit, mixed_cells, stored
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
     ANISOTROPY,
