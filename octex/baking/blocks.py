@@ -20,7 +20,7 @@ from octex.field.values import Codes
 from octex.field.weights import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
-from octex.texture.blend import stored
+from octex.texture.channel import stored
 from octex.texture.lookup import ANISOTROPY
 from octex.tree.layout import SPLIT
 from octex.tree.placement import Placement

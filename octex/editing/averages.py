@@ -30,7 +30,7 @@ from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_b
 from octex.editing.split import rows_facing
 from octex.jit import decoded, kernel
 from octex.texture import Channel, OctreeTexture
-from octex.texture.blend import NO_TABLE
+from octex.texture.channel import NO_TABLE
 from octex.tree.areas import AREAS, SKIRT, area_codes
 from octex.tree.children import children_of
 from octex.tree.octree import Octree

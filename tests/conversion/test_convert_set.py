@@ -254,7 +254,7 @@ def test_what_has_no_parts_is_refused() -> None:
         octex.convert_set(cloud)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="rest is for one model; give parts that are at rest"):
         octex.convert_set({"a": tetrahedron()}, rest=tetrahedron().rest)
-    with pytest.raises(ArgumentError, match="a texture set needs one part at least"):
+    with pytest.raises(ArgumentError, match="a texture set needs at least one part"):
         octex.convert_set({})
 
 
