@@ -51,7 +51,7 @@ def joined(*parts: Paint) -> Paint:
 def channel_of(layer: OctreeTexture) -> ChannelFormat:
     """Return the channel that a layer paints; raise ArgumentError for a texture that is no layer."""
     if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
-        raise ArgumentError("a layer has one channel, and alpha: what paint covers")
+        raise ArgumentError("a layer must have one channel and alpha, its coverage")
     return layer.channels[painted_channel(layer)].format
 
 
@@ -161,5 +161,5 @@ def paint_on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint
     columns = zip(*found, strict=True)
     cells, *paint_on = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
     if (np.diff(cells) <= 0).any():
-        raise DefectError("paint lies twice on a cell, or out of order")
+        raise DefectError("paint has a cell twice, or its cells are out of order")
     return cells, Paint(*paint_on)

@@ -182,7 +182,7 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     if COVERED in texture.channels:
         had = texture.channels[COVERED]
         if had.format.components != 1 or had.format.space != "data":
-            raise ArgumentError(f"the texture's channel {COVERED!r} does not say what is covered")
+            raise ArgumentError(f"the texture's channel {COVERED!r} is not a coverage channel")
         form, kept = had.format, had.kept_values
         clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (had.values, had.split_values))
     else:

@@ -99,14 +99,14 @@ def room_for(
     """
     if memory is None:
         if folder is not None:
-            raise ArgumentError("folder has no meaning without memory, beyond which it is used")
+            raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")
         return nullcontext()
     pixels = sum(each.camera.width * each.camera.height for each in projections)
     if as_bytes(memory, "memory") >= _PIXEL_MEMORY * pixels:
         return nullcontext()
     place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
     if not place.is_dir():
-        raise ArgumentError(f"folder: {place} is no folder; name one that is there")
+        raise ArgumentError(f"folder: {place} is not a folder; name an existing one")
     return scratch(place)
 
 

@@ -75,7 +75,7 @@ class Box(NamedTuple):
             for corner, name in ((self.low, "low"), (self.high, "high"))
         )
         if (low > high).any():
-            raise ArgumentError(f"{self!r} is no region: its corners must be in order")
+            raise ArgumentError(f"{self!r} is not a box: low must not exceed high")
         (x, y, z), (u, v, w) = low.tolist(), high.tolist()
         return Box((x, y, z), (u, v, w), as_number(self.soft, "soft", 0.0, np.inf))
 

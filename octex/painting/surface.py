@@ -112,7 +112,7 @@ def laid_flat(
     if patch is None:
         return surface, projections
     if any(each.camera is not patch for each in projections):
-        raise ArgumentError("pictures through a patch are painted by themselves, those of each in a call")
+        raise ArgumentError("paint the pictures of each patch in a call of their own")
     if len(patch.surface.triangles) != len(surface.surface.triangles):
         raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
     flat = patch.surface if texture is None else patch.surface.placed_in(texture)

@@ -96,7 +96,7 @@ def refine_cameras(
         reference = as_whole(reference, "reference", 0, len(shown) - 1)
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
-        raise ArgumentError("patches are where they were laid; only cameras are refined")
+        raise ArgumentError("a patch cannot be refined; give pictures with cameras")
     painted, report = PaintedSurface(as_surface(surface)), as_progress(progress)
     if len(shown) == 1:
         return cameras

@@ -380,7 +380,7 @@ def test_layers_that_do_not_fit_are_refused() -> None:
     surface, camera = ball(), above(4.0, 32)
     texture = octex.convert(surface, 5)
     layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera), like=texture)
-    with pytest.raises(ArgumentError, match="a layer has one channel, and alpha"):
+    with pytest.raises(ArgumentError, match="a layer must have one channel and alpha"):
         octex.merge(texture, texture, surface)
     with pytest.raises(ArgumentError, match=r"the layer's root cell, .* is not the texture's"):
         octex.merge(octex.convert(surface, 3), layer, surface)
