@@ -63,7 +63,10 @@ def painted_channel(layer: OctreeTexture) -> str:
 def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     """Return the paint on a layer's leaves, level by level."""
     values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
-    flags = _painted_flags(layer)
+    flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)  # without SPLIT all of a cell is painted
+    rows = rows_of(layer.tree.split)
+    flags[rows.cells] = SPLIT
+    np.bitwise_or.at(flags, rows.cells, rows.bits * (coverage.split_values[:, 0] > 0))
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
         cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
@@ -75,20 +78,8 @@ def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     return found
 
 
-def _painted_flags(layer: OctreeTexture) -> Uint8s:
-    """Return the flags of paint on a layer's cells (cells,); without SPLIT all of a cell is painted."""
-    flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
-    rows = rows_of(layer.tree.split)
-    flags[rows.cells] = SPLIT
-    np.bitwise_or.at(flags, rows.cells, rows.bits * (layer.channels[ALPHA.name].split_values[:, 0] > 0))
-    return flags
-
-
 def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
-    """Say which cells (n,) have some of their facings left bare by the paint on them, of flags (n,).
-
-    Paint that tells no facings apart is on the cell as a whole.
-    """
+    """Say which cells (n,) have facings left bare by paint of flags (n,), which without SPLIT covers all."""
     bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)
     return bare
 

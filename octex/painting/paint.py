@@ -131,10 +131,7 @@ def painted(
     holes: Holes = "smooth",
     layers: list[OctreeTexture] | None = None,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
-    """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed.
-
-    The layers are appended to ``layers`` if that is given.
-    """
+    """Paint; yield the texture with each layer, and the change. Layers are appended to ``layers``."""
     surface, projections = laid_flat(job.surface, projections, texture)
     job = job._replace(surface=surface)
     for blend, group in groupby(projections, key=lambda projection: projection.blend):

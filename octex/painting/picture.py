@@ -92,11 +92,7 @@ class Projection:
 def room_for(
     projections: Sequence[Projection], memory: int | str | None, folder: str | os.PathLike[str] | None
 ) -> AbstractContextManager[object]:
-    """Have what pictures hold lie in files of a folder, until the end of the block, beyond some memory.
-
-    By default that is the folder of temporary files. Raises ArgumentError for what is no size, and for a
-    folder without one.
-    """
+    """Have what pictures hold beyond some memory lie in files of a folder, until the end of the block."""
     if memory is None:
         if folder is not None:
             raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")
@@ -111,10 +107,7 @@ def room_for(
 
 
 class Mips(NamedTuple):
-    """A picture and smaller ones, each half as wide and high.
-
-    A row is a pixel: up to three components, decoded, multiplied by alpha; and alpha.
-    """
+    """A picture and smaller ones, each half as wide and high; colours are multiplied by alpha."""
 
     pixels: Float32s  # (pixels of all mips, 4)
     sizes: Int64s  # (mips, 3)   first row, width, height
@@ -137,11 +130,7 @@ class Window(NamedTuple):
 def mips_of(
     projection: Projection, form: ChannelFormat, scale: float = 1.0, stages: Stages = NOT_STORED
 ) -> Mips:
-    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
-
-    Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
-    camera's.
-    """
+    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``."""
     return window_of(projection, form, scale, None, stages)[0]
 
 
@@ -204,10 +193,7 @@ def _window_of(
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:
-    """Return the part of a picture that is so near to some pixels, to whole multiples of that.
-
-    So the pixels of smaller mips are those of the whole picture's.
-    """
+    """Return the part within ``around`` pixels of paint, in multiples of it: mips keep their pixels."""
     ends = []
     for axis in (1, 0):  # of columns, and of rows
         size = has_paint.shape[axis]
@@ -343,9 +329,8 @@ def read_paint(
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return paint at pixel coordinates as a box of ``width`` pixels sees it: times alpha, and alpha.
 
-    Read by the spline of Catmull and Rom, which keeps what bilinear reading would blur (5 dB where cells are
-    as large as pixels): at the point if the box is a pixel or less; else at four points about it, in the
-    level whose pixels are next smaller, so that the variance is the box's.
+    Read by Catmull and Rom's spline (bilinear reading loses 5 dB): at the point if the box is a pixel or
+    less; else at four points of the next finer level, so that the variance is the box's.
     """
     if not width > 1.0:
         return _bicubic(mips, 0, x, y)

@@ -44,10 +44,7 @@ class Stages(NamedTuple):
         make: Callable[[], Mapping[str, Array]],
         is_sound: Callable[[Mapping[str, Array]], bool] = lambda _: True,
     ) -> Mapping[str, Array]:
-        """Return the arrays of a stage, mapped; make them if they are not there, or not sound.
-
-        Raises OutputError for a folder that does not store what is written there.
-        """
+        """Return the arrays of a stage, made if missing or unsound; OutputError if they do not stay."""
         if self.folder is None:
             return make()
         name = f"{stage}-{self.key.hex()}"
