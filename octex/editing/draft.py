@@ -247,11 +247,9 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
 
 def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
     """Say whether an edit has left all cells, split cells and kept nodes where they were."""
-    one, other = before.tree, after.tree
-    pairs = zip(
-        (*one.arrays[:3], *one.split, *one.kept), (*other.arrays[:3], *other.split, *other.kept), strict=True
-    )
-    return before.channels.keys() == after.channels.keys() and all(np.array_equal(*pair) for pair in pairs)
+    one, other = ([*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree))
+    is_same = all(np.array_equal(was, now) for was, now in zip(one, other, strict=True))
+    return is_same and before.channels.keys() == after.channels.keys()
 
 
 def _overwritten(
@@ -270,8 +268,10 @@ def _overwritten(
     ]
     here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
     there = np.concatenate([top, np.arange(end, draft.n_cells)])
-    rows, kept = rows_of(tree.split, here).rows, among(tree.kept.cells.astype(np.int64), here)
-    own_rows, own_kept = rows_of(draft.split, there).rows, among(draft.kept.cells.astype(np.int64), there)
+    targets, sources = (
+        (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))
+        for each, own in ((tree, here), (draft, there))
+    )
 
     def changed(whole: Array, was: Array, own: Array, at: Array, source: Array) -> Array:
         if np.array_equal(was, own):
@@ -286,9 +286,8 @@ def _overwritten(
     )
     channels = {}
     for name, (form, *stored) in texture.channels.items():
-        places = (here, there), (rows, own_rows), (kept, own_kept)
-        arrays = zip(stored, before.channels[name][1:], after.channels[name][1:], places, strict=True)
-        channels[name] = Channel(form, *(changed(*own, *at) for *own, at in arrays))
+        parts = stored, before.channels[name][1:], after.channels[name][1:], targets, sources
+        channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
     return texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
 
 

@@ -181,14 +181,20 @@ def _window_of(
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
         factor = window.of(shown) * factor
     if projection.key is not None:
-        factor = factor * ~_is_key(texels, projection.key)
+        if texels.dtype == np.uint16:
+            colors = texels[:, :, :3].astype(np.float32) / 257.0
+        else:
+            colors = (255.0 * linear_to_srgb(np.clip(texels[:, :, :3], 0, 1))).astype(np.float32)
+        key = np.asarray(projection.key, np.float32)
+        factor = factor * ~(np.abs(colors - key) <= _KEY_CODES).all(axis=2)
+        del colors
     del texels  # as large as what follows
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
     for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
-    pixels[:] = sharpened(pixels, _is_light(form))
+    pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
     return Mips(rows, sizes, limits), window
 
 
@@ -255,26 +261,10 @@ def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[
     return texels
 
 
-def _is_key(texels: npt.NDArray[np.uint16 | np.float32], key: Sequence[int]) -> Bools:
-    """Say which texels (height, width) are within _KEY_CODES of a colour of 8-bit codes."""
-    colors = texels[:, :, :3]
-    if texels.dtype == np.uint16:
-        codes = colors.astype(np.float32) / 257.0
-    else:
-        codes = (255.0 * linear_to_srgb(np.clip(colors, 0, 1))).astype(np.float32)
-    near: Bools = (np.abs(codes - np.asarray(key, np.float32)) <= _KEY_CODES).all(axis=2)
-    return near
-
-
 def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
     scale = np.float32(1.0 / _MOST_CODE if alpha.dtype == np.uint16 else 1.0)
     fractions: Float32s = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
     return fractions
-
-
-def _is_light(form: ChannelFormat) -> bool:
-    """Say whether a channel is of colours."""
-    return form.space in ("srgb", "linear")
 
 
 def _decoded(
@@ -283,7 +273,7 @@ def _decoded(
     """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
     pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
-        table = decode_table("uint16", "srgb" if _is_light(form) else form.space)
+        table = decode_table("uint16", "srgb" if form.space in ("srgb", "linear") else form.space)
         _decode(np.ascontiguousarray(texels, np.uint16), table, pixels)
     else:
         pixels[:, :, :3] = texels[:, :, :3]

@@ -203,7 +203,12 @@ def _spread(
     _propagate(vertices, faces, first, order // 3, known, reach, distances, angles)
     there = np.isfinite(distances)
     flat[there] = distances[there, None] * np.stack([np.cos(angles[there]), np.sin(angles[there])], axis=1)
-    return flat, _border_vertices(faces, len(vertices))
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
+    alone = keys[counts == 1]  # edges of one triangle
+    border = np.zeros(len(vertices), np.bool_)
+    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
+    return flat, border
 
 
 @kernel
@@ -279,16 +284,6 @@ def _stepped(
     low, high, own = np.arctan2(-s, q), np.arctan2(base - s, q), np.arctan2(x - s, y + q)
     share = (own - low) / (high - low) if high > low else crossing / base
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
-
-
-def _border_vertices(faces: Int64s, count: int) -> Bools:
-    """Say which vertices are on edges of one triangle alone."""
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
-    alone = keys[counts == 1]
-    border = np.zeros(count, np.bool_)
-    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
-    return border
 
 
 def _flat_surface(

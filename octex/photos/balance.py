@@ -67,7 +67,13 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
     paint, weights = paint[:, seen], weights[:, seen]
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
-    squares = np.stack([_radii(shot.mips, _pixels_of(shot, points)) for shot in source.shots]) ** 2
+    radii = []  # from pictures' middles, 1 in their corners
+    for shot in source.shots:
+        half = shot.mips.sizes[0, 1:] / 2
+        radii.append(
+            np.linalg.norm(np.nan_to_num(_pixels_of(shot, points)) - half, axis=1) / np.linalg.norm(half)
+        )
+    squares = np.minimum(np.stack(radii), 1.0) ** 2
     usable = (weights > 0)[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
     logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
     counted = usable.reshape(logs.shape).astype(np.float64)
@@ -75,7 +81,9 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     hold = np.full((len(paint), slopes.shape[2]), _HOLD_GAIN)
     hold[:, 3:] = _HOLD
     found = _agreed(logs, counted, slopes, hold)
-    while balance == "full" and (no_lens := _strongest(found[:, 3:]) > _MOST).any():
+    places = np.linspace(0, 1, 33)
+    powers = np.stack([places, places**2])
+    while balance == "full" and (no_lens := np.abs(found[:, 3:] @ powers).max(axis=1) > _MOST).any():
         hold[no_lens, 3:] = np.inf
         found = _agreed(logs, counted, slopes, hold)
     if balance == "gain":
@@ -96,13 +104,6 @@ def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s)
         values = logs + (slopes @ found[:, :, None])[..., 0]
         counts, _ = robust_weights(values, counted, _FAR)
         found += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
-    return found
-
-
-def _strongest(vignetting: Float64s) -> Float64s:
-    """Return the most by which vignetting (n, 2) changes logarithms of light anywhere in a picture."""
-    squares = np.linspace(0, 1, 33)
-    found: Float64s = np.abs(vignetting @ np.stack([squares, squares**2])).max(axis=1)
     return found
 
 
@@ -128,13 +129,6 @@ def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
     else:
         places = np.column_stack([x, y])
     return places @ shot.K[:2, :2].T + shot.K[:2, 2]
-
-
-def _radii(mips: Mips, pixels: Float64s) -> Float64s:
-    """Return how far pixel coordinates (n, 2) are from a picture's middle, 1 in its corners."""
-    half = mips.sizes[0, 1:] / 2
-    found: Float64s = np.linalg.norm(np.nan_to_num(pixels) - half, axis=1) / np.linalg.norm(half)
-    return np.minimum(found, 1.0)
 
 
 def evened(mips: Mips, vignetting: Float64s) -> Mips:

@@ -13,13 +13,15 @@ from octex.painting.multigrid import graph_of
 from octex.painting.options import PaintOptions
 from octex.painting.project import Projected
 from octex.painting.resume import Stages
-from octex.painting.sheets import Sheets, level_within, sheets_of
+from octex.painting.sheets import Sheets, sheets_of
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced, without_overexposed
 from octex.photos.labels import costs_of, exposed, feathered, labelled, levelling
 from octex.photos.sharpness import weighed_by_sharpness
 from octex.source.surface import Surface
+from octex.tree.layout import MAX_DEPTH
 from octex.tree.placement import Placement
+from octex.view.shading import face_normals
 from octex.voxelize.fragments import Blocks
 
 #: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
@@ -84,7 +86,9 @@ def best(
 ) -> BestPaint:
     """Return the same paint, from one picture for each patch of the surface."""
     most = _MOST_VIEWS // len(source.shots)
-    level = min(max(depth - _ABOVE, 0), level_within(surface, placement, most))
+    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
+    expected = np.log(most / max(area, 1e-30)) / np.log(4.0)  # the level that has so many cells
+    level = min(max(depth - _ABOVE, 0), int(np.clip(expected, 0, MAX_DEPTH)))
     sheets = sheets_of(surface, placement, level, executor)
     where = sheets.triangles, sheets.barycentric
     widths = (np.sqrt(np.minimum(sheets.areas, 1.0)) * placement.size / 2**level).astype(np.float32)
