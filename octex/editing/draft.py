@@ -247,8 +247,10 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
 
 def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
     """Say whether an edit has left all cells, split cells and kept nodes where they were."""
-    one, other = ([*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree))
-    is_same = all(np.array_equal(was, now) for was, now in zip(one, other, strict=True))
+    arrays: list[list[Array]] = [
+        [*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree)
+    ]
+    is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
     return is_same and before.channels.keys() == after.channels.keys()
 
 
