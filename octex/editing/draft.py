@@ -25,7 +25,7 @@ from octex.tree.children import children_before, groups_of, masks_of
 from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
-from octex.tree.split import counts_of
+from octex.tree.split import counts_of, rows_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
@@ -75,7 +75,11 @@ class Change(NamedTuple):
 
     def put_into(self, texture: OctreeTexture) -> OctreeTexture:
         """Return the texture from which the change was made with it."""
-        return self.after if self.tiles is None else put_back(texture, self.tiles, self.after)
+        if self.tiles is None:
+            return self.after
+        if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
+            return _overwritten(texture, self.tiles, self.before, self.after)
+        return put_back(texture, self.tiles, self.after)
 
 
 class Runs(NamedTuple):
@@ -245,6 +249,54 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
         texture = with_alpha(texture)
     return put_together(draft, texture, [(tiles, draft)])
+
+
+def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
+    """Say whether an edit has left all cells, split cells and kept nodes where they were."""
+    arrays: list[list[Array]] = [
+        [*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree)
+    ]
+    is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
+    return is_same and before.channels.keys() == after.channels.keys()
+
+
+def _overwritten(
+    texture: OctreeTexture, tiles: Tiles, before: OctreeTexture, after: OctreeTexture
+) -> OctreeTexture:
+    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied."""
+    tree, draft, level = texture.tree, after.tree, tiles.level
+    codes, is_node = tree.walked_to(level)
+    is_open = among(codes, tiles.codes)
+    first, end = tree.arrays.level_cells[level : level + 2].tolist()
+    top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
+    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
+    _, below, _ = _below([tree], _runs(np.zeros_like(numbers), numbers))
+    runs = [
+        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
+    ]
+    here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
+    there = np.concatenate([top, np.arange(end, draft.n_cells)])
+    targets, sources = (
+        (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))
+        for each, own in ((tree, here), (draft, there))
+    )
+
+    def changed(whole: Array, was: Array, own: Array, at: Array, source: Array) -> Array:
+        if np.array_equal(was, own):
+            return whole
+        made = whole.copy()
+        made[at] = own[source]
+        return made
+
+    flags, areas = (
+        changed(*arrays, here, there)
+        for arrays in zip(tree.arrays[3:], before.tree.arrays[3:], draft.arrays[3:], strict=True)
+    )
+    channels = {}
+    for name, (form, *stored) in texture.channels.items():
+        parts = stored, before.channels[name][1:], after.channels[name][1:], targets, sources
+        channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
+    return texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
 
 
 def put_together(

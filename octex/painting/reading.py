@@ -135,10 +135,7 @@ def _shaded(
     far: float,
     cosine: float,
 ) -> float:
-    """Return the cosine between the normal that a point shades by and the way to the camera, ``far`` long.
-
-    The normal is on the side of the triangle's own, whose ``cosine`` it has where there is none.
-    """
+    """Return the cosine between the normal that a point shades by and the way to the camera, ``far`` long."""
     (u, v, w), (x, y, z) = normal, point
     length = np.sqrt(u * u + v * v + w * w)
     if not length > 0.0:
@@ -157,10 +154,9 @@ def _read_beside(
     plane: tuple[float, float, float],
     slack: float,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint at a place as `read_paint` does, of pixels that see the same surface, and nothing else.
+    """Return paint at a place as `read_paint` does, but only of pixels that see the same surface.
 
-    In place of what others hold stands the mean of these, the nearer the more. ``pixel`` is where the camera
-    without distortion sees the place.
+    Their mean, the nearer the more, replaces others. ``pixel`` is the place before distortion.
     """
     (u, v), (x, y) = place, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
@@ -323,8 +319,7 @@ def mark_seen_blocks(
 ) -> None:
     """Mark the blocks with triangles that may be seen.
 
-    ``counts`` (height + 1, width + 1) are those of the pixels above and to the left that see anything. What
-    lies of a triangle in a block lies, seen along an axis, in a rectangle: that is looked for in the picture.
+    ``counts`` (height + 1, width + 1) are summed seen pixels: a triangle's part in a block is in a rectangle.
     """
     height, width = counts.shape[0] - 1, counts.shape[1] - 1
     for block in range(found.size):

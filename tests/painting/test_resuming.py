@@ -199,7 +199,7 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
     file.write_bytes(b"")
     for folder in (file, tmp_path / "a" / "b"):
         with pytest.raises(
-            OutputError, match=rf"{folder.name}: cannot keep what was done: .*choose a folder"
+            OutputError, match=rf"{folder.name}: cannot store intermediate results: .*choose a folder"
         ):
             octex.paint(None, surface, shown, resume=folder)
 

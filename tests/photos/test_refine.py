@@ -18,8 +18,7 @@ from octex.painting.picture import mips_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import workers
 from octex.photos import refine
-from octex.photos.poses import _read, adjusted, pixel_at
-from octex.photos.refine import _better
+from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import needs_jit
 from tests.make.command import OUT, painting
 from tests.make.painted import above, ball, picture_of
