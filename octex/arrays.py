@@ -47,7 +47,7 @@ def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
             return np.frombuffer(zeros_in(file, count), np.uint8)
     except OSError as error:
         raise OutputError(
-            f"{tempfile.gettempdir()}: has no place for {count:,} bytes: {error.strerror or error}; make room"
+            f"{tempfile.gettempdir()}: has no room for {count:,} bytes: {error.strerror or error}; make room"
         ) from error
 
 

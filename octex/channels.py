@@ -86,8 +86,8 @@ def check_range(values: Floats, form: ChannelFormat, dtype: str, name: str = "")
     for is_beyond, where in ((values > 1 + _ROUNDING, "above 1"), (values < -_ROUNDING, "below 0")):
         if is_beyond.any():
             raise ArgumentError(
-                f"{name}{': ' * bool(name)}channel {form.name!r} goes {where}, which {dtype} cannot hold; "
-                "give it the dtype float16 or float32"
+                f"{name}{': ' * bool(name)}channel {form.name!r} has values {where}, which {dtype} cannot "
+                "hold; give it the dtype float16 or float32"
             )
 
 

@@ -51,7 +51,7 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
 def as_array(given: Any) -> Array:
     """Return what is given as an array, not copied if it is one.
 
-    Rows of unequal lengths make one of shape () and of a type that is no number's, for the caller to refuse.
+    Rows of unequal lengths make one of shape () and of a type without numbers, for the caller to refuse.
     """
     try:
         return np.asarray(given)
@@ -119,7 +119,7 @@ def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentE
     except UnicodeError:  # lone surrogates
         named = False
     if not named:
-        raise refusal(f"{name}: no file can be named {path!r}")
+        raise refusal(f"{name}: {path!r} is not a valid file name")
     return Path(text)
 
 
@@ -161,7 +161,7 @@ def as_text(text: str, name: str) -> str:
 def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
     """Return what is given by name as a dict, or raise ArgumentError."""
     if not isinstance(given, Mapping):
-        raise ArgumentError(f"{name} must be a dict, with names, not {given!r}")
+        raise ArgumentError(f"{name} must be a dict with names as keys, not {given!r}")
     entries = dict(given)
     for each in entries:
         if not isinstance(each, str):
@@ -187,7 +187,7 @@ def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
         return [given]
     listed = list(given) if is_several(given) else []
     if not listed:
-        raise ArgumentError(f"there is no {name}: give octex.{kind.__name__}, one or several, not {given!r}")
+        raise ArgumentError(f"{name} is missing: give octex.{kind.__name__}, one or several, not {given!r}")
     for each in listed:
         if not isinstance(each, kind):
             raise ArgumentError(f"each {name} must be an octex.{kind.__name__}, not {each!r}")

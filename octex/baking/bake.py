@@ -116,7 +116,7 @@ def bake(
             raise ArgumentError(f"texture_size must be a multiple of {_STEP}, not {texture_size}")
     distance = np.inf if max_distance is None else as_number(max_distance, "max_distance", 0.0, np.inf)
     if source is None and max_distance is not None:
-        raise ArgumentError("max_distance says how far away source may be; give source too")
+        raise ArgumentError("max_distance limits the distance to source; give source too")
     report = as_progress(progress)
     other = None
     if source is None:
@@ -141,8 +141,8 @@ def bake(
             done += sheet.layout.height
     if source is not None and not shows_any:
         raise ModelError(
-            f"{source.name} has nothing that is near enough to {surface.name} and faces the same way; give a "
-            "larger max_distance, or another source"
+            f"{source.name} has no surface near {surface.name} that faces the same way; give a larger "
+            "max_distance, or another source"
         )
     baked = MaterialSource(
         materials, owners, surface.rest, surface.triangles,
@@ -208,7 +208,7 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list
             as_choice(name, texture.channels, "channel of the texture")
             as_choice(name, baked, "channel of materials")
     if not names:
-        raise ArgumentError(f"no channel to bake: materials have {', '.join(baked)}")
+        raise ArgumentError(f"no channel to bake: baking to a material needs one of {', '.join(baked)}")
     return names
 
 

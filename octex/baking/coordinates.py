@@ -46,8 +46,8 @@ def check_overlaps(
             shared = _differing(texture, mesh, names, layout, drawn)
     if shared > _MOST:
         raise ModelError(
-            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
-            "one texel would show several places that differ; have an atlas made"
+            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
+            "and the overlapping areas differ in colour; let octex make an atlas"
         )
 
 
@@ -69,8 +69,8 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
-            f"{mesh.name}: its texture coordinates are squeezed, so that on {100 * spread:.3g} % of it one "
-            "texel shows several places that differ; have an atlas made"
+            f"{mesh.name}: its texture coordinates are too small: on {100 * spread:.3g} % of it one "
+            "texel covers areas that differ in colour; let octex make an atlas"
         )
 
 

@@ -67,10 +67,10 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
     Raises ModelError if it has none, or if they repeat the map many times.
     """
     if mesh.uv is None:
-        raise ModelError(f"{mesh.name} has no texture coordinates to keep; have an atlas made")
+        raise ModelError(f"{mesh.name} has no texture coordinates to keep; let octex make an atlas")
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     if not np.isfinite(uv).all():
-        raise ModelError(f"{mesh.name}: texture coordinates are not all finite; have an atlas made")
+        raise ModelError(f"{mesh.name}: texture coordinates are not all finite; let octex make an atlas")
     whole = np.abs(uv - np.rint(uv)) < BEYOND
     uv = np.where(whole, np.rint(uv), uv)
     low, high = np.floor(uv.min(axis=1)), np.maximum(np.ceil(uv.max(axis=1)), np.floor(uv.min(axis=1)) + 1)
@@ -78,7 +78,7 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
     if (repeats.prod(axis=1) > _MOST_REPEATS).any():
         raise ModelError(
             f"{mesh.name}: texture coordinates of a triangle reach over "
-            f"{int(repeats.prod(axis=1).max()):,} squares; have an atlas made"
+            f"{int(repeats.prod(axis=1).max()):,} squares; let octex make an atlas"
         )
     faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
     starts = np.cumsum(repeats.prod(axis=1)) - repeats.prod(axis=1)

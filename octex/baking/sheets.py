@@ -99,7 +99,7 @@ def _kept(
         groups.setdefault(key, []).append(number)
     coordinates = [_coordinates(surface, materials[alike[0]]) for alike in groups.values()]
     if all(each is None for each in coordinates):
-        raise ModelError(f"{surface.name} has no texture coordinates to keep; have an atlas made")
+        raise ModelError(f"{surface.name} has no texture coordinates to keep; let octex make an atlas")
     for own, alike in zip(coordinates, groups.values(), strict=True):
         chosen = np.flatnonzero(np.isin(owners, alike)).astype(np.int32)
         shown = [materials[number] for number in alike]

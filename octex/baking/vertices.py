@@ -77,7 +77,7 @@ def bake_vertices(
     as_surface(surface)
     if BASE_COLOR.name not in texture.channels:
         names = ", ".join(texture.channels)
-        raise ArgumentError(f"vertex colours are of base_color; the texture has {names}")
+        raise ArgumentError(f"vertex colours need the channel base_color; the texture has {names}")
     longest = None
     if isinstance(subdivide, str):
         as_choice(subdivide, ("auto",), "subdivide")

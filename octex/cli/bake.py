@@ -43,9 +43,9 @@ def bake(options: Options, program: str) -> int:
         return _write_ptex(options, program, began)
     at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if at_vertices else ("images", _OF_VERTICES)
-    refuse(options, others, f"has no meaning with {work}")
+    refuse(options, others, f"cannot be used with {work}")
     if ending not in _WITH_UNIT:
-        refuse(options, ["--unit"], f"has no meaning for {options.OUTPUT}: such files state none")
+        refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
@@ -107,7 +107,7 @@ def bake(options: Options, program: str) -> int:
 def _write_ptex(options: Options, program: str, began: float) -> int:
     """Write a .ptx file: texels for the polygons of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
-    refuse(options, set(options.words) - allowed, f"has no meaning for {options.OUTPUT}")
+    refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_texture(options.TEXTURE)

@@ -328,11 +328,9 @@ def check_outputs(
         if path is None:
             continue
         if path.is_dir():
-            raise OutputError(f"{path}: is a folder; give {word} a file's name")
+            raise OutputError(f"{path}: is a folder; give {word} a file name")
         if Path(os.path.realpath(path)).is_symlink():
-            raise OutputError(
-                f"{path}: is a link that leads to itself; remove it, or give {word} another name"
-            )
+            raise OutputError(f"{path}: is a symbolic link to itself; remove it, or give {word} another name")
         known = list(endings)
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"

@@ -36,7 +36,7 @@ _FOR: dict[str, set[str]] = {
     "voxels": _STORED,
 }
 _WHY = {
-    "texture": "needs the model, and this is a texture made from one; see octex edit",
+    "texture": "needs the model, but this is a texture made from it; see octex edit",
     "cloud": "needs a surface, and these are points",
     "voxels": "is not for voxels, which have their own depth",
 }
@@ -55,9 +55,9 @@ def _check(options: Options) -> None:
         raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
     check_model(options, path)
     if options.depth is not None and options.cell is not None:
-        raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
+        raise ArgumentError("--depth and --cell both set the cell size; give one of them")
     if options.parts:
-        refuse(options, ("--separate", "--preview", "--memory"), "has no meaning with --parts")
+        refuse(options, ("--separate", "--preview", "--memory"), "cannot be used with --parts")
     if kind != "model":
         anywhere = {"--force", "--threads", "--quiet", "--json"}
         refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)

@@ -66,7 +66,7 @@ def _unknown(word: str) -> str:
     if word.startswith("-"):
         return f"{word} stands before the command: {known}"
     near = get_close_matches(word, _NAMES, 1)
-    return f"{word!r} is no command{f', do you mean {near[0]!r}' if near else ''}: {known}"
+    return f"{word!r} is not a command{f', do you mean {near[0]!r}' if near else ''}: {known}"
 
 
 def _overview() -> str:

@@ -49,9 +49,9 @@ def _check(options: Options, program: str) -> bool:
             raise ArgumentError(
                 f"{layers[0]}: is a layer; merge layers and paint pictures one after the other"
             )
-        refuse(options, set(options.words) - _OF_LAYERS, "has no meaning with layers")
+        refuse(options, set(options.words) - _OF_LAYERS, "cannot be used with layers")
     elif options.unwrap is not None:
-        refuse(options, ["--camera"], "has no meaning with --unwrap, which says what is seen")
+        refuse(options, ["--camera"], "cannot be used with --unwrap, which sets the view")
         if not options.IMAGE:
             raise ArgumentError(f"IMAGE is missing; see {program} --help")
     elif options.camera is None:
@@ -61,7 +61,7 @@ def _check(options: Options, program: str) -> bool:
     if options.blend == "erase" and options.TEXTURE is None:
         raise ArgumentError("there is no TEXTURE; there is nothing to erase")
     if options.reference is not None and options.balance is None and options.refine_cameras is None:
-        raise ArgumentError("--reference has no meaning without --balance or --refine-cameras")
+        raise ArgumentError("--reference needs --balance or --refine-cameras")
     files = [each for each in options.mask if not isinstance(each, tuple)]
     if len(options.mask) - len(files) > 1:
         raise ArgumentError("--mask gives several backdrop colours; give one")

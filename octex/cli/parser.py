@@ -177,4 +177,4 @@ class Parser:
         if others:
             self.error(f"{word} is an option of {', '.join(others)}, not of {self.program}")
         near = get_close_matches(word, self._options, 1, _ALIKE)
-        self.error(f"{word} is no option{f': do you mean {near[0]}' if near else ''}")
+        self.error(f"{word} is not an option{f': do you mean {near[0]}' if near else ''}")

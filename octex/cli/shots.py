@@ -158,12 +158,11 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
     own = [(frame.image, frame) for frame in frames if frame.image is not None]
     if not own:
-        raise CameraError(f"{file}: does not say where the pictures of its cameras are; give IMAGEs")
+        raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")
     missing = [frame.name for image, frame in own if not image.is_file()]
     if len(missing) == len(own):
         raise CameraError(
-            f"{file}: none of the {len(own)} pictures that it names is there: {_listing(missing)}; give "
-            "IMAGEs"
+            f"{file}: none of the {len(own)} pictures that it names exists: {_listing(missing)}; give IMAGEs"
         )
     return [(image, frame) for image, frame in own if image.is_file()], missing
 

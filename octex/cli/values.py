@@ -110,7 +110,7 @@ def texture_file(text: str) -> Path | Address:
     if not _is_texture(address.name):
         endings = " and NAME".join(TEXTURE_ENDINGS)
         raise ArgumentError(
-            f"{text} is an address; octex reads only textures, NAME{endings}, from one: download it first"
+            f"{text} is a URL; octex reads only textures, NAME{endings}, from one: download it first"
         )
     return address
 
@@ -118,16 +118,14 @@ def texture_file(text: str) -> Path | Address:
 def file_here(text: str) -> Path:
     """Read the name of a file on this machine that is read."""
     if is_address(text):
-        raise ArgumentError(f"{text} is an address, and this file is read here: download it first")
+        raise ArgumentError(f"{text} is a URL, and octex reads this file from disk: download it first")
     return Path(text)
 
 
 def output_file(text: str) -> Path:
     """Read the name of a file or folder that is written."""
     if is_address(text):
-        raise ArgumentError(
-            f"{text} is an address, and octex writes files of this machine; write one, and upload it"
-        )
+        raise ArgumentError(f"{text} is a URL, and octex writes to disk only; write a file, then upload it")
     return Path(text)
 
 
@@ -147,7 +145,7 @@ def one_of(*known: str) -> Callable[[str], str]:
 
     def read(text: str) -> str:
         if text not in known:
-            raise ArgumentError(f"{text!r} is none of {', '.join(known)}")
+            raise ArgumentError(f"{text!r} is not one of {', '.join(known)}")
         return text
 
     return read
@@ -158,7 +156,7 @@ def whole_number(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise ArgumentError(f"{text!r} is no whole number") from None
+        raise ArgumentError(f"{text!r} is not a whole number") from None
 
 
 def count(text: str) -> int:
@@ -173,7 +171,7 @@ def port_number(text: str) -> int:
     """Read a port of this machine."""
     number = whole_number(text)
     if not 1 <= number <= 65535:
-        raise ArgumentError(f"{number} is no port, 1 to 65535")
+        raise ArgumentError(f"{number} is not a port from 1 to 65535")
     return number
 
 
@@ -194,7 +192,7 @@ def _number(limits: str, fits: Callable[[float], bool]) -> Callable[[str], float
         try:
             number = float(text)
         except ValueError:
-            raise ArgumentError(f"{text!r} is no number") from None
+            raise ArgumentError(f"{text!r} is not a number") from None
         if not fits(number):
             raise ArgumentError(f"{text} is not {limits}")
         return number
@@ -221,7 +219,7 @@ def whole_codes(text: str) -> int:
     """Read an error in whole codes of stored integers."""
     number = codes(text)
     if number != int(number):
-        raise ArgumentError(f"{text} is not a whole number of codes")
+        raise ArgumentError(f"{text} must be a whole number")
     return int(number)
 
 
@@ -246,7 +244,7 @@ def bump(text: str) -> tuple[str, float]:
     """Read CHANNEL=HEIGHT."""
     name, equals, height = (part.strip() for part in text.partition("="))
     if not (name and equals):
-        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, like roughness=0.01")
+        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, such as roughness=0.01")
     return name, real(height)
 
 
@@ -266,7 +264,7 @@ def channel_names(text: str) -> list[str]:
         raise ArgumentError(f"{text!r} has an empty name; write base_color,normal")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise ArgumentError(f"{twice} is there twice")
+        raise ArgumentError(f"{twice} is named twice")
     return names
 
 
@@ -280,7 +278,7 @@ def dtypes(text: str) -> str | dict[str, str]:
         if not (name and equals):
             raise ArgumentError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
         if name in found:
-            raise ArgumentError(f"{name} is there twice")
+            raise ArgumentError(f"{name} is named twice")
         found[name] = one_of(*DTYPES)(dtype)
     return found
 
@@ -305,7 +303,9 @@ def projected(text: str) -> Projected:
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
-            raise ArgumentError(f"{setting!r} is none of axis=A, center=X,Y,Z, size=SIZE; like box:size=0.5")
+            raise ArgumentError(
+                f"{setting!r} is not one of axis=A, center=X,Y,Z, size=SIZE, such as box:size=0.5"
+            )
         try:
             found[name] = readers[name](value)
         except ArgumentError as error:
@@ -346,7 +346,7 @@ def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[
         try:
             numbers = tuple(float(number) for number in text.split(","))
         except ValueError:
-            raise ArgumentError(f"{text!r} is not numbers with commas between") from None
+            raise ArgumentError(f"{text!r} must be numbers separated by commas") from None
         if not all(abs(number) < _INFINITE for number in numbers):
             raise ArgumentError(f"{text} has numbers that are not finite")
         if not fits(numbers):

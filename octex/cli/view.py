@@ -89,17 +89,17 @@ def _check(options: Options, is_set: bool) -> None:
     if path is None and model is None:
         raise ArgumentError("TEXTURE is missing; see octex view --help")
     if path is None and kind_of(model) != "model":
-        raise ArgumentError(f"{model}: has no surface; octex convert makes a texture of it")
+        raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
-        refuse(options, ["--part"], f"has no meaning: {path or model} is no folder of parts")
+        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
     if model is None:
-        refuse(options, ["--rest", "--pose", "--subdiv"], "has no meaning without a MODEL")
+        refuse(options, ["--rest", "--pose", "--subdiv"], "needs a MODEL")
     if page is None:
         refuse(options, ["--max-size", "--force", "--json"], f"is for pages, NAME{PAGE_ENDING}")
     else:
-        refuse(options, ["--port", "--no-browser"], "has no meaning where a page is written")
+        refuse(options, ["--port", "--no-browser"], "cannot be used when a page is written")
         inputs = path, model, options.rest
         check_outputs([(page, (PAGE_ENDING,), "PAGE")], inputs, force=options.force)
 
@@ -108,7 +108,7 @@ def _surface_of(folder: Path, part: str, surface: Surface) -> Surface:
     """Return the triangles of a part of a set."""
     number = number_of(octex.TextureSet.open(folder), folder, part)
     if number > surface.parts.max():
-        raise ArgumentError(f"{surface.name} has {surface.parts.max() + 1} parts, and {folder} others")
+        raise ArgumentError(f"{surface.name} has {surface.parts.max() + 1} parts, but {folder} has others")
     return surface.part((surface.parts == number).nonzero()[0])
 
 

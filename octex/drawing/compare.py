@@ -136,9 +136,7 @@ def difference(
     textures = [side for side in sides if isinstance(side, OctreeTexture)]
     models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
     if not textures:
-        raise ArgumentError(
-            "two models have no points in common to compare them at; convert one of them first"
-        )
+        raise ArgumentError("two models cannot be compared with each other; convert one of them first")
     width = finest_edge(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
@@ -169,9 +167,7 @@ def difference(
         done += len(weights)
         report("compare", done, total)
     if not compared:
-        raise ArgumentError(
-            "the surfaces have nothing in common: is it the same model, at the same rest positions?"
-        )
+        raise ArgumentError("the surfaces do not overlap: do they have the same rest positions?")
 
     results = Differences()
     for name in spaces:
@@ -249,7 +245,7 @@ def placed(a: Side, b: Side) -> tuple[Side, Side]:
         return a, b.placed_in(a)
     if a.metadata.get(SEPARATION) != b.metadata.get(SEPARATION):
         raise ArgumentError(
-            "parts of these textures' surfaces were moved apart, and not by the same; compare each with its "
+            "parts of these textures' surfaces were separated by different distances; compare each with its "
             "model"
         )
     return a, b
@@ -291,7 +287,7 @@ def readers_of(
         meanings = [(MEASURES[form.space], form.components) for form in (first[name], second[name])]
         if meanings[0] != meanings[1]:
             one, other = (f"{components} {measure}" for measure, components in meanings)
-            raise ArgumentError(f"channel {name!r} means {one} in one and {other} in the other")
+            raise ArgumentError(f"channel {name!r} holds {one} in one texture and {other} in the other")
         spaces[name] = first[name].space
     fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
     a, b = (Reader(side, spaces, fades, width, filter) for side in sides)

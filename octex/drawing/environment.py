@@ -92,7 +92,7 @@ class Environment:
         height, width = light.shape[:2]
         if height > width:  # the faces of a cube, one below another
             raise ImageError(
-                f"{name} is no light from all around: its {width} × {height} texels are higher than wide; "
+                f"{name} is not an environment map: its {width} × {height} texels are taller than wide; "
                 "give a latitude-longitude map, twice as wide as high"
             )
         tables = _tables(_resampled(np.maximum(light, 0.0)) * 2.0**exposure)

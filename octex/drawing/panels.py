@@ -112,7 +112,7 @@ def draw_preview(
             Panel(coarse, f"level {level}", cells),
         ]
     else:
-        raise ArgumentError("a preview needs a surface, or a texture, or both")
+        raise ArgumentError("a preview needs a surface, a texture or both")
     for panel in panels:  # a zoomed model reaches below
         panel.picture[-room:] = background(*panel.picture.shape[:2])[-room:]
     return np.hstack([np.asarray(captioned(panel)) for panel in panels])

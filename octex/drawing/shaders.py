@@ -192,7 +192,7 @@ def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
     known = {form.name: form for form in formats}
     as_choice(bump[0], known, "channel to bend normals by")
     if known[bump[0]].space == "direction":
-        raise ArgumentError(f"{bump[0]} is directions; normals are bent by numbers or colours")
+        raise ArgumentError(f"{bump[0]} holds directions; bump needs numbers or colours")
     return bump[0]
 
 

@@ -176,7 +176,7 @@ class _Content:
         for name, given in inputs.items():
             lanes = _LANES.get(name, given.lanes)
             if any(given.offset) or (given.texture is not None and given.lanes[: len(lanes)] != lanes):
-                raise ModelError(f"glTF cannot say what the channel {name!r} is made of; bake it first")
+                raise ModelError(f"glTF cannot hold the source of channel {name!r}; bake it first")
         color, alpha = inputs.get("base_color", Input((1.0,) * 3)), inputs.get("alpha", Input((1.0,)))
         pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
         for name, factor in (("metallic", "metallicFactor"), ("roughness", "roughnessFactor")):

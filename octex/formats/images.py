@@ -94,7 +94,7 @@ def needed_colors(surface: Surface, ending: str) -> Float32s:
     colors = colors_of_vertices(surface)
     if colors is None:
         raise ModelError(
-            f"{surface.name}: {ending} files hold colours at vertices; bake these, or write a .glb"
+            f"{surface.name}: {ending} files hold colours at vertices; use bake_vertices, or write a .glb"
         )
     return colors
 
@@ -149,9 +149,7 @@ def image_file(
     in anything but "exr", and for that of anything but floats.
     """
     if (texels.dtype == np.float32) != (form == "exr"):
-        raise ModelError(
-            "images of floats are written as exr, and no others; bake with 32 bits for that, else with fewer"
-        )
+        raise ModelError("only exr holds images of floats; bake with 32 bits for exr, else with fewer")
     chosen = texels[..., lanes]
     if form == "exr":
         return _exr_file(chosen), form

@@ -57,7 +57,7 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are words of numpy's
     if taken:
         raise ArgumentError(
-            f"{path}: a .npz file has something else of the name {min(taken)!r}; leave that channel out "
+            f"{path}: a .npz file uses the name {min(taken)!r} itself; leave that channel out "
             "(octex edit --channels)"
         )
     arrays |= texture.sample(points, list(texture.channels))

@@ -101,7 +101,7 @@ def _described(
         if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
             continue
         if any(given.offset) or max(given.factor) > 1.0:
-            raise ModelError(f"an .mtl file cannot say what {channel!r} is made of; write a .glb")
+            raise ModelError(f"an .mtl file cannot scale {channel!r} above 1, or add to it; write a .glb")
         word, factor = _MAPS[channel]
         if given.texture is not None:
             if given.texture.slot != 0:

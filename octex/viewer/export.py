@@ -96,7 +96,7 @@ def write_page(
         level = _level_within(packed, len(page) - max_size)
         if level < 0:
             raise ArgumentError(
-                f"the page takes {len(page):,} bytes without any level; allow more than {max_size:,}"
+                f"the page takes {len(page):,} bytes even without any level; allow more than {max_size:,}"
             )
     with replacing(path) as file:
         file.write(page)

@@ -94,7 +94,7 @@ def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> l
         return [Part("", textures, surface)]
     if len(textures) > MOST_PARTS:
         raise ArgumentError(
-            f"a page shows {MOST_PARTS} parts at most, not {len(textures):,}; choose one of them"
+            f"a page shows at most {MOST_PARTS} parts, not {len(textures):,}; choose one of them"
         )
     if surface is None:
         return [Part(name, texture, None) for name, texture in textures.items()]

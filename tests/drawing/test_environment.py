@@ -365,11 +365,11 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         pictures[name] = png.read_bytes()
     assert len(set(pictures.values())) == 6
     for words, said in (
-        (["--exposure", "1"], "--exposure has no meaning without --light"),
+        (["--exposure", "1"], "--exposure needs --light"),
         (["--light", "missing.hdr"], "missing.hdr"),
         (["--bump", "roughness"], "is not CHANNEL=HEIGHT"),
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),
-        (["--bump", "base_color=1", *camera], "--bump has no meaning in a picture without --light"),
+        (["--bump", "base_color=1", *camera], "--bump needs --light"),
     ):
         assert said in run_refused(capsys, "draw", texture, model, tmp_path / "x.png", *words)
 

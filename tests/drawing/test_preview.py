@@ -330,7 +330,7 @@ def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_
 
 
 def test_a_preview_of_nothing_is_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="a surface, or a texture, or both"):
+    with pytest.raises(ArgumentError, match="a surface, a texture or both"):
         write_preview(tmp_path / "preview.png", None)
     assert not list(tmp_path.iterdir())
 

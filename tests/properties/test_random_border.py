@@ -52,7 +52,7 @@ def test_a_fault_is_told_with_its_arguments(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 REFUSED: list[tuple[Callable[..., object], dict[str, object], str]] = [
-    (octex.convert, {"sources": 5}, "sources must be a dict, with names, not 5"),
+    (octex.convert, {"sources": 5}, "sources must be a dict with names as keys, not 5"),
     (octex.convert, {"depth": 2.0}, "depth must be a whole number from 0 to 21, not 2.0"),
     (octex.convert, {"fit": "no"}, "fit must be True or False, not 'no'"),
     (octex.convert, {"model": "a\0.glb"}, "no file can be named 'a.x00.glb'"),

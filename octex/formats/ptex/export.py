@@ -116,11 +116,11 @@ def _names(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
     if channels is None:
         names = [name for name in (BASE_COLOR.name, ALPHA.name) if name in texture.channels]
         if not names:
-            raise ArgumentError(f"the texture has no {BASE_COLOR.name}; say which channels to write")
+            raise ArgumentError(f"the texture has no {BASE_COLOR.name}; name the channels to write")
         return names
     names = as_names(channels, "channels")
     if not names:
-        raise ArgumentError("channels must name one at least")
+        raise ArgumentError("channels must name at least one channel")
     for name in names:
         as_choice(name, texture.channels, "channel of the texture")
     return list(names)
@@ -190,10 +190,10 @@ def _sizes(
 
     most = _MOST_TEXELS if texels is None else as_whole(texels, "texels", 1, _MOST_TEXELS)
     if total(-60.0) > most:
-        raise ArgumentError(f"texels must be {patches.n_faces} at least, one for each face, not {most}")
+        raise ArgumentError(f"texels must be at least {patches.n_faces}, one for each face, not {most}")
     if texels is None:
         if total(0.0) > most:
-            raise ModelError(f"{surface.name} would have {total(0.0):.3g} texels; say how many there may be")
+            raise ModelError(f"{surface.name} would have {total(0.0):.3g} texels; limit them by texels=N")
         return rounded(0.0)
     low, high = -60.0, 60.0
     for _ in range(60):

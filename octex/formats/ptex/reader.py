@@ -88,10 +88,10 @@ class PtexFile:
         self._size = self._file.seek(0, os.SEEK_END)
         header = self._record(layout.HEADER, 0)
         if header["magic"] != layout.MAGIC:
-            raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
+            raise self._refusal("it does not begin as Ptex files do", "is not a .ptx file")
         if header["version"] != layout.VERSION:
             raise ModelError(
-                f"{self.path.name} is of Ptex version {header['version']}; octex reads {layout.VERSION}"
+                f"{self.path.name} has Ptex version {header['version']}; octex reads {layout.VERSION}"
             )
         if header["mesh_type"] >= len(layout.MESH_TYPES) or header["data_type"] >= len(layout.DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")

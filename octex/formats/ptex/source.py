@@ -69,7 +69,8 @@ def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
     others = [channel for channel in range(file.n_channels) if channel != alpha]
     if len(others) not in (1, 3):
         raise ModelError(
-            f"{file.path.name} has {file.n_channels} numbers a texel; octex knows 1 to 4: colour and alpha"
+            f"{file.path.name} has {file.n_channels} components per texel; octex reads 1 to 4: "
+            "colour and alpha"
         )
     lanes = others if len(others) == 3 else others * 3
     made = [(BASE_COLOR, lanes)]
