@@ -36,10 +36,7 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 
 
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
-    """Return so many bytes of 0: in memory, or if they are more in a temporary file, whose pages may go.
-
-    Raises OutputError where there is no room for that file.
-    """
+    """Return zero bytes, of many in a temporary file, whose pages may go; OutputError without room."""
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
     try:

@@ -107,10 +107,7 @@ def is_absolute(path: str) -> bool:
 
 
 def referred(folder: Path, name: str) -> Path:
-    """Return the place of a file that another one in ``folder`` names.
-
-    Raises OSError for an absolute path, Windows' or other: a file that is given away must not name others'.
-    """
+    """Return the path of a file named by one in ``folder``; raises OSError for an absolute path."""
     if is_absolute(name):
         raise OSError(
             errno.EINVAL, "absolute paths are not followed; name it from the referring file's folder"
@@ -120,10 +117,7 @@ def referred(folder: Path, name: str) -> Path:
 
 @contextlib.contextmanager
 def undone_on_failure(undo: Callable[[], None]) -> Iterator[None]:
-    """Call ``undo`` if the block fails or the process ends in it.
-
-    ``undo`` may be called when nothing is made yet, when all is made and complete, and twice.
-    """
+    """Call ``undo``, at any time and perhaps twice, if the block fails or the process ends in it."""
     key = object()
     with _undone_by_sigterm():
         _undos[key] = undo

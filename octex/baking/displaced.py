@@ -230,10 +230,7 @@ def _bend(
     slopes: Float64s,
     bent: Float64s,
 ) -> None:
-    """Add up the normals of the displaced surface at vertices (n, 3), a unit vector for each parent there.
-
-    Two sides of each parent move with the surface: a tangent t becomes t + (∂h) n + h ∂n.
-    """
+    """Add up normals of the displaced surface (n, 3): a tangent t becomes t + (∂h) n + h ∂n."""
     for p in range(len(points)):
         t, v = owners[p], points[p]
         normal = row_of(directions, v)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, bytes_text, check_outputs, tell
+from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import bare_model, frame_of, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import patch_of
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ArgumentError
 from octex.files import replacing
 
 if TYPE_CHECKING:
@@ -45,18 +45,12 @@ def draw(options: Options, program: str) -> int:
     _check(options, kind)
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
         width, height = _draw(options, kind, program)
-    size, seconds = options.OUTPUT.stat().st_size, time.perf_counter() - began
-    made = {"output": str(options.OUTPUT), "size": [width, height], "bytes": size}
-    made["seconds"] = round(seconds, 3)
-    lines = [f"{options.OUTPUT}: {width}×{height} pixels, {bytes_text(size)}, {seconds:.1f} s"]
-    if options.empty_layer is not None:
-        made["layer"] = str(options.empty_layer)
-        lines.append(f"{options.empty_layer}: an empty layer of its size")
-    if options.camera_out is not None:
-        made["camera"] = str(options.camera_out)
-        lines.append(f"{options.camera_out}: its camera")
-    tell(options, made, *lines)
-    return ExitCode.DONE
+    others = {
+        "layer": (options.empty_layer, "an empty layer of its size"),
+        "camera": (options.camera_out, "its camera"),
+    }
+    made = {"size": [width, height]}
+    return tell_file(options, began, f"{width}×{height} pixels", made, others=others)
 
 
 def _check(options: Options, kind: str) -> None:

@@ -56,14 +56,6 @@ def open_texture(path: Path | Address) -> OctreeTexture:
     return texture
 
 
-def open_set(folder: Path, part: str | None = None) -> OctreeTexture | TextureSet:
-    """Open a folder of parts, or one part of it, and validate it."""
-    textures = octex.TextureSet.open(folder)
-    found = textures if part is None else textures[textures.names[number_of(textures, folder, part)]]
-    found.validate()
-    return found
-
-
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:
     """Return the number of a part of a folder."""
     from octex.checks import as_choice
@@ -124,19 +116,8 @@ def check_model(options: Options, path: Path | Address) -> None:
     _sources(options)
 
 
-def model_files(options: Options) -> list[Path]:
-    """Return the files that are read besides a model."""
-    given = [each.path if isinstance(each, FunctionName) else each for _, each in options.source]
-    return [
-        each for each in [*given, options.rest, options.transfer, *options.also] if isinstance(each, Path)
-    ]
-
-
 def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surface:
-    """Read a model, or FILE.py:NAME, at rest, with its channels from wherever the options say.
-
-    ``extra`` channels are read too if the model has them.
-    """
+    """Read a model or FILE.py:NAME at rest with its channels, ``extra`` ones too if the model has them."""
     sources = {**_transferred(options), **_sources(options)}
     for channel, given in sources.items():
         if isinstance(given, FunctionName):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_outputs, facts, fail, identity, tell
+from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.layers import Painting, channel_of, with_entries
 from octex.cli.options import DEFAULT_CHANNEL
@@ -128,17 +128,14 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 with_entries(layers[0], surface, entries).save(options.layer_out)
             made.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
-    number = f"{len(names):,} {'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''} painted, "
-    told, lines = facts(made, options.OUTPUT, time.perf_counter() - began, number)
-    told |= {"painted": names, "skipped": list(skipped)}
-    if options.layer_out is not None:
-        told["layer"] = str(options.layer_out)
-        lines.append(f"{options.layer_out}: the paint alone")
-    if options.preview is not None:
-        told["preview"] = str(options.preview)
-        lines.append(f"{options.preview}: a picture of it")
-    tell(options, told, *lines)
-    return ExitCode.DONE
+    kind = f"{'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''}"
+    text, facts = facts_of(made)
+    facts |= {"painted": names, "skipped": list(skipped)}
+    others = {
+        "layer": (options.layer_out, "the paint alone"),
+        "preview": (options.preview, "a picture of it"),
+    }
+    return tell_file(options, began, f"{len(names):,} {kind} painted, {text}", facts, others=others)
 
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:

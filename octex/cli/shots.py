@@ -60,10 +60,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
 ) -> tuple[Surface, list[Shot]]:
-    """Return the surface with the disc of --unwrap laid flat, and the pictures of that.
-
-    The unedited view is drawn again, to find the pixels that differ.
-    """
+    """Return the surface with the disc of --unwrap laid flat, and the pictures of that."""
     from octex.drawing.views import as_png, draw_paintable
     from octex.source.images.decode import image_size
 

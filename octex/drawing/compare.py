@@ -7,7 +7,7 @@ both sides have alpha, their light is multiplied by it first: what nobody sees d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -216,7 +216,14 @@ class Reader:
 
     def read(self, points: Points) -> dict[str, Float64s]:
         """Return values (n, components) by channel."""
-        values = self._values(points)
+        values: Mapping[str, Float32s]
+        if isinstance(self._side, OctreeTexture):
+            values = self._side.sample(points.rest, self._names, self._filter, normalize=False)
+        else:
+            assert points.triangles is not None and points.barycentric is not None
+            widths = np.full(len(points.rest), self._width, np.float32)
+            rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
+            values = by_channel(self._side.channels, rows)
         measured = {}
         for name, space in self.spaces.items():
             measured[name] = np.asarray(values[name], np.float64)
@@ -225,20 +232,9 @@ class Reader:
                 measured[name] = 255 * linear_to_srgb(light)
         return measured
 
-    def _values(self, points: Points) -> dict[str, Float32s]:
-        if isinstance(self._side, OctreeTexture):
-            return self._side.sample(points.rest, self._names, self._filter, normalize=False)
-        assert points.triangles is not None and points.barycentric is not None
-        widths = np.full(len(points.rest), self._width, np.float32)
-        rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
-        return by_channel(self._side.channels, rows)
-
 
 def placed(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides, a model at the rest positions that the texture has.
-
-    Raises ArgumentError for parts that were moved apart in one texture and not, or otherwise, in the other.
-    """
+    """Return both sides, a model at the rest positions of the texture; refuse parts separated otherwise."""
     if isinstance(a, Surface):
         return (a.placed_in(b), b) if isinstance(b, OctreeTexture) else (a, b)
     if isinstance(b, Surface):
@@ -267,11 +263,7 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:
-    """Return readers of the same channels, by default all that both have; models are averaged over width.
-
-    Raises ArgumentError for channels that are not in both or do not mean the same in both, and for an unknown
-    filter.
-    """
+    """Return readers of the same channels, by default all that both have; models are averaged over width."""
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
@@ -332,10 +324,7 @@ def _area(side: Side) -> float:
 
 
 def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
-    """Return a function of cubes, centres (n, 3) and edges (n,), that tells whether a leaf meets each.
-
-    Without edges the cubes are as large as the texture's finest cells.
-    """
+    """Return a function that tells which cubes, by default finest cells, meet a leaf."""
     level_of = cache(texture.level)
     # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
     inset = texture.placement.size * 2.0**-29

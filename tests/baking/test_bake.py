@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 import octex
 from octex.baking import atlas
 from octex.baking.coordinates import stretches_of
-from octex.baking.fit import fit_rows, lacking
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbors, unit_area
+from octex.baking.maps import fit_rows, lacking
 from octex.baking.texels import draw_texels, texel_points
 from octex.channels import encode, linear_to_srgb
 from octex.cli import main as cli
@@ -616,7 +616,7 @@ def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:
     with pytest.raises(ArgumentError, match="give source too"):
         octex.bake(texture, simple, max_distance=0.1)
     away = Surface.from_arrays(square + 9.0, [[0, 1, 2], [0, 2, 3]], uv=(square[:, :2] + 1) / 2)
-    with pytest.raises(ModelError, match="has nothing that is near enough to surface and faces the same"):
+    with pytest.raises(ModelError, match="has no surface near surface that faces the same"):
         octex.bake(texture, away, source=fine, max_distance=0.01, texture_size=64)
 
 

@@ -88,7 +88,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "a.glb b.octex --dtype normal=uint16,alpha",
-            "--dtype: 'alpha' is not NAME=TYPE, like normal=uint16; see octree-convert --help",
+            "--dtype: 'alpha' is not NAME=TYPE, such as normal=uint16; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype normal=uint16,normal=uint8",
@@ -101,7 +101,8 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "a.glb b.octex --source roughness",
-            "--source: 'roughness' is not CHANNEL=FILE, like roughness=rough.png; see octree-convert --help",
+            "--source: 'roughness' is not CHANNEL=FILE, such as roughness=rough.png; "
+            "see octree-convert --help",
         ),
         (
             "a.glb b.octex --source alpha=1 --source alpha=0",

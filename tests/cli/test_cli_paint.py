@@ -402,7 +402,7 @@ def test_a_background_is_one_of_the_channels_values(
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     given = [*new, "--holes", "1,2,3", "--channel"]
     assert "give a grey" in complaint(capsys, *given, "roughness")
-    assert "normal has directions" in complaint(capsys, *given, "normal")
+    assert "normal holds directions" in complaint(capsys, *given, "normal")
 
 
 # --- pictures and frames

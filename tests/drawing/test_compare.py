@@ -190,7 +190,9 @@ def test_only_the_channels_asked_for_are_compared() -> None:
 
 def test_a_channel_that_means_something_else_is_refused() -> None:
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
-    with pytest.raises(ArgumentError, match="'own' means 3 sRGB codes in one and 1 fractions in the other"):
+    with pytest.raises(
+        ArgumentError, match="'own' holds 3 sRGB codes in one texture and 1 fractions in the other"
+    ):
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 
 

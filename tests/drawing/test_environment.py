@@ -247,7 +247,7 @@ def test_numbers_out_of_range_are_refused(wrong):
 
 
 def test_a_picture_higher_than_wide_is_no_map_of_all_directions():
-    with pytest.raises(ImageError, match="its 4 × 24 texels are higher than wide"):
+    with pytest.raises(ImageError, match="its 4 × 24 texels are taller than wide"):
         Environment.of(np.ones((24, 4, 3), np.float32))
 
 
@@ -322,7 +322,7 @@ def test_a_bump_bends_normals_as_a_surface_that_is_displaced():
     )
     with pytest.raises(ArgumentError, match="unknown channel to bend normals by 'height'"):
         texture_shader(texture, bump=("height", 1.0))
-    with pytest.raises(ArgumentError, match="normal is directions"):
+    with pytest.raises(ArgumentError, match="normal holds directions"):
         source_shader(
             _plain(normal=lambda rest: np.tile([0.0, 0.0, 1.0], (len(rest), 1))), bump=("normal", 1.0)
         )

@@ -314,7 +314,7 @@ def test_a_full_disk_under_an_archive_names_the_folder(
     monkeypatch.setattr("octex.archive.head.zeros", partial(arrays.zeros, most_in_memory=0))
     monkeypatch.setattr(arrays, "zeros_in", full)
     for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
-        with pytest.raises(OutputError, match=r"has no place for .* bytes: No space left on device"):
+        with pytest.raises(OutputError, match=r"has no room for .* bytes: No space left on device"):
             octex.open(path)
 
 

@@ -537,7 +537,7 @@ def test_the_help_lists_the_mappings_of_the_library() -> None:
             "--project box:axis=w",
             "--project: axis: 'w' is not one of x, -x, y, -y, z, -z; see octree-convert --help",
         ),
-        ("--project box:center=1,2", "--project: center: '1,2' is not X,Y,Z, like 0,0.5,1; see"),
+        ("--project box:center=1,2", "--project: center: '1,2' is not X,Y,Z, such as 0,0.5,1; see"),
         ("--project box:center=a,b,c", "--project: center: 'a,b,c' must be numbers separated by commas; see"),
         ("--project box:center=1,nan,2", "--project: center: 1,nan,2 has numbers that are not finite; see"),
         (

@@ -458,7 +458,7 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tm
     with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
         write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
     many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})
-    with pytest.raises(ArgumentError, match="a page shows 255 parts at most, not 256; choose one of them"):
+    with pytest.raises(ArgumentError, match="a page shows at most 255 parts, not 256; choose one of them"):
         write_page(many, tmp_path / "many.html")
     size = (tmp_path / "set.html").stat().st_size
     notes = write_page(textures, tmp_path / "small.html", surface, max_size=size - 1)

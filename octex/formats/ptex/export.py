@@ -134,11 +134,7 @@ def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> s
 
 
 def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
-    """Return the greatest lengths (faces, 2) of derivatives along u and v on the limit surface.
-
-    They are those of chords of a fourth of a quad's side, which stay finite at extraordinary vertices.
-    Triangles have those of their edges.
-    """
+    """Return greatest derivatives (faces, 2) on the limit surface, by chords of ¼ of a side."""
     if patches.is_triangle:
         return stretches(patches, surface.vertices)
     divided = subdivide(surface, 2)
@@ -163,10 +159,7 @@ def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
 def _sizes(
     texture: OctreeTexture, surface: Surface, patches: Patches, lengths: Float64s, texels: int | None
 ) -> Int8s:
-    """Return how many texels faces get along u and v (faces, 2), as powers of two.
-
-    ``lengths`` (faces, 2) are those of the derivatives along these.
-    """
+    """Return log2 of faces' texels along u and v (faces, 2) for derivatives of ``lengths``."""
     finest = np.full(patches.n_faces, np.inf)
     numbers = np.arange(patches.n_faces, dtype=np.int32)
     for v in _LOOKED_AT:
@@ -299,10 +292,7 @@ def _fitted(
 
 
 def _at(patches: Patches, log2: Int8s, within: Int64s, shares: Float64s) -> Float64s:
-    """Return (u, v) of samples of texels (n, k, 2): of the numbers ``within`` (n,) faces of so many (n, 2).
-
-    ``shares`` (k, 2) are how far the samples are along a texel's sides.
-    """
+    """Return (u, v) of samples (n, k, 2), at ``shares`` (k, 2) of the sides of texels ``within`` faces."""
     across = log2[:, 0].astype(np.int64)
     row, column = within >> across, within & (np.int64(1) << across) - 1
     sides = np.exp2(log2)[:, None]

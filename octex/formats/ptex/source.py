@@ -15,7 +15,7 @@ from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.formats.ptex.field import TexelField
 from octex.formats.ptex.patches import check_fit, patches_of
-from octex.formats.ptex.reader import PtexFile, all_texels
+from octex.formats.ptex.reader import PtexFile
 from octex.source.base import Placeable, Source
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
@@ -102,7 +102,7 @@ class _PtexSource(Source):
     def __init__(self, file: PtexFile, forms: Sequence[tuple[ChannelFormat, list[int]]], mesh: Mesh) -> None:
         self._patches = patches_of(mesh, file.mesh_type)
         check_fit(mesh, self._patches, file.faces, file.path.name)
-        texels, log2 = all_texels(file)
+        texels, log2 = file.all_texels()
         columns, made = [], []
         for form, lanes in forms:
             space = form.space if texels.dtype.kind == "u" or form.space != "srgb" else "linear"
