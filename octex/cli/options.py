@@ -115,7 +115,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.real: "--exposure",
     v.codes: "--max-error --vertex-error",
     v.whole_codes: "--loss",
-    v.text_value: "--detail --pose --channel --part",
+    str: "--detail --pose --channel --part",
     v.channel_names: "--channels",
     v.dtypes: "--dtype",
     v.file_size: "--memory --max-size",

@@ -1045,7 +1045,7 @@ def test_a_device_is_not_read():
 def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "cannot be read: No such file" in refusal(tmp_path / "missing.json")
     assert "cannot be read" in refusal(tmp_path / ("long" * 1000))
-    assert "no file can be named" in refusal("a\0b")
+    assert "is not a valid file name" in refusal("a\0b")
 
 
 @pytest.mark.parametrize(

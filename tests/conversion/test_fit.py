@@ -183,7 +183,7 @@ def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_n
     bright = FaceSource((LIGHT._replace(dtype=dtype),), [[9.0] * 3, [0.0] * 3, [1.5] * 3, [0.0] * 3])
     light = octex.convert(Surface(TETRAHEDRON, FACES, bright), 3).channels["emissive"]
     assert light.values.max() > 9
-    with pytest.raises(ArgumentError, match="channel 'emissive' goes above 1, which uint8 cannot hold"):
+    with pytest.raises(ArgumentError, match="channel 'emissive' has values above 1, which uint8 cannot hold"):
         octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
 
 

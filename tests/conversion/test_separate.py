@@ -432,7 +432,7 @@ def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.Capt
 def test_bad_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = written(tmp_path, cube([0, 0, 0]))
     said = refusal(capsys, "--separate=far", model, tmp_path / "a.octex")
-    assert "'far' is no number" in said
+    assert "'far' is not a number" in said
     assert "0.5 is not a number of cells from 1 to a million" in refusal(
         capsys, model, "a.octex", "--separate", 0.5
     )

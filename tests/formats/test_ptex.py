@@ -395,9 +395,9 @@ def test_what_cannot_be_written_is_refused(house: Path, tmp_path: Path) -> None:
     texture = octex.convert(surface, 3)
     for change, said in (
         ({"channels": ["roughness"]}, "roughness"),
-        ({"channels": []}, "one at least"),
+        ({"channels": []}, "name at least one"),
         ({"dtype": "int8"}, "dtype"),
-        ({"texels": 3}, "14 at least"),
+        ({"texels": 3}, "at least 14"),
         ({"path": tmp_path / "made.png"}, r"\.ptx"),
     ):
         with pytest.raises(ArgumentError, match=said):

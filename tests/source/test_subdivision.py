@@ -321,9 +321,9 @@ def test_subdiv_levels_is_an_option(tmp_path: Path, capsys: pytest.CaptureFixtur
     path.write_text("\n".join(lines))
     out = str(tmp_path / "a.octex")
     for words, message in (
-        (["--subdiv", "limit"], "--subdiv: 'limit' is no whole number"),
+        (["--subdiv", "limit"], "--subdiv: 'limit' is not a whole number"),
         (["--subdiv", "0"], "levels must be a whole number from 1 to 10"),
-        (["--subdiv", "1,cage"], "--subdiv: 'cage' is none of hull, limit"),
+        (["--subdiv", "1,cage"], "--subdiv: 'cage' is not one of hull, limit"),
     ):
         assert main(["convert", str(path), out, *words]) == 2
         assert message in capsys.readouterr().err

@@ -405,7 +405,7 @@ def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> 
     assert notes[0] == f"depth 4 of 5, to fit {size - 1:,} bytes"
     assert (tmp_path / "cut.html").stat().st_size < size
     with pytest.raises(
-        ArgumentError, match=r"the page takes .* bytes without any level; allow more than 100"
+        ArgumentError, match=r"the page takes .* bytes even without any level; allow more than 100"
     ):
         write_page(texture, tmp_path / "none.html", max_size=100)
 
@@ -458,7 +458,7 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tm
     with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
         write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
     many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})
-    with pytest.raises(ArgumentError, match="a page shows 255 parts at most, not 256; choose one of them"):
+    with pytest.raises(ArgumentError, match="a page shows at most 255 parts, not 256; choose one of them"):
         write_page(many, tmp_path / "many.html")
     size = (tmp_path / "set.html").stat().st_size
     notes = write_page(textures, tmp_path / "small.html", surface, max_size=size - 1)
@@ -487,7 +487,7 @@ def test_octex_view_writes_pages(made: Path, model: Path, capsys: pytest.Capture
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
     result(capsys, "view", made, page, "--force", "--quiet", "--max-size", "500kB")
     assert 'id="data-0-mesh"' not in page.read_text("utf-8")
-    assert "'much' is no size, like 20MB" in refusal(capsys, "view", made, page, "--max-size", "much")
+    assert "'much' is not a size like 20MB" in refusal(capsys, "view", made, page, "--max-size", "much")
 
 
 def test_octex_view_writes_a_page_of_a_folder_of_parts(

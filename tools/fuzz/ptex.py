@@ -30,7 +30,7 @@ from ptex_peer import random_contents
 
 from octex.errors import ModelError
 from octex.formats.ptex.layout import EXTENDED_HEADER, FACE_INFO, HEADER
-from octex.formats.ptex.reader import PtexFile, all_texels
+from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import write_contents
 from octex.parallel import workers
 
@@ -103,7 +103,7 @@ def attempt(path: Path, draw: random.Random) -> str:
                 if min(u, v):
                     assert file.texels(face, 1).shape == (1 << v - 1, 1 << u - 1, file.n_channels)
             if file.most_bytes < 1 << 27:
-                all_texels(file)
+                file.all_texels()
     except ModelError as error:
         assert path.name in str(error) or str(path) in str(error), error
         return "refused"
