@@ -64,6 +64,15 @@ def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(octex, "write_preview", small)
 
 
+@pytest.fixture
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have cameras refined by a tenth of the points: enough for small pictures."""
+    from octex.photos import refine
+
+    for name in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
+        monkeypatch.setattr(refine, name, getattr(refine, name) // 10)
+
+
 @pytest.fixture(scope="session")
 def models() -> Path:
     """The folder of real models, named by OCTEX_TEST_MODELS."""

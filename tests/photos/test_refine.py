@@ -133,6 +133,7 @@ def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest() ->
     assert not _better(found, found, numbers).any()  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("few_points")
 def test_the_order_of_pictures_does_not_matter() -> None:
     _, cameras, images = textured(4, 48)
     surface, order = ball(), [3, 1, 0, 2]
@@ -209,6 +210,7 @@ def test_pictures_are_read_with_their_slopes() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@pytest.mark.usefixtures("few_points")
 def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
     surface, cameras, images = ring(4, 64)
     (tmp_path / "ball.obj").write_text(
