@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,22 @@ def no_helpers() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(ahead, "cpu_count", lambda: 1)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Share what the suite compiles among its processes: two that need a kernel at once compile it twice."""
+    if jit.DISABLED or len(request.session.items) < 1000 or not hasattr(request.config, "workerinput"):
+        return
+    listed: dict[str, list[str]] = {}
+    for line in ahead.lines(*ahead.SECTIONS):
+        listed.setdefault(line.partition(":")[0], []).append(line)
+    for module, lines in sorted(listed.items(), key=lambda item: -len("".join(item[1]))):
+        claim = tmp_path_factory.getbasetemp().parent / f"compiles-{module}"
+        with suppress(FileExistsError):
+            claim.mkdir()  # by one process alone
+            for line in lines:
+                ahead._compile(line)
 
 
 @pytest.fixture(scope="session", autouse=True)
