@@ -455,21 +455,8 @@ class Arrays:
             descr = chance.choice((array.dtype.str, *types, [("a", "<f4")]))
             shape = list(array.shape)
             if chance.random() < 0.7:
-                shape = chance.choice(
-                    (
-                        [],
-                        [0],
-                        [-1],
-                        [2**63],
-                        [2**31, 2**31],
-                        [*shape, 1],
-                        shape[1:],
-                        shape[::-1],
-                        [1e9],
-                        [True],
-                        [2**40],
-                    )
-                )
+                sizes = [], [0], [-1], [2**63], [2**31, 2**31], [1e9], [True], [2**40]
+                shape = chance.choice((*sizes, [*shape, 1], shape[1:], shape[::-1]))
                 if chance.random() < 0.3:
                     shape = [chance.choice(EDGES), *array.shape[1:]]
             text = repr(
