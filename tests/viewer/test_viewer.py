@@ -93,7 +93,7 @@ MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating
 def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_path: Path) -> None:
     texture, surface = MADE[name]()
     write_page(texture, tmp_path / "page.html", surface)
-    page = opened(browser, file_url(tmp_path / "page.html"))
+    page = opened(browser, file_url(tmp_path / "page.html"), (760, 300))
     assert page.complaints == []
     parity(page, texture, surface)
     page.check("#cubes")
