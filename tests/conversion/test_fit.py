@@ -84,15 +84,8 @@ class Pattern(FaceSource):
         form = ChannelFormat("height", 1, "data", "float32")
         super().__init__((form,), np.zeros((len(FACES), 1)))
 
-    def evaluate(
-        self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
-        values = super().evaluate(triangles, barycentric, widths)
+    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
         values[:, 0] = np.clip(0.5 + np.sin(9 * barycentric[:, 1]), 0, 1)
-        return values
 
 
 @pytest.mark.parametrize("dtype", ["float32", "uint16"])

@@ -131,7 +131,7 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     import random
 
-    fuzz = tool("fuzz/ptex")
+    fuzz = tool("fuzz/random_ptex")
     path = tmp_path / "damaged.ptx"
     with workers(1) as executor:
         write_contents(tool("bench/peers/ptex_peer").random_contents(3), path, executor)

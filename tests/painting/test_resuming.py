@@ -175,6 +175,7 @@ def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_refined_cameras_are_kept(tmp_path: Path) -> None:
     surface, cameras, images = ring(4, 48)
     shown = projections(images, cameras)

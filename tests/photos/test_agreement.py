@@ -138,6 +138,7 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02

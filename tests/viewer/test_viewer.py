@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,19 +24,13 @@ from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack, prepared
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, differences, file_url, opened, started
+from tests.make.browser import Probe, differences, file_url, opened
 from tests.make.command import refusal, result
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 from tests.make.small_textures import shell
 
 SIZE = 48, 36
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 def colored(surface: Surface, **sources: object) -> Surface:
@@ -100,7 +93,7 @@ MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating
 def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_path: Path) -> None:
     texture, surface = MADE[name]()
     write_page(texture, tmp_path / "page.html", surface)
-    page = opened(browser, file_url(tmp_path / "page.html"))
+    page = opened(browser, file_url(tmp_path / "page.html"), (760, 300))
     assert page.complaints == []
     parity(page, texture, surface)
     page.check("#cubes")
