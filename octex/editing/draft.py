@@ -270,7 +270,7 @@ def _overwritten(
     first, end = tree.arrays.level_cells[level : level + 2].tolist()
     top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    _, below, _ = _below([tree], _runs(np.zeros_like(numbers), numbers))
+    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
     runs = [
         np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
     ]
