@@ -36,7 +36,7 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 
 
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
-    """Return zero bytes, of many in a temporary file, whose pages may go; OutputError without room."""
+    """Return zero bytes, many of them in a temporary file; raises OutputError without room for that."""
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
     try:

@@ -187,7 +187,7 @@ def cell_of(texture: OctreeTexture) -> float:
 
 
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
-    """Return the leaves' width on a mesh, below which less than 1 % of it lies; default: finest cells."""
+    """Return the width of the finest leaves that hold 1 % of a mesh; of finest cells if none hold it."""
     own, weights = _scattered(areas_of(mesh))
     places = at_corners(mesh.rest, mesh.triangles[own], weights)
     places = places[texture.contains(places, threads=1)]

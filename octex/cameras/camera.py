@@ -203,7 +203,10 @@ class Camera:
         return cls(width, height, intrinsics(focal, focal, width / 2, height / 2), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
-        """Return the camera with the picture enlarged ``times``, a number above zero, about its middle."""
+        """Return the camera with the picture enlarged ``times`` about its middle.
+
+        Raises ArgumentError for a number that is not above zero.
+        """
         times = as_positive(times, "times")
         K, middle = self.K.copy(), np.array([self.width, self.height]) / 2
         K[:2, :2] *= times
@@ -217,7 +220,10 @@ class Camera:
 
     @property
     def matrix(self) -> Float64s:
-        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), in pixels without lens distortion."""
+        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates.
+
+        Without the lens distortion, which no matrix can express: ``undistorted`` has the same matrix.
+        """
         view = self.world_to_camera
         last = view[2] if self.projection == "pinhole" else np.array([0.0, 0.0, 0.0, 1.0])
         return np.vstack([self.K[:2] @ np.vstack([view[:2], last]), last, view[2]])
@@ -238,7 +244,10 @@ class Camera:
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
-        """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them, or NaN."""
+        """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them.
+
+        They are NaN far from the axis, where radial distortion would fold points back into the picture.
+        """
         points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
         found = np.empty_like(points)
         with np.errstate(all="ignore"):
@@ -305,7 +314,10 @@ class Camera:
         return np.vstack([self.position, rotation[2], steps])
 
     def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
-        """Return how wide a pixel is in the world, at depths of any shape, without lens distortion."""
+        """Return how wide a pixel is in the world, across the view, at depths of any shape.
+
+        Lens distortion is ignored.
+        """
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
         depth = as_reals(depth, "depth", *((-1,) * n for n in range(_MOST_DIMENSIONS)))
         return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)

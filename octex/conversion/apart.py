@@ -75,5 +75,5 @@ def separate(
         margin = 1.01 * reach(made)
     raise ArgumentError(
         f"{surface.name}: {found.n_parts} parts do not fit {cells:g} cells apart into depth {depth}; "
-        "use a larger one"
+        "use a larger depth"
     )

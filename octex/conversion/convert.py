@@ -239,8 +239,8 @@ def _without_gaps(
     found = without_gaps(tree, values, filled, plan.placement, coverage)
     if not found.tree.n_leaves:
         raise ModelError(
-            f"{plan.surface.name}: its source is too far from all of it, or faces another way; allow more "
-            "distance, or a larger angle"
+            f"{plan.surface.name}: its source has no value anywhere on it: it is too far away, or faces "
+            "another way; allow more distance, or a larger angle"
         )
     return found
 
@@ -259,13 +259,13 @@ def _is_mapped(plan: Plan, most_memory: int | None, executor: Executor | None) -
             return False
     if must_stay:
         raise ArgumentError(
-            f"{name}: sources with gaps need all of it in memory; leave out memory, and path if there is an "
+            f"{name}: sources with gaps must fit into memory; leave out memory, and path if there is an "
             "executor"
         )
     is_here = executor is None or shares_memory(executor)
     if not is_here and (plan.max_error is not None or plan.wanted is not None):
         raise ArgumentError(
-            f"{name}: max_error and detail need all of it on one machine; leave out path or the executor"
+            f"{name}: max_error and detail run on one machine only; leave out path or the executor"
         )
     return True
 

@@ -63,7 +63,7 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     forms = {form.name: form for form in surface.channels}
     form = forms[as_choice(detail, [*forms, STRETCH], "detail")]
     if form.components != 1 or form.space != "data":
-        raise ArgumentError(f"detail must be a channel of one number in 0 … 1, which {detail!r} is not")
+        raise ArgumentError(f"detail must be a channel with one component in 0 … 1, and {detail!r} is not")
     return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 

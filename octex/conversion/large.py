@@ -56,7 +56,7 @@ def scratch(parent: Path) -> Iterator[Path]:
         if error.errno not in _NO_PLACE:
             raise
         raise OutputError(
-            f"{parent}: has no place for large arrays: {error.strerror}; make room or choose another"
+            f"{parent}: has no room for temporary files: {error.strerror}; make room or choose another"
         ) from error
 
 

@@ -365,7 +365,7 @@ def _structure(filled: CellLevels) -> tuple[Uint64s, Int64s, Int64s]:
     counts = [sum(len(part.flags) for part in level) for level in filled.levels]
     level_cells = np.cumsum([0, *counts])
     if level_cells[-1] > MAX_CELLS:
-        raise ArgumentError(f"{level_cells[-1]} cells are more than a tree can number; use a smaller depth")
+        raise ArgumentError(f"{level_cells[-1]} cells are more than a tree can hold; use a smaller depth")
     level_nodes = np.append(level_cells[:-1], level_cells[-2])
     groups = large.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
     masks = np.zeros((2, 8 * len(groups)), np.uint8)

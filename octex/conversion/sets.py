@@ -66,7 +66,9 @@ def convert_set(
     made: dict[str, OctreeTexture] = {}
     if isinstance(parts, Mapping):
         if rest is not None:
-            raise ArgumentError("rest is for one model; give parts that are at rest, as load_surface does")
+            raise ArgumentError(
+                "rest is for one model; load each part with its own rest positions (load_surface)"
+            )
         models |= as_entries(parts, "parts")
     else:
         if isinstance(parts, PointCloud):

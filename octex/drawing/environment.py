@@ -100,7 +100,13 @@ class Environment:
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
-        """Return a grey, tone-mapped room that follows the camera, as bright as three.js' own."""
+        """Return the built-in room: dark walls, a bright floor and ceiling, two lamps and two strips.
+
+        exposure    in stops: 1 doubles the light
+
+        It is grey, follows the camera and is tone mapped. Materials look about as bright as in three.js'
+        RoomEnvironment with its neutral tone mapping. Raises ArgumentError for an exposure beyond ±64.
+        """
         stops = as_number(exposure, "exposure", -64.0, 64.0)
         light, shapes = _studio()
         tables = Tables(light * np.float32(2.0**stops), shapes, np.eye(3))

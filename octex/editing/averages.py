@@ -84,8 +84,7 @@ def residuals(
     form, alpha = channel.format, _alpha_beside(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
     found = np.zeros((nodes.cells.size, form.components), precise)
-    few = [slice(None)] if nodes.cells.size else []  # all at once
-    for here in by_level(tree, nodes) if nodes.cells.size > _FEW else few:
+    for here in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
         _keep_apart(form, channel.values[cells], means, cells, change, found[here])

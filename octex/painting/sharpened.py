@@ -34,8 +34,8 @@ _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
 def sharpened(pixels: Float32s, is_light: bool = True) -> Float32s:
     """Return pixels (height, width, 4), colours times alpha, as values at their centres.
 
-    Nothing is sharpened across another alpha, by more than four times the difference to a neighbour, or by
-    less than noise: as strong as in the picture's quietest tenth, 5 of 255 at most.
+    Nothing is sharpened across another alpha, nor by more than four times the difference to the more alike
+    neighbour, nor by less than the noise: that of the picture's quietest tenth, 5 of 255 at most.
     """
     noise = np.float32(min(noise_of(pixels, is_light), _MOST))
     return _sharpened(_sharpened(pixels, 0, 1, noise, is_light), 1, 0, noise, is_light)

@@ -31,11 +31,18 @@ from octex.texture import Channel, OctreeTexture, as_texture
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
 BLOCK = 1 << 13
-_MOST = float(np.finfo(np.float64).max)
+#: Values that are recoded at once.
+_RECODED = 1 << 14
+_MOST, _LARGEST = float(np.finfo(np.float64).max), float(np.finfo(np.float32).max)
+_MOST_GAMMA = 100.0
 
 #: From decoded values (n, components), and the positions (n, 3) of their cells' centres at rest if it wants
 #: them, to as many values.
 ValueFunction = Callable[..., npt.ArrayLike]
+#: A number for all components, or one for each.
+PerComponent = float | Sequence[float]
+#: From encoded values (n, components) to others.
+Tone = Callable[[Float64s], Float64s]
 
 
 def map_values(
@@ -98,15 +105,6 @@ def _blocks(count: int, cells: Int64s | None) -> Iterator[tuple[slice, Int64s | 
     for begin in range(0, count, BLOCK):
         here = slice(begin, min(begin + BLOCK, count))
         yield here, range(here.start, here.stop) if cells is None else cells[here]
-
-
-#: A number for all components, or one for each.
-PerComponent = float | Sequence[float]
-#: From encoded values (n, components) to others.
-Tone = Callable[[Float64s], Float64s]
-
-_MOST_GAMMA = 100.0
-_LARGEST = float(np.finfo(np.float32).max)
 
 
 def levels(
@@ -296,10 +294,6 @@ def _monotone(points: Float64s, values: Float64s) -> Float64s:
     rise = secants[at] * widths[at]
     left, right = slopes[at] * widths[at], slopes[at + 1] * widths[at]
     return np.asarray(y[at] + t * (left + t * (3 * rise - 2 * left - right + t * (left + right - 2 * rise))))
-
-
-#: Values that are recoded at once.
-_RECODED = 1 << 14
 
 
 def cast(

@@ -294,12 +294,12 @@ class OctreeTexture:
             if key not in self._known_plain:
                 if name not in self.channels or filter not in FILTERS:
                     return None
-                self._known_plain[key] = None
+                plain = None
                 # Directions are made unit vectors; what is elsewhere is fetched first.
                 if self.channels[name].format.space != "direction" and self.source.here(self) is self:
                     (read,), alpha = self._read(name)
                     plain = plain_lookup(self._field, self.placement, filter, read, alpha)
-                    self._known_plain[key] = plain
+                self._known_plain[key] = plain
             known = self._known_plain[key]
             if known is None:
                 return None

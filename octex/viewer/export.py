@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture, TextureSet
 
 #: Modules in the order in which each knows those before it.
-_NAMES = (
-    *("elements", "kept", "data", "octree", "patch", "mesh", "motion", "camera", "controls", "legend"),
-    *("connection", "source", "part", "gpu", "player", "divider", "viewer"),
-)
-MODULES = [f"{name}.js" for name in _NAMES]
+_NAMES = """
+elements kept data octree patch mesh motion camera controls legend connection source part gpu player divider
+viewer
+"""
+MODULES = [f"{name}.js" for name in _NAMES.split()]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"

@@ -100,7 +100,10 @@ def test_a_texture_cannot_adapt_any_more(
             "--max-error: inf is not a finite number from 0 on; see octree-convert --help",
         ),
         ("--detail wear", "unknown detail 'wear'; there are: base_color, stretch"),
-        ("--detail base_color", "detail must be a channel of one number in 0 … 1, which 'base_color' is not"),
+        (
+            "--detail base_color",
+            "detail must be a channel with one component in 0 … 1, and 'base_color' is not",
+        ),
         (
             "--channels base_color --detail stretch --source alpha=1",
             "--source gives alpha, but --channels leaves it out",

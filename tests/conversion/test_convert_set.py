@@ -252,7 +252,9 @@ def test_what_has_no_parts_is_refused() -> None:
     cloud = octex.PointCloud(samples.rest, tetrahedron().evaluate(samples), name="dots")
     with pytest.raises(ArgumentError, match="dots is points, which have no parts; convert takes it"):
         octex.convert_set(cloud)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="rest is for one model; give parts that are at rest"):
+    with pytest.raises(
+        ArgumentError, match="rest is for one model; load each part with its own rest positions"
+    ):
         octex.convert_set({"a": tetrahedron()}, rest=tetrahedron().rest)
     with pytest.raises(ArgumentError, match="a texture set needs at least one part"):
         octex.convert_set({})
@@ -262,7 +264,7 @@ def test_a_part_that_cannot_be_converted_is_named() -> None:
     near = octex.Transfer(tetrahedron(), distance=0.1)
     points, triangles = together((TETRAHEDRON, FACES), (TETRAHEDRON + np.array([9.0, 0, 0]), FACES))
     surface = Surface.from_arrays(points, triangles, name="two").with_sources(near.sources)
-    with pytest.raises(ModelError, match=r"two \(part-1\): its source is too far from all of it"):
+    with pytest.raises(ModelError, match=r"two \(part-1\): its source has no value anywhere on it"):
         octex.convert_set(surface, 3)
 
 

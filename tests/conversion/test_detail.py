@@ -119,7 +119,7 @@ def test_a_detail_that_is_no_channel_lists_those_there_are():
 @pytest.mark.parametrize("name", ["base_color", "flow"])
 def test_a_channel_must_be_one_number(name: str):
     source = Painted([1, 1], ChannelFormat("flow", 1, "direction"))
-    with pytest.raises(ArgumentError, match=f"one number in 0 … 1, which '{name}' is not"):
+    with pytest.raises(ArgumentError, match=f"with one component in 0 … 1, and '{name}' is not"):
         levels(name, square().with_sources({"flow": source}))
 
 

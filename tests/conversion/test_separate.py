@@ -174,7 +174,7 @@ def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None
 def test_a_depth_with_too_few_cells_is_refused() -> None:
     surface = colored(*[cube([0.01 * n, 0, 0]) for n in range(40)])
     with pytest.raises(
-        ArgumentError, match="40 parts do not fit 3 cells apart into depth 3; use a larger one"
+        ArgumentError, match="40 parts do not fit 3 cells apart into depth 3; use a larger depth"
     ):
         separate(surface, depth=3)
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
-from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
+from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
 from octex.painting.holes import with_coverage
 from octex.painting.picture import BLENDS, Blend
@@ -41,6 +41,28 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.
         for deeper in range(level + 1, texture.tree.max_depth + 1)
     )
     assert below == whole
+
+
+@given(textures(), st.data())
+def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(
+    texture: OctreeTexture, data: st.DataObject
+) -> None:
+    if texture.tree.max_depth < 1:
+        return
+    level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
+    codes = texture.tree.level_codes(level)
+    chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
+    arrays = data.draw(st.sets(st.sampled_from(["values", "kept_values", "split_values"])), label="arrays")
+    tiles = Tiles(level, codes[sorted(chosen)])
+    part = cut_out(texture, tiles)
+    channels = {
+        name: channel._replace(**{each: getattr(channel, each)[::-1].copy() for each in arrays})
+        for name, channel in part.channels.items()
+    }
+    edited = part.with_cells(part.tree, channels)
+    with mock.patch("octex.editing.draft.put_back", side_effect=AssertionError("cells are where they were")):
+        found = Change(tiles, part, edited).put_into(texture)
+    assert_same(found, put_back(texture, tiles, edited))
 
 
 def stroke(random: np.random.Generator, surface: octex.Surface, depth: int) -> Any:

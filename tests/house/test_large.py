@@ -247,7 +247,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(large, "empty", full)
-    with pytest.raises(OutputError, match="has no place for large arrays: No space left on device"):
+    with pytest.raises(OutputError, match="has no room for temporary files: No space left on device"):
         octex.convert(tetrahedron(), 3, memory=1, path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
 
@@ -275,11 +275,11 @@ def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="there is no folder"):
         octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
     with_gaps = surface.with_sources(octex.Transfer(sheet(turned(3), 0.02), distance=0.01).sources)
-    with pytest.raises(ArgumentError, match="sources with gaps need all of it in memory"):
+    with pytest.raises(ArgumentError, match="sources with gaps must fit into memory"):
         octex.convert(with_gaps, 3, memory=1, path=tmp_path / "a.octex")
     with (
         ProcessPoolExecutor(1) as pool,
-        pytest.raises(ArgumentError, match="max_error and detail need all of it on one machine"),
+        pytest.raises(ArgumentError, match="max_error and detail run on one machine only"),
     ):
         octex.convert(surface, 3, max_error=2, executor=pool, path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())

@@ -58,7 +58,7 @@ ALLOWED = (
     "no leaf of the texture meets the box",  # a crop beside the surface
     "which uint8 cannot hold",  # floats above 1 or below 0, cast
     "which uint16 cannot hold",
-    "its source is too far from all of it",  # a source with a limit, and nothing within it
+    "its source has no value anywhere on it",  # a source with a limit, and nothing within it
     "cells apart into depth",  # too coarse to separate
     "belongs to another model",  # a cloud's root cell need not hold the surface
 )

@@ -121,7 +121,7 @@ def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
 def test_nothing_near_is_refused() -> None:
     surface = rainbow()
     far = plain((surface.vertices + 10.0, surface.triangles))
-    with pytest.raises(ModelError, match="too far from all of it"):
+    with pytest.raises(ModelError, match="has no value anywhere on it: it is too far away"):
         octex.convert(far, 3, sources=octex.Transfer(surface, distance=1.0).sources)
 
 
