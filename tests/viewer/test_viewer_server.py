@@ -36,7 +36,7 @@ class Served:
         eight_colors().save(self.path)
         self.lines: list[str] = []
         self.viewer = Viewer(self.read, self.path, None, log=self.lines.append)
-        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.5})
+        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
         self.thread.start()
 
     def read(self) -> OctreeTexture:
@@ -63,7 +63,8 @@ class Served:
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[Served]:
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setattr(server, "_FIRST", 100)  # the first page is waited for 10 s, others 0.1 s
     found = Served(tmp_path)
     yield found
     if found.thread.is_alive():

@@ -285,9 +285,9 @@ def codes(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return 255 * linear_to_srgb(np.clip(linear, 0, 1))
 
 
-def decibels(errors: npt.NDArray[Any], peak: float = 255) -> float:
-    """Return the PSNR of errors."""
-    return float(20 * np.log10(peak / np.sqrt((errors**2).mean())))
+def decibels(errors: npt.NDArray[Any]) -> float:
+    """Return the PSNR of differences between codes."""
+    return float(20 * np.log10(255 / np.sqrt((errors**2).mean())))
 
 
 def megabytes(number: float) -> str:
