@@ -13,7 +13,7 @@ from octex.painting.cells import channel_of
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.surface import PaintedSurface
 from octex.painting.tiles import merge_layer
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 
@@ -26,8 +26,8 @@ def merge(
     opacity: float = 1.0,
     blend: Blend = "over",
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Merge a layer of paint, made by ``octex.project``, into a texture; both stay as they are.
 
@@ -36,7 +36,7 @@ def merge(
     surface   the surface that both were made on
     opacity   0 … 1, multiplies the layer's coverage
     blend     how the layer combines with the texture, in linear light: one of BLENDS
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    run       how to work (octex.Run)
 
     Where the layer is finer, leaves of the texture become kept nodes, so the field next to the paint does not
     move. Other channels do not move, except where the layer adds surface. Near the border of finer paint some
@@ -55,8 +55,9 @@ def merge(
     as_texture(texture)
     as_texture(layer, "layer")
     painted = PaintedSurface(surface.placed_in(texture))
-    with workers(threads, executor) as pool:
-        change = merged(texture, layer, painted, opacity, blend, pool, as_progress(progress))
+    run = as_run(run, threads, progress)
+    with workers(run) as pool:
+        change = merged(texture, layer, painted, opacity, blend, pool, run.report)
     return texture if change is None else change.put_into(texture)
 
 

@@ -27,6 +27,7 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
+from octex.parallel import Run
 from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
@@ -89,25 +90,12 @@ class Projection:
         return _name_of(self.image, "the image")
 
 
-def room_for(
-    projections: Sequence[Projection], memory: int | str | None, folder: str | os.PathLike[str] | None
-) -> AbstractContextManager[object]:
-    """Have what pictures hold lie in files of a folder, until the end of the block, beyond some memory.
-
-    By default that is the folder of temporary files. Raises ArgumentError for what is no size, and for a
-    folder without one.
-    """
-    if memory is None:
-        if folder is not None:
-            raise ArgumentError("folder has no meaning without memory, beyond which it is used")
-        return nullcontext()
+def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
+    """Have what pictures hold lie in files until the end of the block, beyond the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
-    if as_bytes(memory, "memory") >= _PIXEL_MEMORY * pixels:
+    if run.memory is None or as_bytes(run.memory, "memory") >= _PIXEL_MEMORY * pixels:
         return nullcontext()
-    place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
-    if not place.is_dir():
-        raise ArgumentError(f"folder: {place} is no folder; name one that is there")
-    return scratch(place)
+    return scratch(Path(tempfile.gettempdir()) if run.folder is None else as_path(run.folder, "folder"))
 
 
 class Mips(NamedTuple):

@@ -34,7 +34,7 @@ from octex.errors import own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts
 from octex.painting.cells import Paint, paint_of, some
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
-from octex.parallel import ordered_map, sharing, silent, workers
+from octex.parallel import Run, ordered_map, sharing, silent, workers
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import with_boundary
@@ -120,7 +120,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> OctreeTexture | None:
         near = with_boundary(tiles, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         layer = cut_out(task.layer, Tiles(level, near))
-        with workers(1) as one_worker:
+        with workers(Run(threads=1)) as one_worker:
             own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
             made = merge_draft(
                 own, cut_out(texture, opened), _inside(paint_of(layer, task.opacity), near, level)

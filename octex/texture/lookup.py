@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypedDict
 
@@ -17,7 +16,7 @@ from octex.field.field import NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
 from octex.field.lookups import Query
 from octex.field.splines import FILTERS
-from octex.parallel import ordered_map, workers
+from octex.parallel import Run, ordered_map, workers
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
@@ -67,7 +66,7 @@ class LookupOptions(FootprintOptions, total=False):
 
     normalize: bool
     threads: int | None
-    executor: Executor | None
+    run: Run | None
 
 
 class SurfacePoints(Protocol):
@@ -216,20 +215,18 @@ class _Blocks(Sequence[_Block]):
         return (self[number] for number in range(len(self)))
 
 
-def in_blocks(
-    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
-) -> None:
+def in_blocks(given: Given, answers: list[Array], look_up: LookUp, run: Run) -> None:
     """Look up points by what is given of them, of any real type, and write to ``answers``, arrays of n rows.
 
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
-    if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
+    if run.threads is None and run.executor is None and 0 < len(given["points"]) <= BLOCK:  # in one piece
         fault, _ = _checked_block(look_up, _Block(given, answers))
         if fault is not None:
             _refuse(fault, 0, given)
         return
-    for begin, found in each_block(given, answers, look_up, threads, executor):
+    for begin, found in each_block(given, answers, look_up, run):
         for answer, rows in zip(answers, found, strict=True):
             here = answer[begin : begin + BLOCK]
             if not np.may_share_memory(here, rows):  # the executor works in other processes
@@ -237,14 +234,14 @@ def in_blocks(
 
 
 def each_block(
-    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
+    given: Given, answers: list[Array], look_up: LookUp, run: Run
 ) -> Iterator[tuple[int, list[Array]]]:
     """Look up points like ``in_blocks``; yield where each block begins, and its rows of the answers.
 
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
     blocks = _Blocks(given, answers)
-    with workers(threads, executor, len(blocks)) as pool:
+    with workers(run, len(blocks)) as pool:
         for number, (fault, found) in enumerate(ordered_map(pool, partial(_checked_block, look_up), blocks)):
             if fault is not None:
                 _refuse(fault, number * BLOCK, given)
@@ -255,8 +252,7 @@ def in_space(
     given: Given,
     answers: list[Array],
     look_up: LookUp,
-    threads: int | None,
-    executor: Executor | None,
+    run: Run,
     placement: Placement,
     least: int = 0,
 ) -> None:
@@ -275,13 +271,13 @@ def in_space(
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
             if not numbers.size:
-                in_blocks(here, there, look_up, threads, executor)
+                in_blocks(here, there, look_up, run)
                 continue
             taken, found = _in_order(numbers, here, there)
-            in_blocks(taken, found, look_up, threads, executor)
+            in_blocks(taken, found, look_up, run)
             _put_back(found, numbers, there)
     except ArgumentError:
-        in_blocks(given, answers, look_up, threads, executor)  # which names the first row
+        in_blocks(given, answers, look_up, run)  # which names the first row
         raise
 
 

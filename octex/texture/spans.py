@@ -14,6 +14,7 @@ from octex.checks import as_choice
 from octex.container import header_length
 from octex.field.listing import Reads, joined_reads, reads_of
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
+from octex.parallel import Run
 from octex.texture.channel import Channel
 from octex.texture.lookup import Given, Lens, each_block
 from octex.tree.beside import with_boundary
@@ -94,7 +95,7 @@ def lookup_reads(
     for name in names:
         parts: dict[int, list[Reads]] = {}
         look_up = partial(_read_of, texture, name, lens, cells_alone)
-        for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
+        for _, (levels, *arrays) in each_block(given, [], look_up, Run(threads=1)):
             for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
                 parts.setdefault(level, []).append(Reads(rows, cells))
         found[name] = joined_reads(parts)

@@ -146,7 +146,7 @@ def materials(setup: Setup, report: Report) -> None:
 
     def convert(model: octex.Surface) -> Spent:
         with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
-            return timed(lambda: octex.convert(model, depth, fit=False, executor=pool))[0]
+            return timed(lambda: octex.convert(model, depth, fit=False, run=octex.Run(executor=pool)))[0]
 
     for folder in ("BoomBoxWithAxes", "Avocado"):
         path = setup.models / folder / f"{folder}.gltf" if setup.models else None

@@ -138,11 +138,12 @@ def _two_threads(
 ) -> None:
     for order, each in points.items():
         out = np.empty((len(each), 3), np.float32)
-        with ThreadPoolExecutor(2) as two:
+        with ThreadPoolExecutor(2) as pool:
+            two = octex.Run(executor=pool)
             spent = in_turns(
                 {
                     "one": lambda: timed(lambda: texture.sample(each, out=out, threads=1))[0],  # noqa: B023
-                    "two": lambda: timed(lambda: texture.sample(each, out=out, executor=two))[0],  # noqa: B023
+                    "two": lambda: timed(lambda: texture.sample(each, out=out, run=two))[0],  # noqa: B023
                 },
                 setup.repeats,
             )

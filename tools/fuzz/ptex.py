@@ -32,7 +32,7 @@ from octex.errors import ModelError
 from octex.formats.ptex.layout import EXTENDED_HEADER, FACE_INFO, HEADER
 from octex.formats.ptex.reader import PtexFile, all_texels
 from octex.formats.ptex.writer import write_contents
-from octex.parallel import workers
+from octex.parallel import Run, workers
 
 ODD = (0, 1, 2, 3, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 FACES = 12
@@ -120,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     counts: Counter[str] = Counter()
     slowest = 0.0
-    with TemporaryDirectory() as folder, workers(1) as executor:
+    with TemporaryDirectory() as folder, workers(Run(threads=1)) as executor:
         path = Path(folder) / "damaged.ptx"
         good = []
         files = [
