@@ -21,6 +21,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from octex.errors import ArgumentError
@@ -90,8 +91,7 @@ class Run:
         if self.folder is not None:
             if self.memory is None:
                 raise ArgumentError("folder has no meaning without memory, beyond which it is used")
-            if not as_path(self.folder, "folder").is_dir():
-                raise ArgumentError(f"folder: {self.folder} is no folder; name one that is there")
+            as_path(self.folder, "folder")
         if self.resume is not None:
             as_path(self.resume, "resume")
 
@@ -102,6 +102,14 @@ class Run:
 
 
 _BY_DEFAULT = Run()
+
+
+def folder_of(run: Run, default: Path) -> Path:
+    """Return where the files of a run lie, or raise ArgumentError for what is no folder."""
+    folder = default if run.folder is None else Path(os.fsdecode(run.folder))
+    if not folder.is_dir():
+        raise ArgumentError(f"folder: {folder} is no folder; name one that is there")
+    return folder
 
 
 def as_run(run: Run | None, threads: int | None = None, progress: Progress | None = None, *uses: str) -> Run:

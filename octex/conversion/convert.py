@@ -36,7 +36,7 @@ from octex.conversion.sides import fitters
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
-from octex.parallel import Progress, Run, as_run, shares_memory, workers
+from octex.parallel import Progress, Run, as_run, folder_of, shares_memory, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
@@ -157,8 +157,7 @@ def convert(
     with ExitStack() as stack:
         pool = stack.enter_context(workers(run))
         if target is not None and _is_mapped(plan, run):
-            place = target.parent if run.folder is None else as_path(run.folder, "folder")
-            folder = stack.enter_context(large.scratch(place))
+            folder = stack.enter_context(large.scratch(folder_of(run, target.parent)))
             pool = large.Tasks(pool, folder, is_here=shares_memory(pool))
         texture = _converted(plan, pool, report)
         if target is None:

@@ -27,7 +27,7 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
-from octex.parallel import Run
+from octex.parallel import Run, folder_of
 from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
@@ -95,7 +95,7 @@ def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextMana
     pixels = sum(each.camera.width * each.camera.height for each in projections)
     if run.memory is None or as_bytes(run.memory, "memory") >= _PIXEL_MEMORY * pixels:
         return nullcontext()
-    return scratch(Path(tempfile.gettempdir()) if run.folder is None else as_path(run.folder, "folder"))
+    return scratch(folder_of(run, Path(tempfile.gettempdir())))
 
 
 class Mips(NamedTuple):

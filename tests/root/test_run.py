@@ -23,7 +23,6 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"memory": 0}, "memory must be"),
     ({"folder": "."}, "folder has no meaning without memory"),
     ({"folder": 3, "memory": 1}, "folder must be a path, not 3"),
-    ({"folder": "no/such", "memory": 1}, "folder: no/such is no folder; name one that is there"),
     ({"resume": 3}, "resume must be a path, not 3"),
     ({"progress": "loud"}, r"progress must be a function \(stage, done, total\), not 'loud'"),
 ]
@@ -60,10 +59,12 @@ def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path: Path) -> None
         assert made._max_workers == 2  # type: ignore[attr-defined]
 
 
-def test_a_run_is_checked_before_the_work() -> None:
+def test_what_a_function_cannot_do_with_a_run_is_refused(tmp_path: Path) -> None:
     for wrong in (octex.Run(resume="a"), octex.Run(memory=1)):
         with pytest.raises(ArgumentError, match=r"resume of run has no meaning|memory needs a path"):
             octex.convert(tetrahedron(), 2, run=wrong)
+    with pytest.raises(ArgumentError, match="folder: no/such is no folder; name one that is there"):
+        octex.convert(tetrahedron(), 2, path=tmp_path / "a.octex", run=octex.Run(memory=1, folder="no/such"))
     with pytest.raises(ArgumentError, match=r"run must be an octex\.Run, not 2"):
         octex.convert(tetrahedron(), 2, run=2)  # type: ignore[arg-type]
 
