@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from octex.painting.region import fill as fill
     from octex.painting.unwrap import Patch as Patch
     from octex.painting.unwrap import unwrap as unwrap
+    from octex.parallel import Run as Run
     from octex.photos.refine import refine_cameras as refine_cameras
     from octex.processing.blur import blur as blur
     from octex.processing.combine import combine as combine
@@ -136,6 +137,7 @@ _EXPORTS = {
     "painting.picture": "Projection",
     "painting.region": "Box Sphere fill",
     "painting.unwrap": "Patch unwrap",
+    "parallel": "Run",
     "photos.refine": "refine_cameras",
     "processing.blur": "blur",
     "processing.combine": "combine mix",

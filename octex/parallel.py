@@ -1,8 +1,7 @@
 """Work in parallel: the one rule for who works, and how far it is.
 
-Functions that work in parallel take ``threads`` and ``executor``, and hand both to `workers`: so many
-threads, by default all processors for large batches and the calling thread alone for small ones; or the
-workers of any executor. What a worker calls works alone in its thread.
+Functions that work in parallel take a `Run`, and hand it to `workers`. What a worker calls works alone in its
+thread.
 
 A task returns what it makes: `start` sends other processes copies of arrays, to read only. A task that writes
 to the arrays it is given takes its workers from `sharing`: threads of this process.
@@ -20,7 +19,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from octex.errors import ArgumentError
@@ -47,6 +48,88 @@ def as_progress(progress: Progress | None) -> Progress:
     if progress is not None and not callable(progress):
         raise ArgumentError(f"progress must be a function (stage, done, total), not {progress!r}")
     return silent if progress is None else progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """How octex works: who works, in how much memory, and who hears of it. No field changes a result.
+
+    threads   so many threads. Default: all processors for large batches, the calling thread for small ones
+    executor  a concurrent.futures.Executor that does the work, instead of threads
+    memory    bytes, or a text like "2GB": keep what exceeds it in files. ``convert`` takes it with ``path``;
+              ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel, merging some 700 MB
+    folder    for these files. Default: that of ``path``, or the folder of temporary files
+    resume    a folder that stores finished stages of painting. A later call with the same folder reuses what
+              has not changed. It holds 41 bytes a pixel; you may delete it
+    progress  called with a stage's name, the units done and the units in all
+
+    Other functions refuse memory, folder and resume. The shortcuts ``threads=`` and ``progress=`` of a
+    function set these two fields. Raises ArgumentError for a field that cannot be used.
+    """
+
+    threads: int | None = None
+    executor: Executor | None = None
+    memory: int | str | None = None
+    folder: str | os.PathLike[str] | None = None
+    resume: str | os.PathLike[str] | None = None
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        if self.executor is not None and not callable(getattr(self.executor, "submit", None)):
+            raise ArgumentError(f"executor must be a concurrent.futures.Executor, not {self.executor!r}")
+        as_progress(self.progress)
+        if self.threads is self.memory is self.folder is self.resume is None:
+            return
+        from octex.checks import as_bytes, as_path, as_whole  # numpy, which commands do without at first
+
+        if self.threads is not None:
+            as_whole(self.threads, "threads", 1, _MOST_THREADS)
+            if self.executor is not None:
+                raise ArgumentError("give threads or an executor, not both")
+        if self.memory is not None:
+            as_bytes(self.memory, "memory")
+        if self.folder is not None:
+            if self.memory is None:
+                raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")
+            as_path(self.folder, "folder")
+        if self.resume is not None:
+            as_path(self.resume, "resume")
+
+    @property
+    def report(self) -> Progress:
+        """``progress``, or for None what says nothing."""
+        return as_progress(self.progress)
+
+
+_BY_DEFAULT = Run()
+
+
+def folder_of(run: Run, default: Path) -> Path:
+    """Return where the files of a run lie, or raise ArgumentError for what is no folder."""
+    folder = default if run.folder is None else Path(os.fsdecode(run.folder))
+    if not folder.is_dir():
+        raise ArgumentError(f"folder: {folder} is not a folder; name an existing one")
+    return folder
+
+
+def as_run(run: Run | None, threads: int | None = None, progress: Progress | None = None, *uses: str) -> Run:
+    """Return a run with the shortcuts of a function in it, or raise ArgumentError.
+
+    ``uses`` are those of memory, folder and resume that the function has a use for.
+    """
+    run = _BY_DEFAULT if run is None else run
+    if not isinstance(run, Run):
+        raise ArgumentError(f"run must be an octex.Run, not {run!r}")
+    for name in ("memory", "folder", "resume"):
+        if getattr(run, name) is not None and name not in uses:
+            raise ArgumentError(f"{name} of run is not used here; leave it out")
+    shortcuts: dict[str, Any] = {"threads": threads, "progress": progress}
+    for name, value in shortcuts.items():
+        if value is not None and getattr(run, name) is not None:
+            raise ArgumentError(f"give {name} or a run with {name}, not both")
+        if value is not None:
+            run = replace(run, **{name: value})
+    return run
 
 
 def memory_size() -> float:
@@ -145,30 +228,18 @@ class _Here(Executor):
 
 
 @contextmanager
-def workers(
-    threads: int | None = None, executor: Executor | None = None, tasks: int | None = None
-) -> Iterator[Executor]:
-    """Yield who does so many ``tasks``, None being many: ``executor``, or threads that end with the block.
+def workers(run: Run = _BY_DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
+    """Yield who does so many ``tasks``, None being many: an executor, or threads that end with the block.
 
-    These are so many ``threads``, for None a thread for each processor; the calling thread alone for one
-    task, and for None in a thread that works for octex already. Raises ArgumentError for threads and an
-    executor, and for what is neither.
+    These are as many as the run says, for None a thread for each processor; the calling thread alone for one
+    task, and for None in a thread that works for octex already.
     """
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise ArgumentError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
-    if threads is not None:
-        from octex.checks import as_whole  # imports numpy, which commands do without at first
-
-        threads = as_whole(threads, "threads", 1, _MOST_THREADS)
-    if executor is not None and threads is not None:
-        raise ArgumentError("give threads or an executor, not both")
-    if executor is not None:
-        yield executor
+    if run.executor is not None:
+        yield run.executor
         return
-    count = cpu_count() if threads is None else threads if _most is None else min(threads, _most)
-    if tasks is not None:
-        count = min(count, tasks)
-    if count <= 1 or (threads is None and getattr(_here, "is_worker", False)):
+    counts = cpu_count() if run.threads is None else int(run.threads), _most, tasks
+    count = min(each for each in counts if each is not None)
+    if count <= 1 or (run.threads is None and getattr(_here, "is_worker", False)):
         yield _Here()
         return
     with pool_of(count) as pool:

@@ -132,9 +132,11 @@ def run(model: Path, depth: int) -> Measured:
     """Convert a model, first a coarse one for what is compiled; return what was measured."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.octex"
-        octex.convert(model, min(depth, 6), path=path, executor=Measured())
+        octex.convert(model, min(depth, 6), path=path, run=octex.Run(executor=Measured()))
         measured = Measured()
-        tree = octex.convert(model, depth, path=path, executor=measured, progress=measured.progress).tree
+        tree = octex.convert(
+            model, depth, path=path, run=octex.Run(executor=measured, progress=measured.progress)
+        ).tree
         measured.progress("open", 1, 1)
         measured.leaves, measured.cells = tree.n_leaves, tree.n_cells
         return measured

@@ -22,7 +22,7 @@ from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
-from octex.parallel import Progress, as_progress, ordered_map, sharing, workers
+from octex.parallel import Progress, Run, as_run, ordered_map, sharing, workers
 from octex.source.corners import Corners, area_vectors, at_corners
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
@@ -63,8 +63,8 @@ def bake(
     bits: Bits = 8,
     supersample: int = 1,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> Surface:
     """Bake a texture to images, and return the surface with them, for ``write_model``.
 
@@ -81,8 +81,7 @@ def bake(
     channels       names of the channels to bake (default: all that materials have)
     bits           of each number: 8; 16; or 32, floats in linear light, with directions as (x + 1) / 2
     supersample    average this many lookups along each side of a texel, 1 to 8
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
-    progress       called with a stage's name, the units done and the units in all
+    run            how to work (octex.Run)
 
     Each texel is one lookup of each channel, averaged over the texel's area on the surface, on the side that
     the surface faces. Texels are fitted to bilinear filtering. Around charts the maps continue with the
@@ -113,17 +112,17 @@ def bake(
     distance = np.inf if max_distance is None else as_number(max_distance, "max_distance", 0.0, np.inf)
     if source is None and max_distance is not None:
         raise ArgumentError("max_distance limits the distance to source; give source too")
-    report = as_progress(progress)
+    run = as_run(run, threads, progress)
     other = None
     if source is None:
         surface = surface.placed_in(texture)
     else:
         other = _Other.of(as_surface(source, "source"), texture, distance)
-    with workers(threads, executor) as given, sharing(given) as pool:
-        report("unwrap", 0, 1)
+    with workers(run) as given, sharing(given) as pool:
+        run.report("unwrap", 0, 1)
         sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
-        report("unwrap", 1, 1)
+        run.report("unwrap", 1, 1)
         job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
         first, rows = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
@@ -133,7 +132,7 @@ def bake(
             owners[sheet.triangles] = len(materials) + sheet.owners
 
             def advance(stage: str, done: int, total: int, before: int = first) -> None:  # noqa: ARG001
-                report(stage, min(before + done * _BAND, rows), rows)
+                run.report(stage, min(before + done * _BAND, rows), rows)
 
             made, shows = _bake_sheet(job, sheet, pool, advance)
             materials += made

@@ -113,8 +113,9 @@ def _convert(options: Options, program: str) -> int:
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     surface = model
-            memory = {} if options.memory is None else {"memory": options.memory, "path": output}
-            texture = octex.convert(model, **_settings(options), **memory, progress=progress)
+            target = None if options.memory is None else output
+            run = octex.Run(memory=options.memory, progress=progress)
+            texture = octex.convert(model, **_settings(options), path=target, run=run)
         if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
             with progress.stage("draw"):
                 octex.write_preview(options.preview, texture, surface)

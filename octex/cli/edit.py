@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
 import octex
@@ -13,7 +12,6 @@ from octex.cli.inputs import open_texture
 from octex.cli.parser import Options
 from octex.cli.values import ARCHIVE_ENDING
 from octex.errors import ArgumentError, InputError
-from octex.parallel import workers
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
@@ -33,13 +31,12 @@ def edit(options: Options, program: str) -> int:
     outputs = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     check_outputs(outputs, [options.TEXTURE, *others], force=options.force)
     with Reporter(program, options.quiet) as progress:
-        with workers() as executor:
-            texture = _edited(options, executor)
+        texture = _edited(options)
         write_texture(texture, options.OUTPUT, progress, options.loss or 0)
     return tell_file(options, began, *facts_of(texture))
 
 
-def _edited(options: Options, executor: Executor | None) -> OctreeTexture:
+def _edited(options: Options) -> OctreeTexture:
     """Open the texture and apply each option."""
     from octex.processing.edit import noted
     from octex.texture import OctreeTexture
@@ -63,12 +60,12 @@ def _edited(options: Options, executor: Executor | None) -> OctreeTexture:
         metadata = noted(texture.metadata, "resize", depth=options.depth)
         texture = OctreeTexture(coarse.tree, coarse.channels, coarse.placement, coarse.bounds, metadata)
     if options.combine is not None:
-        texture = octex.combine(texture, open_texture(options.combine), over=True, executor=executor)
+        texture = octex.combine(texture, open_texture(options.combine), over=True)
     if options.mix is not None:
         other, amount = options.mix
-        texture = octex.mix(texture, open_texture(other), amount, executor=executor)
+        texture = octex.mix(texture, open_texture(other), amount)
     if options.blur is not None:
-        texture = octex.blur(texture, options.blur, executor=executor)
+        texture = octex.blur(texture, options.blur)
     if options.levels is not None:
         texture = octex.levels(texture, "base_color", *options.levels)
     if options.channels is not None or options.dtype is not None:

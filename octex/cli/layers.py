@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +19,6 @@ from octex.errors import ArgumentError
 from octex.files import open_file
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from octex.painting.picture import Projection
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
@@ -27,16 +27,14 @@ if TYPE_CHECKING:
 class Painting:
     """Paints as the options say: projects pictures to a layer, and merges layers into a texture."""
 
-    def __init__(
-        self, options: Options, surface: Surface, executor: Executor | None, progress: Reporter
-    ) -> None:
-        self._options, self._surface, self._progress = options, surface, progress
-        self._running: dict[str, Any] = {"executor": executor, "progress": progress}
+    def __init__(self, options: Options, surface: Surface, executor: Executor, progress: Reporter) -> None:
+        self._options, self._surface = options, surface
+        self._executor, self._progress = executor, progress
+        self._run = octex.Run(executor=executor, progress=progress)
+        room = None if options.memory is None else options.OUTPUT.absolute().parent
+        self._stored = replace(self._run, memory=options.memory, folder=room, resume=options.resume)
         self._blend: Any = options.blend or "over"
         self._opacity = 1.0 if options.opacity is None else options.opacity
-        self._room = {} if options.resume is None else {"resume": options.resume}
-        if options.memory is not None:
-            self._room |= {"memory": options.memory, "folder": options.OUTPUT.absolute().parent}
 
     def projected(
         self, texture: OctreeTexture | None, shots: Sequence[Shot]
@@ -48,8 +46,7 @@ class Painting:
             "pictures": options.pictures,
             "balance": options.balance,
             "reference": self._reference(shots),
-            **self._room,
-            **self._running,
+            "run": self._stored,
         }
         for name in ("channel", "max_depth", "edge_feather"):
             if getattr(options, name) is not None:
@@ -68,7 +65,7 @@ class Painting:
             return texture, [layer]
         depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
         wanted: dict[str, Any] = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
-        texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, **self._running)
+        texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, run=self._run)
         if texture.placement != layer.placement:
             layer = octex.project(surface, given, like=texture, **settings)
         return texture, [layer]
@@ -76,9 +73,7 @@ class Painting:
     def refined(self, shots: Sequence[Shot]) -> list[Shot]:
         """Return pictures with cameras through which they agree best, and write these."""
         pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
-        found = octex.refine_cameras(
-            self._surface, pictures, reference=reference, **self._room, **self._running
-        )
+        found = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
         # What comes next may take hours, so they are written now.
         octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
         return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
@@ -87,15 +82,16 @@ class Painting:
         """Return a new texture for a layer to be merged into; its unseen part may be filled."""
         from octex.painting import holes
 
-        mode: Any = self._options.holes if isinstance(self._options.holes, str) else "smooth"
-        return holes.begun(layer, self._surface, "leave" if has_layers else mode, *self._running.values())
+        chosen = self._options.holes
+        mode: Any = "leave" if has_layers else chosen if isinstance(chosen, str) else "smooth"
+        return holes.begun(layer, self._surface, mode, self._executor, self._progress)
 
     def merged(
         self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path]
     ) -> OctreeTexture:
         """Merge layers, those of ``files`` if any; return the same texture if they paint nothing."""
         painting = [number for number, layer in enumerate(layers) if layer.tree.n_leaves]
-        blending = {"opacity": self._opacity, "blend": self._blend, **self._running}
+        blending = {"opacity": self._opacity, "blend": self._blend, "run": self._run}
         for number in painting:
             try:
                 texture = octex.merge(texture, layers[number], self._surface, **blending)

@@ -36,7 +36,7 @@ from octex.conversion.sides import fitters
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
-from octex.parallel import Progress, as_progress, shares_memory, workers
+from octex.parallel import Progress, Run, as_run, folder_of, shares_memory, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
@@ -71,11 +71,10 @@ def convert(
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
     separate: float | bool | None = None,
-    memory: int | str | None = None,
     path: str | os.PathLike[str] | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Convert a model into an octree texture.
 
@@ -98,10 +97,7 @@ def convert(
     separate   move parts apart at rest that come nearer than this many finest cells (True: 3). Lookups then
                take ``Surface.rest_positions``
     path       save the texture here as NAME.octex, and return it memory-mapped
-    memory     bytes, or a text like "2GB": keep what exceeds it in files next to ``path``
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor. With
-               ``path``, an executor's workers exchange files in that folder. The result is always the same
-    progress   called with a stage's name, the units done and the units in all
+    run        how to work (octex.Run). With ``path``, an executor's workers exchange files next to it
 
     A leaf is stored for exactly the cells that the surface meets at rest. A node stores the average of the
     source over the surface inside it, weighted by area and alpha, in linear light (Benson & Davis 2002, 3.1,
@@ -109,17 +105,17 @@ def convert(
     encoded range stores a value for each facing.
 
     PointCloud accepts only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; Voxels neither
-    ``depth`` nor ``cell``. Sources with gaps (such as a cloud with a ``distance``) must fit into ``memory``,
-    and do not accept ``path`` with an ``executor``.
+    ``depth`` nor ``cell``. Sources with gaps (such as a cloud with a ``distance``) must fit into memory,
+    and do not accept ``path`` with an executor.
 
     Raises ModelError and ImageError for a model that cannot be used, OutputError if ``path`` cannot be
     written, and ArgumentError for any other argument out of range.
     """
-    report = as_progress(progress)
+    run = as_run(run, threads, progress, "memory", "folder")
+    report = run.report
     target = None if path is None else _as_target(path)
-    if memory is not None and target is None:
+    if run.memory is not None and target is None:
         raise ArgumentError("memory needs a path: where the texture is written, NAME.octex")
-    most_memory = None if memory is None else as_bytes(memory, "memory")
     most = None if max_error is None else as_max_error(max_error)
     depth, cell = as_fineness(depth, cell)
     fit = as_flag(fit, "fit")
@@ -133,14 +129,14 @@ def convert(
     if isinstance(model, (PointCloud, Voxels)):
         options = {
             "rest": rest, "sources": sources, "filter": filter, "max_error": most, "detail": detail,
-            "separate": margin, "threads": threads, "executor": executor, "fit": None if fit else fit,
-            "memory": memory, "path": path,
+            "separate": margin, "threads": run.threads, "executor": run.executor,
+            "fit": None if fit else fit, "memory": run.memory, "path": path,
         }  # fmt: skip
         for name, option in options.items():
             if option is not None:
                 raise ArgumentError(f"{name} needs a surface, which {model.name} is not; leave it out")
         if isinstance(model, PointCloud):
-            return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, progress=report)
+            return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, report=report)
         if depth is not None or cell is not None:
             raise ArgumentError(f"{model.name}: voxels have their own depth; leave depth and cell out")
         return convert_voxels(model, channels=channels, dtype=dtype, progress=report)
@@ -159,10 +155,10 @@ def convert(
         None if detail is None else wanted_levels(detail, whole, finest),
     )  # fmt: skip
     with ExitStack() as stack:
-        pool = stack.enter_context(workers(threads, executor))
-        if target is not None and _is_mapped(plan, most_memory, executor):
-            folder = stack.enter_context(large.scratch(target.parent))
-            pool = large.Tasks(pool, folder, is_here=executor is None or shares_memory(executor))
+        pool = stack.enter_context(workers(run))
+        if target is not None and _is_mapped(plan, run):
+            folder = stack.enter_context(large.scratch(folder_of(run, target.parent)))
+            pool = large.Tasks(pool, folder, is_here=shares_memory(pool))
         texture = _converted(plan, pool, report)
         if target is None:
             return texture
@@ -245,24 +241,24 @@ def _without_gaps(
     return found
 
 
-def _is_mapped(plan: Plan, most_memory: int | None, executor: Executor | None) -> bool:
+def _is_mapped(plan: Plan, run: Run) -> bool:
     """Say whether large arrays go to files; raises ArgumentError where they cannot."""
     source, name = plan.surface.source, plan.surface.name
     must_stay = source.has_gaps or source.alpha_is_coverage
-    if executor is None:
-        if most_memory is None:
+    if run.executor is None:
+        if run.memory is None:
             return False
         needed = memory_needed(
             plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
         )
-        if needed * (1 if must_stay else _MOST_TAKEN) <= most_memory:
+        if needed * (1 if must_stay else _MOST_TAKEN) <= as_bytes(run.memory, "memory"):
             return False
     if must_stay:
         raise ArgumentError(
             f"{name}: sources with gaps must fit into memory; leave out memory, and path if there is an "
             "executor"
         )
-    is_here = executor is None or shares_memory(executor)
+    is_here = run.executor is None or shares_memory(run.executor)
     if not is_here and (plan.max_error is not None or plan.wanted is not None):
         raise ArgumentError(
             f"{name}: max_error and detail run on one machine only; leave out path or the executor"

@@ -14,7 +14,7 @@ from octex.checks import as_choice, as_names
 from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.levels import CellLevels, assemble, climb
 from octex.nearest.boxes import order_of, rows_in
-from octex.parallel import Progress, silent
+from octex.parallel import Progress
 from octex.source.cloud import PointCloud
 from octex.texture import OctreeTexture
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH
@@ -35,7 +35,7 @@ def convert_points(
     cell: float | None = None,
     channels: Sequence[str] | None = None,
     dtype: Dtypes = None,
-    progress: Progress | None = None,
+    report: Progress,
 ) -> OctreeTexture:
     """Convert points into an octree texture, whose leaves are the finest cells that hold one.
 
@@ -46,7 +46,6 @@ def convert_points(
 
     Raises ArgumentError for unknown channels and types, and for cells that are too small.
     """
-    report = progress or silent
     report("points", 0, 1)
     forms = [BASE_COLOR, ALPHA] if cloud.is_translucent else [BASE_COLOR]
     names = None if channels is None else as_names(channels, "channels")

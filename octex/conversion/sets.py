@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from octex.conversion.detail import DetailFunction, channel_of
 from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.levels import is_degenerate
 from octex.errors import ArgumentError, ModelError
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.base import by_channel
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.surface import Surface
@@ -41,8 +41,8 @@ def convert_set(
     max_error: float | None = None,
     detail: DetailFunction | str | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> TextureSet:
     """Convert each part of a model into a texture of its own, so that nothing bleeds between parts.
 
@@ -59,7 +59,7 @@ def convert_set(
     Raises ArgumentError, ModelError and ImageError as ``convert`` does.
     """
     depth, cell = as_fineness(depth, cell)
-    report = as_progress(progress)
+    run = as_run(run, threads, progress)
     names = None if channels is None else as_names(channels, "channels")
     models: dict[str, str | os.PathLike[str] | Surface | PointCloud] = {}
     metadata: dict[str, str] = {}
@@ -75,7 +75,7 @@ def convert_set(
             raise ArgumentError(f"{parts.name} is points, which have no parts; convert takes it")
         steering = channel_of(detail)
         wanted = names if names is None or steering is None else [*names, steering]
-        surface = surface_of(parts, rest, wanted, sources, filter, report)
+        surface = surface_of(parts, rest, wanted, sources, filter, run.report)
         sources = filter = None  # they are in it
         metadata |= surface.provenance
         for name, part in _taken_apart(surface):
@@ -85,21 +85,21 @@ def convert_set(
                 made[name] = _single_cell(part, placement, names, dtype)
         if len(made) == len(models):
             raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
-    report("convert", len(made), len(models))
-    with workers(threads, executor) as pool:
+    run.report("convert", len(made), len(models))
+    with workers(run) as pool:
         points = [name for name, model in models.items() if _is_points(model)]
         # What is for surfaces does nothing to points beside them.
         is_mixed = len(points) < len(models)
         for name in [name for name in models if name not in made]:
-            own: dict[str, Any] = {"filter": filter, "fit": fit, "executor": pool}
+            own: dict[str, Any] = {"filter": filter, "fit": fit, "run": Run(executor=pool)}
             if name in points:
-                own = {} if is_mixed else own | {"threads": threads, "executor": executor}
+                own = {} if is_mixed else own | {"run": replace(run, progress=None)}
             made[name] = convert(
                 models[name], depth,
                 cell=cell, channels=names, sources=sources, dtype=dtype, max_error=max_error, detail=detail,
                 **own,
             )  # fmt: skip
-            report("convert", len(made), len(models))
+            run.report("convert", len(made), len(models))
     return TextureSet({name: made[name] for name in models}, metadata)
 
 

@@ -58,7 +58,7 @@ def encoded_images(
         lanes = slice(4 if "alpha" in channels[key] else 3)
         return image_file(texels[key], lanes, file_format(form, channels[key] - {"alpha"}))
 
-    with workers(None, None, len(texels)) as pool:
+    with workers(tasks=len(texels)) as pool:
         files = ordered_map(pool, encoded, list(texels))
         return list(files), {key: number for number, key in enumerate(texels)}
 

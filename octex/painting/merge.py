@@ -41,7 +41,7 @@ from octex.painting.cells import Paint, channel_of, paint_of, some
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
 from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress, as_progress, ordered_map, sharing, silent, workers
+from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
@@ -68,8 +68,8 @@ def merge(
     opacity: float = 1.0,
     blend: Blend = "over",
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Merge a layer of paint, made by ``octex.project``, into a texture; both stay as they are.
 
@@ -78,7 +78,7 @@ def merge(
     surface   the surface that both were made on
     opacity   0 … 1, multiplies the layer's coverage
     blend     how the layer combines with the texture, in linear light: one of BLENDS
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    run       how to work (octex.Run)
 
     Where the layer is finer, leaves of the texture become kept nodes, so the field next to the paint does not
     move. Other channels do not move, except where the layer adds surface. Near the border of finer paint some
@@ -97,8 +97,9 @@ def merge(
     as_texture(texture)
     as_texture(layer, "layer")
     painted = PaintedSurface(surface.placed_in(texture))
-    with workers(threads, executor) as pool:
-        change = merged(texture, layer, painted, opacity, blend, pool, as_progress(progress))
+    run = as_run(run, threads, progress)
+    with workers(run) as pool:
+        change = merged(texture, layer, painted, opacity, blend, pool, run.report)
     return texture if change is None else change.put_into(texture)
 
 
@@ -200,7 +201,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
-        with workers(1) as one_worker:
+        with workers(Run(threads=1)) as one_worker:
             own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
             made = merge_draft(own, cut_out(texture, opened), paint)
         if made is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import astuple
@@ -26,7 +25,7 @@ from octex.painting.resume import Stages, stages_in
 from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.steps import rasterize_surface
 from octex.painting.surface import PaintedSurface, key_of, laid_flat
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
@@ -63,12 +62,9 @@ def paint(
     holes: Holes | None = None,
     coverage: bool = False,
     fit: bool = True,
-    memory: int | str | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Paint pictures through their cameras onto a surface, and return the painted texture.
 
@@ -93,21 +89,16 @@ def paint(
                   harmonically over the surface; "leave" stores no cells
     coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
     fit           choose leaf values so that lookups match the pictures; False stores plain averages
-    memory        bytes, or a text like "4GB": keep what exceeds it in files of ``folder``. Pictures take 64
-                  bytes a pixel, merging some 700 MB
-    folder        for these files (default: the folder of temporary files)
-    resume        a folder that stores finished stages. A later call with the same folder reuses what has not
-                  changed. It holds 41 bytes a pixel; you may delete it
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
-    progress      called with a stage's name, the units done and the units in all
+    run           how to work (octex.Run)
 
-    Only surface that the camera sees is painted: not hidden, and not facing away. Neither ``memory``,
-    ``resume`` nor the workers change the result. Where nothing is painted the texture itself is returned.
+    Only surface that the camera sees is painted: not hidden, and not facing away. Where nothing is painted
+    the texture itself is returned.
 
     Raises ArgumentError for a channel that the texture does not have, a surface outside of its root cell,
     numbers out of range and pictures that do not fit their cameras; ImageError for files that are no
     pictures. (Benson & Davis 2002, 4.1 and 4.2.)
     """
+    run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
         channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
@@ -116,8 +107,8 @@ def paint(
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     given = check_projections(projections)
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    with workers(threads, executor) as pool, room_for(given, memory, folder):
-        job = Job(model, options, pool, as_progress(progress), stages_in(resume))
+    with workers(run) as pool, room_for(given, run):
+        job = Job(model, options, pool, run.report, stages_in(run.resume))
         for made, _ in painted(job, texture, given, filling, layers):
             texture = made
     assert texture is not None
@@ -162,12 +153,9 @@ def project(
     reference: int | None = None,
     back_faces: bool = False,
     fit: bool = True,
-    memory: int | str | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Project pictures onto a surface, and return the paint as a layer for ``octex.merge``.
 
@@ -176,6 +164,7 @@ def project(
     texture that the layer will be merged into, or None for a new one. All other arguments are those of
     ``paint``.
     """
+    run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
         channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
@@ -183,8 +172,8 @@ def project(
     given = check_projections(projections)
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
     model, given = laid_flat(model, given, like)
-    with workers(threads, executor) as pool, room_for(given, memory, folder):
-        return layer_of(Job(model, options, pool, as_progress(progress), stages_in(resume)), given, like)
+    with workers(run) as pool, room_for(given, run):
+        return layer_of(Job(model, options, pool, run.report, stages_in(run.resume)), given, like)
 
 
 def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:

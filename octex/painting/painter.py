@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 
 import numpy.typing as npt
 
@@ -15,7 +14,7 @@ from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Fill, Region, filled
 from octex.painting.resume import NOT_STORED
 from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 
@@ -66,8 +65,8 @@ class Painter:
         back_faces: bool = False,
         fit: bool = True,
         threads: int | None = None,
-        executor: Executor | None = None,
         progress: Progress | None = None,
+        run: Run | None = None,
     ) -> Stroke:
         """Paint pictures as ``octex.paint`` does, with its options; return the changes.
 
@@ -78,8 +77,9 @@ class Painter:
             channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
         )
         changes, texture = [], self._texture
-        with workers(threads, executor) as pool:
-            job = Job(self._painted, options, pool, as_progress(progress), NOT_STORED)
+        run = as_run(run, threads, progress)
+        with workers(run) as pool:
+            job = Job(self._painted, options, pool, run.report, NOT_STORED)
             for made, change in painted(job, texture, check_projections(projections)):
                 texture = made
                 changes.append(change)
@@ -95,13 +95,13 @@ class Painter:
         blend: Blend = "over",
         max_depth: int | None = None,
         threads: int | None = None,
-        executor: Executor | None = None,
         progress: Progress | None = None,
+        run: Run | None = None,
     ) -> Stroke:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
-        wanted, report = Fill(region, color, channel, opacity, blend, max_depth), as_progress(progress)
-        with workers(threads, executor) as pool:
-            _, change = filled(self._texture, self._painted, self._surface, wanted, pool, report)
+        wanted, run = Fill(region, color, channel, opacity, blend, max_depth), as_run(run, threads, progress)
+        with workers(run) as pool:
+            _, change = filled(self._texture, self._painted, self._surface, wanted, pool, run.report)
         return self._did(self._texture if change is None else change.put_into(self._texture), [change])
 
     def undo(self) -> bool:

@@ -27,6 +27,7 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
+from octex.parallel import Run, folder_of
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
 from octex.source.images.taps import catmull_rom
@@ -89,21 +90,12 @@ class Projection:
         return _name_of(self.image, "the image")
 
 
-def room_for(
-    projections: Sequence[Projection], memory: int | str | None, folder: str | os.PathLike[str] | None
-) -> AbstractContextManager[object]:
-    """Have what pictures hold beyond some memory lie in files of a folder, until the end of the block."""
-    if memory is None:
-        if folder is not None:
-            raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")
-        return nullcontext()
+def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
+    """Have what pictures hold lie in files until the end of the block, beyond the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
-    if as_bytes(memory, "memory") >= _PIXEL_MEMORY * pixels:
+    if run.memory is None or as_bytes(run.memory, "memory") >= _PIXEL_MEMORY * pixels:
         return nullcontext()
-    place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
-    if not place.is_dir():
-        raise ArgumentError(f"folder: {place} is not a folder; name an existing one")
-    return scratch(place)
+    return scratch(folder_of(run, Path(tempfile.gettempdir())))
 
 
 class Mips(NamedTuple):

@@ -23,7 +23,7 @@ from octex.painting.paint import check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import rasterize_surface
 from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -111,8 +111,8 @@ def fill(
     blend: Blend = "over",
     max_depth: int | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Fill a region of the surface with one value, and return the texture with it.
 
@@ -124,17 +124,17 @@ def fill(
     opacity    0 … 1
     blend      how the value combines with the texture: one of BLENDS
     max_depth  the resolution of the region's border. Default: the texture's; 10 for a new one
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    run        how to work (octex.Run)
 
     Raises ArgumentError for another kind of region, for a function whose result has another shape, is NaN or
     lies outside of 0 … 1, and as ``paint`` does.
     """
     as_surface(surface)
-    report = as_progress(progress)
+    run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     wanted = Fill(region, color, channel, opacity, blend, max_depth)
-    with workers(threads, executor) as pool:
-        base, change = filled(texture, painted, surface, wanted, pool, report)
+    with workers(run) as pool:
+        base, change = filled(texture, painted, surface, wanted, pool, run.report)
     return base if change is None else change.put_into(base)
 
 

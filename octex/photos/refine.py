@@ -9,7 +9,6 @@ make it worse). A camera of which pictures tell too little stays as it was given
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -31,7 +30,7 @@ from octex.painting.reading import terms_of
 from octex.painting.resume import Stages, stages_in
 from octex.painting.sight import Shot, most_ahead, order_key
 from octex.painting.surface import PaintedSurface, key_of
-from octex.parallel import Progress, as_progress, ordered_map, workers
+from octex.parallel import Progress, Run, as_run, ordered_map, workers
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced
 from octex.photos.consensus import agreed_step, consensus, robust_weights
@@ -74,12 +73,9 @@ def refine_cameras(
     *,
     balance: Balance | None = "gain",
     reference: int | None = None,
-    memory: int | str | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    resume: str | os.PathLike[str] | None = None,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> list[Camera]:
     """Turn, move and zoom cameras by a few pixels until their pictures agree, and return the new cameras.
 
@@ -88,7 +84,7 @@ def refine_cameras(
     balance      how exposures are matched before pictures are compared, as for ``paint``
     reference    number of the picture whose camera does not change. Default: the one that overlaps most with
                  others
-    memory, folder, resume, threads, executor, progress   as for ``paint``
+    run          how to work (octex.Run)
 
     A camera stays unchanged unless its picture then agrees clearly better with the others.
 
@@ -102,17 +98,18 @@ def refine_cameras(
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
         raise ArgumentError("a patch cannot be refined; give pictures with cameras")
-    painted, report = PaintedSurface(as_surface(surface)), as_progress(progress)
+    painted = PaintedSurface(as_surface(surface))
+    run = as_run(run, threads, progress, "memory", "folder", "resume")
     if len(shown) == 1:
         return cameras
-    stages = stages_in(resume)
+    stages = stages_in(run.resume)
     own = stages.of(
         lambda: [painted.content, [*map(content_of, shown), *map(key_of, cameras)], balance, reference]
     )
-    with workers(threads, executor) as pool, room_for(shown, memory, folder):
+    with workers(run) as pool, room_for(shown, run):
 
         def refined() -> dict[str, Array]:
-            found = _refined(painted, shown, cameras, balance, reference, pool, report, stages)
+            found = _refined(painted, shown, cameras, balance, reference, pool, run.report, stages)
             return {
                 "world_to_camera": np.stack([each.world_to_camera for each in found]),
                 "K": np.stack([each.K for each in found]),

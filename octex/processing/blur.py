@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from octex.arrays import Float32s, Float64s, Uint8s
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_number
 from octex.editing.averages import average_plain, coverage, weighted_means
+from octex.parallel import Run, as_run
 from octex.processing.edit import Centres, names_of, noted, with_values
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
@@ -25,13 +25,13 @@ def blur(
     channel: str | Sequence[str] | None = None,
     *,
     threads: int | None = None,
-    executor: Executor | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Return a texture that is blurred over its surface.
 
     width     of the blur, in the model's units
     channel   one name, several, or None for all. Unless alpha is blurred too, it stays and weighs the others
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    run       how to work (octex.Run)
 
     Each leaf becomes ``texture.sample(centre, width=width, normals=facing)``: the average over a square
     around its centre, of surface that faces the same way. So nothing bleeds through a thin sheet. Split
@@ -40,7 +40,7 @@ def blur(
 
     Raises ArgumentError for unknown channels, and for a width that is negative or not finite.
     """
-    names = names_of(texture, channel)
+    run, names = as_run(run, threads), names_of(texture, channel)
     width = as_number(width, "width", 0.0, np.finfo(np.float64).max)
     if width == 0:
         return texture
@@ -66,9 +66,9 @@ def blur(
         (2, np.arange(kept.size), kept, faces[kept]),
     ):
         centres = centres_of[cells]
-        blurred = _sampled(texture, names, centres, facings, width, threads, executor)
+        blurred = _sampled(texture, names, centres, facings, width, run)
         some = np.flatnonzero(left[cells] > 0)
-        field = _sampled(texture, names, centres[some], facings[some], None, threads, executor)
+        field = _sampled(texture, names, centres[some], facings[some], None, run)
         for name in names:
             form, stored = made[name].format, arrays[name][part]
             old = decode(stored[numbers[some]], form.space)
@@ -86,8 +86,7 @@ def _sampled(
     centres: Float64s,
     facings: Uint8s,
     width: float | None,
-    threads: int | None,
-    executor: Executor | None,
+    run: Run,
 ) -> dict[str, Float32s]:
     """Return the field at centres (n, 3), by a normal where surface that faces some ways (n,) has one."""
     axes = np.stack([(facings >> bit & 1).astype(np.int8) for bit in range(6)], axis=1)
@@ -97,10 +96,7 @@ def _sampled(
         name: np.empty((len(centres), texture.channels[name].format.components), np.float32) for name in names
     }
     for chosen, facing in ((has_normal, normals[has_normal]), (~has_normal, None)):
-        values = texture.sample(
-            centres[chosen], names, width=width, normals=facing, normalize=False, threads=threads,
-            executor=executor,
-        )  # fmt: skip
+        values = texture.sample(centres[chosen], names, width=width, normals=facing, normalize=False, run=run)
         for name, stored in values.items():
             sampled[name][chosen] = stored
     return sampled

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
-
 import numpy as np
 
 from octex.arrays import Int64s
@@ -12,7 +10,7 @@ from octex.checks import as_flag, as_number
 from octex.editing.carried import carried
 from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
-from octex.parallel import workers
+from octex.parallel import Run, as_run, workers
 from octex.processing.edit import noted
 from octex.processing.mapping import in_format
 from octex.processing.mixing import Amount, Mixing
@@ -31,14 +29,14 @@ def combine(
     *,
     over: bool = False,
     threads: int | None = None,
-    executor: Executor | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Return two textures of the same root cell in one: ``second`` on top of ``first``.
 
     Where only one has cells, they stay. Where both have cells, those of ``second`` replace the others, as
     ``mix`` does with an amount of 1. With ``over`` they are composited by their alpha, in linear light
     (Porter & Duff 1984). ``mix`` describes cells of different depth, averages, facings and channels.
-    ``threads`` and ``executor`` choose who works in parallel.
+    ``run`` says how to work (octex.Run).
 
     Raises ArgumentError for textures of different root cells or separations, or without a common channel.
     """
@@ -47,7 +45,7 @@ def combine(
     over = as_flag(over, "over")
     amount = None if over and ALPHA.name in second.channels else 1.0
     metadata = noted(first.metadata, "combine", over=over, second=dict(second.metadata))
-    return _united(first, second, amount, metadata, threads, executor)
+    return _united(first, second, amount, metadata, as_run(run, threads))
 
 
 def mix(
@@ -56,13 +54,13 @@ def mix(
     amount: Amount = 0.5,
     *,
     threads: int | None = None,
-    executor: Executor | None = None,
+    run: Run | None = None,
 ) -> OctreeTexture:
     """Return first · (1 − amount) + second · amount for two textures of the same root cell.
 
     amount   0 … 1: a number; a texture of one one-component channel, read at the cells' centres; or a
              function of rest positions (n, 3) that returns (n,). It is clamped
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+    run      how to work (octex.Run)
 
     Values mix in linear light, weighted by alpha. The tree has all cells of both textures; a cell that only
     one has keeps its values. Where one has a leaf that the other divides, the leaf's field gives the values
@@ -91,7 +89,7 @@ def mix(
     else:
         how = amount = as_number(amount, "amount", 0.0, 1.0)
     metadata = noted(first.metadata, "mix", amount=how, second=dict(second.metadata))
-    return _united(first, second, amount, metadata, threads, executor)
+    return _united(first, second, amount, metadata, as_run(run, threads))
 
 
 def _united(
@@ -99,8 +97,7 @@ def _united(
     second: OctreeTexture,
     amount: Amount | None,
     metadata: dict[str, str],
-    threads: int | None,
-    executor: Executor | None,
+    run: Run,
 ) -> OctreeTexture:
     first, second = _alike(first, second)
     bounds = np.array(
@@ -114,7 +111,7 @@ def _united(
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
         return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)
-    with workers(threads, executor) as pool:
+    with workers(run) as pool:
         tree, channels = Mixing(first, second, amount, pool).mixed()
     return OctreeTexture(tree, channels, first.placement, bounds, metadata)
 

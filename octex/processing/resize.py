@@ -16,7 +16,7 @@ from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, with_rows
 from octex.editing.split import refaced
 from octex.errors import ArgumentError
-from octex.parallel import workers
+from octex.parallel import Run, as_run, workers
 from octex.processing.edit import noted
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.areas import shared_codes
@@ -28,7 +28,7 @@ from octex.tree.split import rows_of
 
 
 def resize(
-    texture: OctreeTexture, depth: int, *, threads: int | None = None, executor: Executor | None = None
+    texture: OctreeTexture, depth: int, *, threads: int | None = None, run: Run | None = None
 ) -> OctreeTexture:
     """Return a texture of another depth.
 
@@ -40,14 +40,14 @@ def resize(
     With normals the field does not move where the surface in a cell faces one way. Otherwise it moves by up
     to 0.03 of the range on a thin sheet, and by up to 0.25 inside a leaf at a crease.
 
-    ``threads`` and ``executor`` choose who works in parallel. Raises ArgumentError for a depth outside of 0 …
-    21, and for one with more cells than can be numbered.
+    ``run`` says how to work (octex.Run). Raises ArgumentError for a depth outside of 0 … 21, and for one with
+    more cells than can be numbered.
     """
     as_texture(texture)
-    depth = as_depth(depth)
+    depth, run = as_depth(depth), as_run(run, threads)
     metadata = noted(texture.metadata, "resize", depth=depth)
     if any(leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]):
-        with workers(threads, executor) as pool:
+        with workers(run) as pool:
             texture = _divided(texture, depth, pool)
     texture = texture.level(depth)
     return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypedDict
 
@@ -17,7 +16,7 @@ from octex.field.field import NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
 from octex.field.lookups import Query
 from octex.field.splines import FILTERS
-from octex.parallel import ordered_map, workers
+from octex.parallel import Run, ordered_map, workers
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
@@ -67,7 +66,7 @@ class LookupOptions(FootprintOptions, total=False):
 
     normalize: bool
     threads: int | None
-    executor: Executor | None
+    run: Run | None
 
 
 class SurfacePoints(Protocol):
@@ -205,20 +204,18 @@ class _Block(NamedTuple):
         return _Block.empty, (self.given, [(each.shape, each.dtype) for each in self.answers])
 
 
-def in_blocks(
-    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
-) -> None:
+def in_blocks(given: Given, answers: list[Array], look_up: LookUp, run: Run) -> None:
     """Look up points by what is given of them, of any real type, and write to ``answers``, arrays of n rows.
 
     Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
     row that is not finite, or a width that is below zero; the answers are then written in part.
     """
-    if threads is None and executor is None and 0 < len(given["points"]) <= BLOCK:  # nothing to hand over
+    if run.threads is None and run.executor is None and 0 < len(given["points"]) <= BLOCK:  # in one piece
         fault, _ = _checked_block(look_up, _Block(given, answers))
         if fault is not None:
             _refuse(fault, 0, given)
         return
-    for begin, found in each_block(given, answers, look_up, threads, executor):
+    for begin, found in each_block(given, answers, look_up, run):
         for answer, rows in zip(answers, found, strict=True):
             here = answer[begin : begin + BLOCK]
             if not np.may_share_memory(here, rows):  # the executor works in other processes
@@ -226,7 +223,7 @@ def in_blocks(
 
 
 def each_block(
-    given: Given, answers: list[Array], look_up: LookUp, threads: int | None, executor: Executor | None
+    given: Given, answers: list[Array], look_up: LookUp, run: Run
 ) -> Iterator[tuple[int, list[Array]]]:
     """Look up points like ``in_blocks``; yield where each block begins, and its rows of the answers.
 
@@ -234,7 +231,7 @@ def each_block(
     """
     begins = range(0, len(given["points"]), BLOCK)
     blocks = [_Block.at(begin, given, answers) for begin in begins]
-    with workers(threads, executor, len(blocks)) as pool:
+    with workers(run, len(blocks)) as pool:
         results = ordered_map(pool, partial(_checked_block, look_up), blocks)
         for begin, (fault, found) in zip(begins, results, strict=True):
             if fault is not None:
@@ -246,8 +243,7 @@ def in_space(
     given: Given,
     answers: list[Array],
     look_up: LookUp,
-    threads: int | None,
-    executor: Executor | None,
+    run: Run,
     placement: Placement,
     least: int = 0,
 ) -> None:
@@ -266,15 +262,15 @@ def in_space(
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
             if not numbers.size:
-                in_blocks(here, there, look_up, threads, executor)
+                in_blocks(here, there, look_up, run)
                 continue
             sorted_here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
             found = [np.empty(answer.shape, answer.dtype) for answer in there]
-            in_blocks(sorted_here, found, look_up, threads, executor)
+            in_blocks(sorted_here, found, look_up, run)
             for answer, each in zip(there, found, strict=True):
                 put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
     except ArgumentError:
-        in_blocks(given, answers, look_up, threads, executor)  # which names the first row
+        in_blocks(given, answers, look_up, run)  # which names the first row
         raise
 
 

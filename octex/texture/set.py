@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +15,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float32s, Int64s
 from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
+from octex.parallel import Run, as_run
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
 from octex.texture.lookup import (
     Answers,
@@ -161,7 +161,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         out: Any = None,
         normalize: bool = True,
         threads: int | None = None,
-        executor: Executor | None = None,
+        run: Run | None = None,
         **options: Unpack[FootprintOptions],
     ) -> Any:
         """Sample rest positions (n, 3), or points of a surface, each in the texture of its part.
@@ -184,7 +184,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
             part: partial(texture._sampled, answers.channels, lens, normalize)
             for part, texture in self._ready_for(given, answers.channels, lens)
         }
-        in_blocks(given, answers.arrays, partial(_by_part, look_ups), threads, executor)
+        in_blocks(given, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
         return answers.returned
 
     def contains(
@@ -193,18 +193,18 @@ class TextureSet(Mapping[str, OctreeTexture]):
         parts: npt.ArrayLike,
         *,
         threads: int | None = None,
-        executor: Executor | None = None,
+        run: Run | None = None,
     ) -> Bools:
         """Return for each rest position (n, 3) whether a leaf of its part's texture holds it.
 
-        ``parts`` are as for ``sample``; ``threads`` and ``executor`` choose who works in parallel. Raises
-        ArgumentError for positions that are not finite (n, 3), and for unknown parts.
+        ``parts`` are as for ``sample``; ``run`` says how to work (octex.Run). Raises ArgumentError for
+        positions that are not finite (n, 3), and for unknown parts.
         """
         given = {"points": placed(points)[0]}
         given["parts"] = self._numbers(parts, len(given["points"]))
         inside = np.empty(len(given["points"]), np.bool_)
         look_ups = {part: texture._holds for part, texture in self._ready_for(given)}
-        in_blocks(given, [inside], partial(_by_part, look_ups), threads, executor)
+        in_blocks(given, [inside], partial(_by_part, look_ups), as_run(run, threads))
         return inside
 
     def _ready_for(

@@ -14,6 +14,7 @@ from octex.checks import as_choice
 from octex.container import header_length
 from octex.field.listing import Reads, joined_reads, reads_of
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
+from octex.parallel import Run
 from octex.texture.channel import Channel
 from octex.texture.lookup import Given, Lens, each_block
 from octex.tree.beside import with_boundary
@@ -94,7 +95,7 @@ def lookup_reads(
         look_up = partial(_read_of, texture, name, lens, cells_alone)
         found[name] = joined_reads(
             dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
-            for _, (levels, *arrays) in each_block(given, [], look_up, 1, None)
+            for _, (levels, *arrays) in each_block(given, [], look_up, Run(threads=1))
         )
     return found
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal, Unpack, overload
@@ -31,6 +30,7 @@ from octex.field.field import Field
 from octex.field.listing import TapList, list_blends
 from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
+from octex.parallel import Run, as_run
 from octex.texture.channel import NO_GRADIENTS, Channel, as_channels, make_unit, mixed_cells, stored
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
@@ -210,7 +210,7 @@ class OctreeTexture:
         gradient: bool = False,
         out: Any = None,
         threads: int | None = None,
-        executor: Executor | None = None,
+        run: Run | None = None,
     ) -> Any:
         """Sample channels at rest positions (n, 3), or at points that ``Surface.scatter`` returns.
 
@@ -231,7 +231,7 @@ class OctreeTexture:
                          vary
         gradient         also return derivatives by rest position (n, components, 3); not for "nearest"
         out              write into these C-ordered float32 arrays: one, a dict, or a pair of either
-        threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
+        run              how to work (octex.Run)
 
         Returns float32 (n, components), or a dict for a list of channels: linear light for colours, −1 … 1
         for directions, 0 … 1 for other integers. Values blend in linear light, weighted by ``alpha``. Every
@@ -244,7 +244,7 @@ class OctreeTexture:
         written), for unknown channels and filters, and for an ``out`` that does not fit.
         """
         if (
-            (width is normals is dPdx is dPdy is out is None and threads is None and executor is None)
+            (width is normals is dPdx is dPdy is out is None and threads is None and run is None)
             and (gradient is False and normalize is True and blur is sharpness is _NONE)
             and (anisotropy is ANISOTROPY and bleed_threshold is BLEED_THRESHOLD)
         ):
@@ -262,7 +262,7 @@ class OctreeTexture:
         if self.source.path:  # not memory
             here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
-        task = given, answers.arrays, look_up_block, threads, executor
+        task = given, answers.arrays, look_up_block, as_run(run, threads)
         is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
         if is_crowded:
             here._field.prepare(FILTERS.index(filter))
@@ -370,7 +370,7 @@ class OctreeTexture:
         filter: str = "quadratic",
         *,
         threads: int | None = None,
-        executor: Executor | None = None,
+        run: Run | None = None,
         **options: Unpack[FootprintOptions],
     ) -> TapList:
         """List the taps of ``sample`` at rest positions (n, 3): the stored values that it reads, and weights.
@@ -393,7 +393,7 @@ class OctreeTexture:
         lens, given = asked(points, filter, **options)
         as_choice(channel, self.channels, "channel")
         here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
-        blocks = each_block(given, [], partial(here._listed, channel, lens), threads, executor)
+        blocks = each_block(given, [], partial(here._listed, channel, lens), as_run(run, threads))
         starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
         return TapList(starts, rows.astype(np.int64), weights)
 
@@ -452,17 +452,16 @@ class OctreeTexture:
         points: npt.ArrayLike | SurfacePoints,
         *,
         threads: int | None = None,
-        executor: Executor | None = None,
+        run: Run | None = None,
     ) -> Bools:
         """Return for each rest position (n, 3) whether a leaf holds it.
 
-        ``threads`` and ``executor`` choose who works in parallel. Raises ArgumentError for positions that are
-        not finite (n, 3).
+        ``run`` says how to work (octex.Run). Raises ArgumentError for positions that are not finite (n, 3).
         """
         given: Given = {"points": placed(points)[0]}
         inside = np.empty(len(given["points"]), np.bool_)
         here = self.source.prepare(self, len(inside), None, None, lambda: given)
-        in_blocks(given, [inside], here._holds, threads, executor)
+        in_blocks(given, [inside], here._holds, as_run(run, threads))
         return inside
 
     def _holds(self, given: Given, answers: list[Array]) -> int:

@@ -547,8 +547,11 @@ def test_the_options_of_painting_reach_the_library(
     more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     result(capsys, *scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
-    for name in ("like", "executor", "progress"):
-        assert seen.pop(name) is not None
+    run = seen.pop("run")
+    assert (run.memory, run.folder, run.resume) == (1000, tmp_path, tmp_path / "kept")
+    assert run.executor is not None
+    assert run.progress is not None
+    assert seen.pop("like") is not None
     assert seen == {
         "channel": "base_color",
         "max_depth": 3,
@@ -558,9 +561,6 @@ def test_the_options_of_painting_reach_the_library(
         "balance": "gain",
         "reference": None,
         "back_faces": True,
-        "memory": 1000,
-        "folder": tmp_path,
-        "resume": tmp_path / "kept",
         "fit": False,
     }
 

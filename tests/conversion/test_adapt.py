@@ -391,7 +391,9 @@ def test_a_conversion_spends_its_leaves_on_the_decal():
 @needs_jit
 def test_conversions_do_not_depend_on_threads():
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(3) as three:
-        first, second = (octex.convert(body(), 7, max_error=2, executor=pool) for pool in (one, three))
+        first, second = (
+            octex.convert(body(), 7, max_error=2, run=octex.Run(executor=pool)) for pool in (one, three)
+        )
     np.testing.assert_array_equal(first.tree.arrays.groups, second.tree.arrays.groups)
     np.testing.assert_array_equal(first.channels["base_color"].values, second.channels["base_color"].values)
 

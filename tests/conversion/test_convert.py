@@ -223,9 +223,9 @@ def test_the_same_bytes_come_from_any_executor(
     executor: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
-        octex.convert(sphere(), depth=8, executor=alone).save(tmp_path / "alone.octex")
+        octex.convert(sphere(), depth=8, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
     monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
-    octex.convert(sphere(), depth=8, executor=executor).save(tmp_path / "many.octex")
+    octex.convert(sphere(), depth=8, run=octex.Run(executor=executor)).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 

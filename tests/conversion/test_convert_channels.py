@@ -95,10 +95,10 @@ def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with ThreadPoolExecutor(1) as alone:
-        octex.convert(whole(), depth=7, executor=alone).save(tmp_path / "alone.octex")
+        octex.convert(whole(), depth=7, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
     monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
     with ThreadPoolExecutor(3) as pool:
-        octex.convert(whole(), depth=7, executor=pool).save(tmp_path / "many.octex")
+        octex.convert(whole(), depth=7, run=octex.Run(executor=pool)).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 

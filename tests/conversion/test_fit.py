@@ -322,7 +322,7 @@ def test_the_result_does_not_depend_on_threads(threads: int, monkeypatch: pytest
     monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
     expected = octex.convert(whole(), 4)
     with ThreadPoolExecutor(threads) as pool:
-        texture = octex.convert(whole(), 4, executor=pool)
+        texture = octex.convert(whole(), 4, run=octex.Run(executor=pool))
     for name, channel in texture.channels.items():
         assert np.array_equal(channel.values, expected.channels[name].values), name
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
+from octex.parallel import Run
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -151,9 +152,9 @@ def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("octex.field.footprints._ROOM", 100)
     monkeypatch.setattr("octex.field.lookups.BLOCK", 50)
     with ThreadPoolExecutor(2) as pool:
-        pool = pool if executor else None
-        np.testing.assert_allclose(texture.sample(points, **views, executor=pool), expected[0], atol=1e-6)
-        found = as_four(texture, points, "quadratic", **views, executor=pool)
+        run = Run(executor=pool if executor else None)
+        np.testing.assert_allclose(texture.sample(points, **views, run=run), expected[0], atol=1e-6)
+        found = as_four(texture, points, "quadratic", **views, run=run)
         np.testing.assert_allclose(found, expected[1], atol=1e-6)
 
 

@@ -22,7 +22,7 @@ from octex.formats.ptex.export import _at, _placed
 from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
-from octex.parallel import workers
+from octex.parallel import Run, workers
 from tests.make.command import run
 from tests.oracles import naive_ptex
 
@@ -78,7 +78,7 @@ def waves(points: np.ndarray) -> np.ndarray:
 def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed: int, tmp_path: Path) -> None:
     contents = tool("bench/peers/ptex_peer").random_contents(seed)
     path = tmp_path / "made.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(contents, path, executor)
     records, texels, metadata = naive_ptex.read(path)
     ends = np.cumsum(contents.faces.counts)
@@ -111,7 +111,7 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
     )
     texels = np.random.default_rng(0).integers(0, 256, (3 * 1024, 3)).astype(np.uint8)
     path = tmp_path / "made.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(peer.Contents(mesh_type, faces, texels), path, executor)
     with PtexFile(path) as file:
         assert file.n_levels == 4
@@ -133,7 +133,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
 
     fuzz = tool("fuzz/random_ptex")
     path = tmp_path / "damaged.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(tool("bench/peers/ptex_peer").random_contents(3), path, executor)
     good, results = path.read_bytes(), set()
     for seed in range(150):
@@ -153,7 +153,7 @@ def test_edits_that_were_appended_count(tmp_path: Path) -> None:
     )
     texels = np.arange(12, dtype=np.uint8)[:, None]
     path = tmp_path / "made.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(peer.Contents("quad", faces, texels, metadata={"by": "me"}), path, executor)
     record = struct.pack("<bbBB4i", 1, 0, 0, 0, -1, -1, -1, -1)
     block = zlib.compress(bytes([70, 80]))
@@ -293,7 +293,7 @@ def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(
     faces = faces_of(surface, patches, log2)
     texels = np.random.default_rng(0).random((int(faces.counts.sum()), 3), np.float32)
     path = tmp_path / "made.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(Contents("triangle", faces, texels), path, executor)
     painted = surface.with_sources(octex.Ptex(path).sources)
     along = np.linspace(0.0, 1.0, 97)
@@ -322,7 +322,7 @@ def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path:
     faces = faces_of(surface, patches_of(surface), np.ones((2, 2), np.int8))
     texels = np.arange(8, dtype=np.float32)[:, None] / 8
     path = tmp_path / "made.ptx"
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         write_contents(Contents("triangle", faces, texels), path, executor)
     painted = surface.with_sources(octex.Ptex(path).sources)
 

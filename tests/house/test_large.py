@@ -60,7 +60,9 @@ def converted(surface: octex.Surface, folder: Path, **options: object) -> tuple[
 @pytest.mark.parametrize("fit", [True, False])
 def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_path: Path) -> None:
     for depth in (0, 2, 6):
-        in_memory, in_files = converted(SURFACES[name], tmp_path, fit=fit, depth=depth, memory=1)
+        in_memory, in_files = converted(
+            SURFACES[name], tmp_path, fit=fit, depth=depth, run=octex.Run(memory=1)
+        )
         assert in_memory == in_files
 
 
@@ -76,14 +78,14 @@ def test_an_adaptive_texture_made_in_files_has_the_same_bytes(
     in_memory = octex.convert(torus(), 5, **options)  # type: ignore[arg-type]
     assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
     in_memory.save(paths[0])
-    octex.convert(torus(), 5, path=paths[1], memory=1, **options).validate()  # type: ignore[arg-type]
+    octex.convert(torus(), 5, path=paths[1], run=octex.Run(memory=1), **options).validate()  # type: ignore[arg-type]
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(large, "scratch", None)
-    in_memory, in_files = converted(tetrahedron(), tmp_path, memory="1GB")
+    in_memory, in_files = converted(tetrahedron(), tmp_path, run=octex.Run(memory="1GB"))
     assert in_memory == in_files
 
 
@@ -95,8 +97,20 @@ def test_memory_is_what_a_conversion_takes_at_its_peak(
     made, scratch = [], large.scratch
     monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
     monkeypatch.setattr("octex.conversion.convert.memory_needed", lambda *_, **__: needed)
-    octex.convert(tetrahedron(), 3, memory=1000, path=tmp_path / "a.octex")
+    octex.convert(tetrahedron(), 3, run=octex.Run(memory=1000), path=tmp_path / "a.octex")
     assert bool(made) is is_mapped
+
+
+def test_files_of_a_conversion_lie_in_the_folder_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, scratch = [], large.scratch
+    monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
+    other = tmp_path / "other"
+    other.mkdir()
+    for folder, expected in ((None, tmp_path), (other, other)):
+        octex.convert(tetrahedron(), 3, run=octex.Run(memory=1, folder=folder), path=tmp_path / "a.octex")
+        assert made.pop() == expected
 
 
 OPEN_FILES = Path("/proc/self/fd")
@@ -127,7 +141,7 @@ def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch
     made = []
     joined = large.joined
     monkeypatch.setattr(large, "joined", lambda arrays: made.append(joined(arrays)) or made[-1])
-    octex.convert(torus(), 6, memory=1, path=tmp_path / "a.octex")
+    octex.convert(torus(), 6, run=octex.Run(memory=1), path=tmp_path / "a.octex")
     owners = {
         type(array.base.base if array.ndim > 1 else array.base).__name__ for array in made if array.size
     }
@@ -143,10 +157,10 @@ def processes() -> Iterator[Executor]:
 
 
 def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, tmp_path: Path) -> None:
-    in_memory, in_files = converted(torus(), tmp_path, executor=processes)
+    in_memory, in_files = converted(torus(), tmp_path, run=octex.Run(executor=processes))
     assert in_memory == in_files
     with ThreadPoolExecutor(2) as threads:
-        assert converted(torus(), tmp_path, executor=threads)[1] == in_memory
+        assert converted(torus(), tmp_path, run=octex.Run(executor=threads))[1] == in_memory
 
 
 @pytest.mark.parametrize("name", ["sheet", "bent"])
@@ -190,7 +204,7 @@ def test_images_are_made_ready_once_for_all_processes(
     monkeypatch.setattr(fragments, "_LEAST_FRAGMENTS", 1)  # many tasks
     monkeypatch.setattr(materials, "store", lambda *given: made.append(given) or store(*given))
     model = Path(__file__).parents[2] / "samples" / "droid.glb"
-    octex.convert(model, 7, path=tmp_path / "a.octex", executor=Sending())
+    octex.convert(model, 7, path=tmp_path / "a.octex", run=octex.Run(executor=Sending()))
     assert len(made) == 1
 
 
@@ -211,7 +225,7 @@ def test_a_worker_that_ends_half_way_is_done_without(tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        in_memory, in_files = converted(surface, tmp_path / "made", executor=pool)
+        in_memory, in_files = converted(surface, tmp_path / "made", run=octex.Run(executor=pool))
     assert (tmp_path / "flag").exists()
     assert in_memory == in_files
 
@@ -231,14 +245,14 @@ class Failing:
 def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> None:
     surface = torus().with_sources({"base_color": Failing()})
     with pytest.raises(InputError, match="it is not there"):
-        octex.convert(surface, 5, path=tmp_path / "a.octex", executor=processes)
+        octex.convert(surface, 5, path=tmp_path / "a.octex", run=octex.Run(executor=processes))
     assert not list(tmp_path.iterdir())
     with pytest.raises(ArgumentError, match=r"cannot be sent to workers: .*define its functions in a module"):
         octex.convert(
             torus().with_sources({"base_color": lambda points: points}),
             5,
             path=tmp_path / "a.octex",
-            executor=processes,
+            run=octex.Run(executor=processes),
         )
 
 
@@ -248,7 +262,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(large, "empty", full)
     with pytest.raises(OutputError, match="has no room for temporary files: No space left on device"):
-        octex.convert(tetrahedron(), 3, memory=1, path=tmp_path / "a.octex")
+        octex.convert(tetrahedron(), 3, run=octex.Run(memory=1), path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
 
 
@@ -260,28 +274,30 @@ def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path) -> None:
         distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        in_memory, in_files = converted(surface, tmp_path / "made", executor=client.get_executor())
+        in_memory, in_files = converted(
+            surface, tmp_path / "made", run=octex.Run(executor=client.get_executor())
+        )
     assert in_memory == in_files
 
 
 def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
     surface = tetrahedron()
     with pytest.raises(ArgumentError, match="memory needs a path"):
-        octex.convert(surface, 3, memory="1GB")
+        octex.convert(surface, 3, run=octex.Run(memory="1GB"))
     with pytest.raises(ArgumentError, match="memory: '2 elephants' is not a size"):
-        octex.convert(surface, 3, memory="2 elephants", path=tmp_path / "a.octex")
+        octex.convert(surface, 3, run=octex.Run(memory="2 elephants"), path=tmp_path / "a.octex")
     with pytest.raises(ArgumentError, match=r"is converted to NAME\.octex"):
         octex.convert(surface, 3, path=tmp_path / "a.ply")
     with pytest.raises(OutputError, match="there is no folder"):
         octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
     with_gaps = surface.with_sources(octex.Transfer(sheet(turned(3), 0.02), distance=0.01).sources)
     with pytest.raises(ArgumentError, match="sources with gaps must fit into memory"):
-        octex.convert(with_gaps, 3, memory=1, path=tmp_path / "a.octex")
+        octex.convert(with_gaps, 3, run=octex.Run(memory=1), path=tmp_path / "a.octex")
     with (
         ProcessPoolExecutor(1) as pool,
         pytest.raises(ArgumentError, match="max_error and detail run on one machine only"),
     ):
-        octex.convert(surface, 3, max_error=2, executor=pool, path=tmp_path / "a.octex")
+        octex.convert(surface, 3, max_error=2, run=octex.Run(executor=pool), path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
 
 

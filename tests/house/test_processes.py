@@ -1,4 +1,4 @@
-"""What travels to other processes: textures, and the work of every function that takes an executor."""
+"""What travels to other processes: textures, and the work of every function that takes a run."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pickle
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import pytest
 
 import octex
 from octex.channels import ALPHA, BASE_COLOR
+from octex.errors import ArgumentError
 from octex.field.field import Field
 from octex.jit import kernel
 from octex.parallel import sharing, start, workers
@@ -119,13 +121,13 @@ def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
     assert container.read(other).metadata["by"] == "others"
 
 
-def painter(pool: Executor | None, fills: bool) -> OctreeTexture:
+def painter(run: octex.Run, fills: bool) -> OctreeTexture:
     """Return what a stroke of a painter makes."""
     made = octex.Painter(painted(), SURFACE)
     if fills:
-        made.fill(SPHERE, (1, 0, 0), max_depth=5, executor=pool)
+        made.fill(SPHERE, (1, 0, 0), max_depth=5, run=run)
     else:
-        made.paint(shots()[0], executor=pool)
+        made.paint(shots()[0], run=run)
     return made.texture()
 
 
@@ -147,54 +149,54 @@ def painted() -> OctreeTexture:
 
 
 SURFACE, SPHERE = ball(rings=12), octex.Sphere((0.0, 0.0, 1.0), 0.6)
-#: What every function that takes an executor does, by its name and that of a case.
-FUNCTIONS: dict[str, Callable[[Executor | None, Path], Any]] = {
-    "OctreeTexture.sample": lambda pool, _: adaptive(1).sample(POINTS, executor=pool),
-    "OctreeTexture.sample, footprints": lambda pool, _: adaptive(1).sample(POINTS, width=0.3, executor=pool),
-    "OctreeTexture.taps": lambda pool, _: adaptive(1).taps(POINTS, width=0.3, executor=pool),
-    "OctreeTexture.contains": lambda pool, _: adaptive(1).contains(POINTS, executor=pool),
-    "Painter.fill": lambda pool, _: painter(pool, True),
-    "Painter.paint": lambda pool, _: painter(pool, False),
-    "TextureSet.sample": lambda pool, _: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(
-        POINTS, np.arange(len(POINTS)) % 2, executor=pool
+#: What every function that takes a run does, by its name and that of a case.
+FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
+    "OctreeTexture.sample": lambda run, _: adaptive(1).sample(POINTS, run=run),
+    "OctreeTexture.sample, footprints": lambda run, _: adaptive(1).sample(POINTS, width=0.3, run=run),
+    "OctreeTexture.taps": lambda run, _: adaptive(1).taps(POINTS, width=0.3, run=run),
+    "OctreeTexture.contains": lambda run, _: adaptive(1).contains(POINTS, run=run),
+    "Painter.fill": lambda run, _: painter(run, True),
+    "Painter.paint": lambda run, _: painter(run, False),
+    "TextureSet.sample": lambda run, _: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(
+        POINTS, np.arange(len(POINTS)) % 2, run=run
     ),
-    "TextureSet.contains": lambda pool, _: TextureSet({"a": adaptive(1)}).contains(
-        POINTS, "a", executor=pool
+    "TextureSet.contains": lambda run, _: TextureSet({"a": adaptive(1)}).contains(
+        POINTS, "a", run=run
     ),
-    "bake": lambda pool, _: octex.bake(painted(), SURFACE, texture_size=256, executor=pool),
-    "blur": lambda pool, _: octex.blur(adaptive(1), 0.3, executor=pool),
-    "combine": lambda pool, _: octex.combine(adaptive(1), adaptive(2), executor=pool),
-    "combine, over": lambda pool, _: octex.combine(adaptive(1), adaptive(2), over=True, executor=pool),
-    "convert": lambda pool, _: octex.convert(SURFACE, 5, executor=pool),
-    "convert, max_error": lambda pool, _: octex.convert(SURFACE, 5, max_error=8, executor=pool),
-    "convert, path": lambda pool, folder: octex.convert(
-        SURFACE, 5, path=folder / "a.octex", executor=pool
+    "bake": lambda run, _: octex.bake(painted(), SURFACE, texture_size=256, run=run),
+    "blur": lambda run, _: octex.blur(adaptive(1), 0.3, run=run),
+    "combine": lambda run, _: octex.combine(adaptive(1), adaptive(2), run=run),
+    "combine, over": lambda run, _: octex.combine(adaptive(1), adaptive(2), over=True, run=run),
+    "convert": lambda run, _: octex.convert(SURFACE, 5, run=run),
+    "convert, max_error": lambda run, _: octex.convert(SURFACE, 5, max_error=8, run=run),
+    "convert, path": lambda run, folder: octex.convert(
+        SURFACE, 5, path=folder / "a.octex", run=run
     ),
-    "convert, thin": lambda pool, _: octex.convert(bent(0.03), 5, executor=pool),
-    "convert_set": lambda pool, _: octex.convert_set({"a": SURFACE, "b": bent(0.03)}, 4, executor=pool),
-    "fill": lambda pool, _: octex.fill(None, SURFACE, SPHERE, (1, 0, 0), max_depth=7, executor=pool),
-    "fill, finer": lambda pool, _: octex.fill(
-        painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, executor=pool
+    "convert, thin": lambda run, _: octex.convert(bent(0.03), 5, run=run),
+    "convert_set": lambda run, _: octex.convert_set({"a": SURFACE, "b": bent(0.03)}, 4, run=run),
+    "fill": lambda run, _: octex.fill(None, SURFACE, SPHERE, (1, 0, 0), max_depth=7, run=run),
+    "fill, finer": lambda run, _: octex.fill(
+        painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, run=run
     ),
-    "merge": lambda pool, _: octex.merge(
-        painted(), octex.project(SURFACE, shots(1), like=painted()), SURFACE, executor=pool
+    "merge": lambda run, _: octex.merge(
+        painted(), octex.project(SURFACE, shots(1), like=painted()), SURFACE, run=run
     ),
-    "mix": lambda pool, _: octex.mix(adaptive(1), adaptive(2), 0.4, executor=pool),
-    "mix, texture": lambda pool, _: octex.mix(
-        adaptive(1), adaptive(2), octex.cast(adaptive(3), channels=["alpha"]), executor=pool
+    "mix": lambda run, _: octex.mix(adaptive(1), adaptive(2), 0.4, run=run),
+    "mix, texture": lambda run, _: octex.mix(
+        adaptive(1), adaptive(2), octex.cast(adaptive(3), channels=["alpha"]), run=run
     ),
-    "paint": lambda pool, _: octex.paint(None, SURFACE, shots(1), executor=pool),
-    "paint, best": lambda pool, _: octex.paint(
-        None, SURFACE, shots(5), pictures="best", balance="full", executor=pool
+    "paint": lambda run, _: octex.paint(None, SURFACE, shots(1), run=run),
+    "paint, best": lambda run, _: octex.paint(
+        None, SURFACE, shots(5), pictures="best", balance="full", run=run
     ),
-    "paint, robust": lambda pool, folder: octex.paint(
-        painted(), SURFACE, shots(5), balance="gain", memory=1, resume=folder / "a", executor=pool
+    "paint, robust": lambda run, folder: octex.paint(
+        painted(), SURFACE, shots(5), balance="gain", run=replace(run, memory=1, resume=folder / "a")
     ),
-    "project": lambda pool, _: octex.project(SURFACE, shots(2), executor=pool),
-    "refine_cameras": lambda pool, _: octex.refine_cameras(SURFACE, shots(3), executor=pool),
-    "resize": lambda pool, _: octex.resize(adaptive(1), 4, executor=pool),
-    "write_ptex": lambda pool, folder: (
-        octex.write_ptex(painted(), SURFACE, folder / "a.ptx", executor=pool),
+    "project": lambda run, _: octex.project(SURFACE, shots(2), run=run),
+    "refine_cameras": lambda run, _: octex.refine_cameras(SURFACE, shots(3), run=run),
+    "resize": lambda run, _: octex.resize(adaptive(1), 4, run=run),
+    "write_ptex": lambda run, folder: (
+        octex.write_ptex(painted(), SURFACE, folder / "a.ptx", run=run),
         (folder / "a.ptx").read_bytes(),
     ),
 }  # fmt: skip
@@ -218,7 +220,7 @@ def numbers_in(made: Any) -> list[npt.NDArray[Any]]:
     return [np.frombuffer(made, np.uint8) if isinstance(made, bytes) else np.asarray(made)]
 
 
-def test_every_public_function_that_takes_an_executor_is_tried_here() -> None:
+def test_every_public_function_that_takes_a_run_is_tried_here() -> None:
     found = set()
     for name in [*octex.__all__, "map", "open"]:
         given = getattr(octex, name)
@@ -229,9 +231,23 @@ def test_every_public_function_that_takes_an_executor_is_tried_here() -> None:
             each = {name: given}
         for full, one in each.items():
             with suppress(TypeError, ValueError):  # numbers, and what Python is made of
-                if "executor" in inspect.signature(one).parameters:
+                if "run" in inspect.signature(one).parameters:
                     found.add(full)
     assert found == {name.partition(",")[0] for name in FUNCTIONS}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_refuse_what_is_no_run_and_what_they_have_no_use_for(name: str, tmp_path: Path) -> None:
+    does, function = FUNCTIONS[name], name.partition(",")[0]
+    if name != "paint, robust":  # which changes its run
+        with pytest.raises(ArgumentError, match=r"run must be an octex\.Run, not 4"):
+            does(4, tmp_path)  # type: ignore[arg-type]
+    if function not in ("paint", "project", "refine_cameras"):
+        with pytest.raises(ArgumentError, match="resume of run is not used here; leave it out"):
+            does(octex.Run(resume=tmp_path), tmp_path)
+        if function != "convert":
+            with pytest.raises(ArgumentError, match="memory of run is not used here; leave it out"):
+                does(octex.Run(memory=1), tmp_path)
 
 
 @needs_jit
@@ -246,7 +262,7 @@ def test_functions_do_the_same_in_threads_and_in_other_processes(
         for number, pool in enumerate((None, threads, processes)):
             folder = tmp_path / str(number)
             folder.mkdir()
-            made.append(numbers_in(FUNCTIONS[name](pool, folder)))
+            made.append(numbers_in(FUNCTIONS[name](octex.Run(executor=pool), folder)))
     assert sum(array.size for array in made[0])
     for other in made[1:]:
         for one, same_one in zip(made[0], other, strict=True):
@@ -268,7 +284,7 @@ def by_kernel(numbers: npt.NDArray[np.float64]) -> None:
 
 
 def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes: Executor) -> None:
-    with workers(None, processes) as pool:
+    with workers(octex.Run(executor=processes)) as pool:
         for numbers in (np.zeros(4), np.zeros(8)[::2]):
             with pytest.raises(ValueError, match="read-only"):
                 start(pool, by_numpy, numbers).result()
@@ -289,4 +305,4 @@ def test_a_point_that_is_not_finite_is_named_by_another_process(
     points = POINTS.copy()
     points[33, 1] = np.nan
     with pytest.raises(octex.OctexError, match=r"points must be finite, but points\[33\]"):
-        adaptive(1).sample(points, executor=processes)
+        adaptive(1).sample(points, run=octex.Run(executor=processes))

@@ -70,17 +70,23 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     expected = digest(octex.paint(None, surface, shown, **options))
     folder = tmp_path / "kept"
     with Counted() as counts:
-        assert digest(octex.paint(None, surface, shown, resume=folder, **options)) == expected
+        assert digest(octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)) == expected
     assert counts == {"decoded": 5, "seen": 5, "compared": 5, "projected": 1, "refined": 0}
     with Counted() as counts:
-        assert digest(octex.paint(None, surface, shown, resume=folder, **options)) == expected
-        layer = octex.project(surface, shown, resume=folder, **options)
+        assert digest(octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)) == expected
+        layer = octex.project(surface, shown, run=octex.Run(resume=folder), **options)
     assert not any(counts.values())
     assert digest(layer) == digest(octex.project(surface, shown, **options))
     for path in folder.glob("layer-*"):
         path.unlink()
     with Counted() as counts:
-        made = octex.paint(None, surface, shown, resume=folder, memory="1kB", folder=tmp_path, **options)
+        made = octex.paint(
+            None,
+            surface,
+            shown,
+            run=octex.Run(memory="1kB", folder=tmp_path, resume=folder),
+            **options,
+        )
     assert digest(made) == expected
     assert counts == {"decoded": 0, "seen": 0, "compared": 0, "projected": 1, "refined": 0}
 
@@ -88,11 +94,11 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
 @needs_jit
 def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
     surface, shown, options = scene()
-    octex.paint(None, surface, shown, resume=tmp_path, **options)
+    octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)
 
     def repainted(given: list[octex.Projection], surface: octex.Surface = surface, **changed: Any) -> Any:
         with Counted() as counts:
-            made = octex.paint(None, surface, given, resume=tmp_path, **{**options, **changed})
+            made = octex.paint(None, surface, given, run=octex.Run(resume=tmp_path), **{**options, **changed})
         assert digest(made) == digest(octex.paint(None, surface, given, **{**options, **changed}))
         return counts
 
@@ -129,19 +135,24 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
 @needs_jit
 def test_damaged_files_are_made_anew(tmp_path: Path) -> None:
     surface, shown, options = scene()
-    expected = digest(octex.paint(None, surface, shown, resume=tmp_path, **options))
+    expected = digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))
     for kind, work in (("picture", "decoded"), ("sight", "seen"), ("differences", "compared")):
         for damage in (cut_off, emptied, other_kind):
             for layer in tmp_path.glob("layer-*"):
                 layer.unlink()
             damage(next(tmp_path.glob(f"{kind}-*")), tmp_path)
             with Counted() as counts:
-                assert digest(octex.paint(None, surface, shown, resume=tmp_path, **options)) == expected
+                assert (
+                    digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))
+                    == expected
+                )
             assert counts == {**dict.fromkeys(WORK, 0), work: 1, "projected": 1}
     [layer] = tmp_path.glob("layer-*")
     cut_off(layer, tmp_path)
     with Counted() as counts:
-        assert digest(octex.paint(None, surface, shown, resume=tmp_path, **options)) == expected
+        assert (
+            digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)) == expected
+        )
     assert counts["projected"] == 1
 
 
@@ -161,7 +172,7 @@ def other_kind(path: Path, folder: Path) -> None:
 @needs_jit
 def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path) -> None:
     surface, shown, options = scene()
-    expected = digest(octex.paint(None, surface, shown[:1], resume=tmp_path, **options))
+    expected = digest(octex.paint(None, surface, shown[:1], run=octex.Run(resume=tmp_path), **options))
     from octex import container
 
     for triangle in (len(surface.triangles), -2):
@@ -171,7 +182,10 @@ def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path
         tensors = {name: np.array(each) for name, each in container.read(path).tensors.items()}
         tensors["triangle"][20, 20] = triangle
         container.write(path, tensors, {})
-        assert digest(octex.paint(None, surface, shown[:1], resume=tmp_path, **options)) == expected
+        assert (
+            digest(octex.paint(None, surface, shown[:1], run=octex.Run(resume=tmp_path), **options))
+            == expected
+        )
 
 
 @needs_jit
@@ -182,7 +196,7 @@ def test_refined_cameras_are_kept(tmp_path: Path) -> None:
     expected = octex.refine_cameras(surface, shown)
     for refined in (1, 0):
         with Counted() as counts:
-            found = octex.refine_cameras(surface, shown, resume=tmp_path)
+            found = octex.refine_cameras(surface, shown, run=octex.Run(resume=tmp_path))
         assert counts["refined"] == refined
         for camera, other in zip(found, expected, strict=True):
             np.testing.assert_array_equal(camera.world_to_camera, other.world_to_camera)
@@ -190,7 +204,7 @@ def test_refined_cameras_are_kept(tmp_path: Path) -> None:
     [path] = tmp_path.glob("cameras-*")
     cut_off(path, tmp_path)
     with Counted() as counts:
-        octex.refine_cameras(surface, shown, resume=tmp_path)
+        octex.refine_cameras(surface, shown, run=octex.Run(resume=tmp_path))
     assert (counts["refined"], counts["decoded"]) == (1, 0)
 
 
@@ -202,7 +216,7 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
         with pytest.raises(
             OutputError, match=rf"{folder.name}: cannot store intermediate results: .*choose a folder"
         ):
-            octex.paint(None, surface, shown, resume=folder)
+            octex.paint(None, surface, shown, run=octex.Run(resume=folder))
 
 
 def test_digests_tell_what_is_like_from_what_is_other() -> None:
@@ -224,7 +238,7 @@ def test_a_painting_that_was_killed_goes_on(tmp_path: Path) -> None:
         "import octex, sys\n"
         "from tests.painting.test_resuming import scene\n"
         "surface, shown, options = scene()\n"
-        "octex.paint(None, surface, shown, resume=sys.argv[1], **options).save(sys.argv[2])\n"
+        "octex.paint(None, surface, shown, run=octex.Run(resume=sys.argv[1]), **options).save(sys.argv[2])\n"
     )
     folder, out = tmp_path / "kept", tmp_path / "out.octex"
     process = subprocess.Popen([sys.executable, "-c", task, str(folder), str(out)])
@@ -236,7 +250,7 @@ def test_a_painting_that_was_killed_goes_on(tmp_path: Path) -> None:
     kept = len(list(folder.glob("picture-*")))
     assert kept >= 3
     with Counted() as counts:
-        made = octex.paint(None, surface, shown, resume=folder, **options)
+        made = octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)
     assert counts["decoded"] <= 5 - kept
     assert digest(made) == digest(octex.paint(None, surface, shown, **options))
     assert all(path.name[0] != "." for path in folder.iterdir())

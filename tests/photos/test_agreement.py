@@ -147,16 +147,22 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: P
     expected = digest(octex.paint(None, surface, shots, **options))
     need = 64 * 5 * 48 * 48
     other = tmp_path / "other"
-    assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
+    assert (
+        digest(octex.paint(None, surface, shots, run=octex.Run(memory=need, folder=other), **options))
+        == expected
+    )
     with pytest.raises(ArgumentError, match=r"folder: .*other is not a folder; name an existing one"):
-        octex.paint(None, surface, shots, memory=need - 1, folder=other, **options)
-    assert digest(octex.paint(None, surface, shots, memory="1kB", folder=tmp_path, **options)) == expected
-    refined = octex.refine_cameras(surface, shots, memory="1kB", folder=tmp_path)
+        octex.paint(None, surface, shots, run=octex.Run(memory=need - 1, folder=other), **options)
+    assert (
+        digest(octex.paint(None, surface, shots, run=octex.Run(memory="1kB", folder=tmp_path), **options))
+        == expected
+    )
+    refined = octex.refine_cameras(surface, shots, run=octex.Run(memory="1kB", folder=tmp_path))
     expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
     np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
     assert not list(tmp_path.iterdir())
     with pytest.raises(ArgumentError, match="folder needs memory"):
-        octex.paint(None, surface, shots, folder=tmp_path)
+        octex.paint(None, surface, shots, run=octex.Run(folder=tmp_path))
 
 
 @needs_jit

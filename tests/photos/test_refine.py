@@ -16,7 +16,7 @@ from octex.channels import BASE_COLOR, encode
 from octex.cli.main import main
 from octex.painting.picture import mips_of
 from octex.painting.surface import PaintedSurface
-from octex.parallel import workers
+from octex.parallel import Run, workers
 from octex.photos import refine
 from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import needs_jit
@@ -48,7 +48,7 @@ def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], 
 def test_points_are_compared_at_the_coarsest_level_too() -> None:
     surface, cameras, images = textured(5, 96)
     samples = surface.scatter(500)
-    with workers(1) as executor:
+    with workers(Run(threads=1)) as executor:
         mips = [mips_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)]
         source = refine._source(PaintedSurface(surface), cameras, mips, executor)
     counts = []

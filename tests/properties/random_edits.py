@@ -421,7 +421,7 @@ def paint_options(random: Random, run: Run) -> dict[str, object]:
         options["back_faces"] = True
     if random.random() < 0.3:
         options["max_angle"] = one_of(random, (90.0, 30.0, 180.0))
-        options["memory"] = 1  # byte: pictures lie in files meanwhile
+        options["run"] = "octex.Run(memory=1)"  # byte: pictures lie in files meanwhile
     paintable = [name for name, each in run.texture.channels.items() if name not in ("alpha", "normal")]
     name = one_of(random, paintable)
     if name != "base_color":

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import math
 import os
 import pkgutil
-import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ from octex import channels, checks, errors, jit, parallel
 from octex.channels import decode, encode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
 from octex.jit import cache
+from octex.parallel import Run
 from octex.tree.layout import MAX_DEPTH
 from tests.conftest import needs_jit
 
@@ -394,11 +393,11 @@ def test_workers_are_the_callers_executor_or_threads_over_all_processors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     executor = Eager()
-    with parallel.workers(None, executor) as given_back:
+    with parallel.workers(Run(executor=executor)) as given_back:
         assert given_back is executor
     monkeypatch.setattr(parallel, "cpu_count", lambda: 3)
     for threads, tasks, expected in ((None, None, 3), (None, 2, 2), (5, None, 5), (5, 4, 4)):
-        with parallel.workers(threads, None, tasks) as own:
+        with parallel.workers(Run(threads=threads), tasks) as own:
             assert own._max_workers == expected  # type: ignore[attr-defined]
         with pytest.raises(RuntimeError):
             own.submit(print)
@@ -410,23 +409,15 @@ def test_little_work_and_work_inside_work_stays_in_the_calling_thread() -> None:
             return inner.submit(threading.current_thread).result(), threading.current_thread()
 
     for threads, tasks in ((1, None), (None, 1), (7, 1), (None, 0)):
-        with parallel.workers(threads, None, tasks) as here:
+        with parallel.workers(Run(threads=threads), tasks) as here:
             assert here.submit(threading.current_thread).result() is threading.current_thread()
-    with parallel.workers(2) as pool:
+    with parallel.workers(Run(threads=2)) as pool:
         inner, outer = pool.submit(who).result()
         assert inner is outer is not threading.current_thread()
 
 
-def test_threads_beside_an_executor_and_impossible_numbers_of_them_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="give threads or an executor, not both"):
-        parallel.workers(2, Eager()).__enter__()
-    for wrong in (0, -1, 1.5, "2", True):
-        with pytest.raises(ArgumentError, match="threads must be a whole number from 1"):
-            parallel.workers(wrong).__enter__()  # type: ignore[arg-type]
-
-
 def test_more_threads_than_octex_may_start_are_not_started() -> None:
-    with parallel.at_most(2), parallel.workers(5) as pool:
+    with parallel.at_most(2), parallel.workers(Run(threads=5)) as pool:
         assert pool._max_workers == 2  # type: ignore[attr-defined]
 
 
@@ -468,51 +459,6 @@ def test_who_builds_one_object_waits_for_nobody_who_builds_another() -> None:
         finally:
             first.may_end.set()
         assert found.result() == 1
-
-
-def parallel_functions() -> dict[str, Callable[..., Any]]:
-    """The public functions and methods that work in parallel."""
-    homes = [octex, octex.OctreeTexture, octex.TextureSet, octex.Surface]
-    known = {
-        f"{home.__name__}.{name}": getattr(home, name)
-        for home in homes
-        for name in dir(home)
-        if name[:2] != "__"
-    }
-    functions = {name: each for name, each in known.items() if inspect.isfunction(each)}
-    return {
-        name: each
-        for name, each in functions.items()
-        if {"threads", "executor"} & set(inspect.signature(each).parameters)
-    }
-
-
-def test_all_that_works_in_parallel_says_so() -> None:
-    functions = parallel_functions()
-    assert {name.split(".")[-1] for name in functions} == {
-        *[
-            "bake",
-            "blur",
-            "combine",
-            "contains",
-            "convert",
-            "convert_set",
-            "fill",
-            "merge",
-            "mix",
-            "paint",
-            "project",
-            "refine_cameras",
-        ],
-        *["resize", "sample", "taps", "write_ptex"],
-    }
-    for name, function in functions.items():
-        parameters = inspect.signature(function).parameters
-        for each in ("threads", "executor"):
-            assert parameters[each].default is None, name
-            assert parameters[each].kind is inspect.Parameter.KEYWORD_ONLY, name
-        words = " ".join((function.__doc__ or "").split())
-        assert re.search("``threads``|threads, executor|other arguments are those of", words), name
 
 
 def test_processors_are_counted_where_affinity_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,12 +167,12 @@ def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
             octex.convert(cloud, 3, **{name: given})  # type: ignore[arg-type]
     with ThreadPoolExecutor(1) as pool:
         with pytest.raises(ArgumentError, match=r"executor needs a surface, .* leave it out"):
-            octex.convert(cloud, 3, executor=pool)
+            octex.convert(cloud, 3, run=octex.Run(executor=pool))
         with pytest.raises(ArgumentError, match="executor needs a surface"):
-            octex.convert_set({"a": cloud}, 3, executor=pool)
+            octex.convert_set({"a": cloud}, 3, run=octex.Run(executor=pool))
         parts = {"a": cloud, "b": plain(square())}
-        assert len(octex.convert_set(parts, 3, executor=pool, fit=False, filter="ewa")) == 2
-    octex.convert(cloud, 3, filter=None, fit=True, executor=None, separate=False)
+        assert len(octex.convert_set(parts, 3, run=octex.Run(executor=pool), fit=False, filter="ewa")) == 2
+    octex.convert(cloud, 3, filter=None, fit=True, run=None, separate=False)
 
 
 def test_points_in_one_place_make_one_cell() -> None:

@@ -112,7 +112,7 @@ def test_no_points_give_empty_answers(points: Any) -> None:
         "height": (0, 1)
     }
     with ThreadPoolExecutor(1) as pool:
-        assert texture.sample(points, executor=pool).shape == (0, 3)
+        assert texture.sample(points, run=octex.Run(executor=pool)).shape == (0, 3)
     assert texture.contains(points).shape == (0,)
 
 
@@ -148,7 +148,7 @@ def test_positions_that_are_not_finite_are_refused_by_their_first_row(row: int, 
         for executor in (None, pool):
             for look_up in (eight_colors().sample, eight_colors().contains):
                 with pytest.raises(ArgumentError, match=rf"points\[{row}\] is \[{value}, 0.5, 0.5\]"):
-                    look_up(points, executor=executor)
+                    look_up(points, run=octex.Run(executor=executor))
 
 
 def test_unknown_channels_and_filters_are_refused_with_the_choices() -> None:
@@ -317,13 +317,15 @@ def test_an_executor_gives_the_same_answers() -> None:
     expected = texture.sample(points, gradient=True)
     with ThreadPoolExecutor(3) as pool:
         for executor in (pool, Elsewhere()):
-            assert np.array_equal(texture.contains(points, executor=executor), texture.contains(points))
+            assert np.array_equal(
+                texture.contains(points, run=octex.Run(executor=executor)), texture.contains(points)
+            )
             for name in FILTERS:
                 out = np.empty((61, 3), np.float32)
-                assert texture.sample(points, filter=name, out=out, executor=executor) is out
+                assert texture.sample(points, filter=name, out=out, run=octex.Run(executor=executor)) is out
                 assert np.array_equal(out, texture.sample(points, filter=name))
             for ours, theirs in zip(
-                texture.sample(points, gradient=True, executor=executor), expected, strict=True
+                texture.sample(points, gradient=True, run=octex.Run(executor=executor)), expected, strict=True
             ):
                 assert np.array_equal(ours, theirs)
 

@@ -131,8 +131,8 @@ def test_blocks_on_threads_change_nothing(parts: TextureSet, monkeypatch: pytest
     wanted, inside = parts.sample(POINTS, PARTS, width=0.1), parts.contains(POINTS, PARTS)
     monkeypatch.setattr(lookup, "BLOCK", 7)
     with ThreadPoolExecutor(3) as pool:
-        assert np.array_equal(parts.sample(POINTS, PARTS, width=0.1, executor=pool), wanted)
-        assert np.array_equal(parts.contains(POINTS, PARTS, executor=pool), inside)
+        assert np.array_equal(parts.sample(POINTS, PARTS, width=0.1, run=octex.Run(executor=pool)), wanted)
+        assert np.array_equal(parts.contains(POINTS, PARTS, run=octex.Run(executor=pool)), inside)
 
 
 def test_contains_asks_each_points_part(parts: TextureSet) -> None:

@@ -85,7 +85,7 @@ def _converted(
     with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
 
         def convert(options: dict[str, object]) -> octex.OctreeTexture:
-            return octex.convert(surface, depth, executor=pool, **options)  # type: ignore[arg-type]
+            return octex.convert(surface, depth, run=octex.Run(executor=pool), **options)  # type: ignore[arg-type]
 
         full, merged = (convert(ways[each]) for each in (FITTED, ADAPTIVE))
         spent = clocked(setup, {way: partial(convert, options) for way, options in ways.items()})

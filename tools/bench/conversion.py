@@ -103,7 +103,7 @@ def boombox(setup: Setup, report: Report) -> None:
 
     def convert(threads: int) -> octex.OctreeTexture:
         with ThreadPoolExecutor(threads) as pool:
-            return octex.convert(surface, depth, fit=False, executor=pool)
+            return octex.convert(surface, depth, fit=False, run=octex.Run(executor=pool))
 
     alone: list[float] = []  # processor time that one thread of two spends while the other has nothing to do
 

@@ -140,7 +140,7 @@ def materials(setup: Setup, report: Report) -> None:
 
     def convert(model: octex.Surface) -> octex.OctreeTexture:
         with ThreadPoolExecutor(1) as pool:
-            return octex.convert(model, depth, fit=False, executor=pool)
+            return octex.convert(model, depth, fit=False, run=octex.Run(executor=pool))
 
     for folder in ("BoomBoxWithAxes", "Avocado"):
         path = setup.models / folder / f"{folder}.gltf" if setup.models else None

@@ -137,7 +137,7 @@ def _two_threads(
         out = np.empty((len(each), 3), np.float32)
         sample = partial(texture.sample, each, out=out)
         with ThreadPoolExecutor(2) as two:
-            works = {"one": partial(sample, threads=1), "two": partial(sample, executor=two)}
+            works = {"one": partial(sample, threads=1), "two": partial(sample, run=octex.Run(executor=two))}
             spent = clocked(setup, works)
         report.at_least(
             f"lookup: two threads, quadratic, {order}", spent["one"].wall / spent["two"].wall, 1.8

@@ -25,7 +25,7 @@ from octex.errors import ModelError
 from octex.formats.ptex.layout import EXTENDED_HEADER, FACE_INFO, HEADER
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import write_contents
-from octex.parallel import workers
+from octex.parallel import Run, workers
 
 ODD = (0, 1, 2, 3, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 FACES = 12
@@ -111,7 +111,7 @@ def good() -> list[bytes]:
     folder = os.environ.get("OCTEX_TEST_MODELS")
     paths = sorted(Path(folder).rglob("*.ptx")) if folder else []
     found = [path.read_bytes() for path in paths if attempt(path, random.Random(0)) == "read"]
-    with TemporaryDirectory() as made, workers(1) as executor:
+    with TemporaryDirectory() as made, workers(Run(threads=1)) as executor:
         path = Path(made) / "made.ptx"
         for seed in range(20):
             write_contents(random_contents(seed), path, executor)

@@ -35,6 +35,7 @@ API = {
     "Processing": "levels curves map mix combine blur crop resize cast",
     "Pictures": "render write_preview difference Environment",
     "Baking": "bake bake_vertices displace write_model write_ptex",
+    "How to work": "Run",
     "Errors": "OctexError",
 }
 

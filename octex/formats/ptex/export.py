@@ -19,7 +19,7 @@ from octex.formats.ptex.layout import DTYPES, LONGEST_LOG2, MESH_TYPES, QUAD, TR
 from octex.formats.ptex.patches import Patches, faces_of, patches_of, place, stretches
 from octex.formats.ptex.source import CHANNELS_KEY
 from octex.formats.ptex.writer import Contents, write_contents
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import area_vectors
 from octex.source.subdivided import subdivide
 from octex.source.surface import Surface, as_surface
@@ -53,8 +53,8 @@ def write_ptex(
     texels: int | None = None,
     limit: bool = False,
     threads: int | None = None,
-    executor: Executor | None = None,
     progress: Progress | None = None,
+    run: Run | None = None,
 ) -> None:
     """Write a texture as a .ptx file for the polygons of its surface.
 
@@ -64,8 +64,7 @@ def write_ptex(
               linear light
     texels    the most texels in all; every face gets coarser or finer alike
     limit     measure stretch on the Catmull–Clark limit surface of the polygons
-    threads, executor   who works in parallel: a number of threads, or a concurrent.futures.Executor
-    progress  called with a stage's name, the units done and the units in all
+    run       how to work (octex.Run)
 
     A mesh of triangles becomes triangular faces. In others quads stay quads, and other polygons become a face
     for each corner, as Ptex requires. A face gets the power of two of texels along u and v that fits the
@@ -82,7 +81,7 @@ def write_ptex(
         raise ArgumentError(f"{path.name} must end in {ENDING}")
     names = _names(texture, channels)
     kind = _dtype(texture, names, dtype)
-    report = as_progress(progress)
+    run = as_run(run, threads, progress)
     patches = patches_of(surface)
     lengths = (
         _limit_lengths(surface, patches) if as_flag(limit, "limit") else stretches(patches, surface.rest)
@@ -96,10 +95,10 @@ def write_ptex(
         "linear" if form.space == "srgb" and is_float else form.space for form in forms
     ]
     notes = [(form.name, form.components, space) for form, space in zip(forms, spaces, strict=True)]
-    with workers(threads, executor) as pool:
+    with workers(run) as pool:
         samples = _Samples(surface, patches, faces)
-        wanted = _looked_up(texture, samples, names, pool, report)
-        columns = np.split(_fitted(wanted, samples, forms, report), ends[:-1], axis=1)
+        wanted = _looked_up(texture, samples, names, pool, run.report)
+        columns = np.split(_fitted(wanted, samples, forms, run.report), ends[:-1], axis=1)
         codes = [encode(column, kind, space) for column, space in zip(columns, spaces, strict=True)]
         contents = Contents(
             MESH_TYPES[TRIANGLE if patches.is_triangle else QUAD],
@@ -109,7 +108,7 @@ def write_ptex(
             metadata={CHANNELS_KEY: json.dumps(notes)},
         )
         write_contents(contents, path, pool)
-    report("write", len(log2), len(log2))
+    run.report("write", len(log2), len(log2))
 
 
 def _names(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
@@ -254,7 +253,7 @@ def _looked_up(
         edges = (lengths[faces[there]] / np.exp2(log2[faces[there]])).prod(axis=1) ** 0.5 / each**0.5
         widths = np.where(edges > _WIDE * _cell_edges(texture, rest), edges, 0.0)
         normals = area_vectors(surface.rest[surface.triangles[triangles[there]]])
-        found = texture.sample(rest, list(names), normals=normals, width=widths, executor=executor)
+        found = texture.sample(rest, list(names), normals=normals, width=widths, run=Run(executor=executor))
         columns = [found[name].reshape(len(there), -1) for name in names]
         values[begin * each + there] = np.concatenate(columns, axis=1)
     return values.reshape(count, each, -1)
