@@ -280,10 +280,8 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         if group.format.name not in job.unfitted:
             means = _four(values[:, group.columns])
             found = means.copy()
-            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            rows = lookups.residuals(found, wanted, shares, components, 0)
             equations = equations or lookups.equations()
-            if is_light:
-                weigh(equations, rows, wanted, shares, components)
             approach(equations, rows, found)
             found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
             rows = lookups.residuals(found, wanted, shares, components, is_light)

@@ -20,7 +20,7 @@ from octex.jit import add_to_rows, inlined, kernel, part, weighted_rows
 #: λ: holds what the samples hardly see near its mean.
 SHRINK = np.float32(0.01)
 #: Samples of whose variance less than the first part remains are shown; of more than the second, hidden.
-_SHOWN, _HIDDEN = np.float32(0.1), np.float32(0.5)
+_SHOWN, _HIDDEN = np.float32(0.05), np.float32(0.15)
 #: Smaller weights are left out of the steps, but not of the residuals that they start from: of 13 a sample
 #: six are left, which hold 99.7 % of the squares.
 LEAST_WEIGHT = np.float32(0.03)
@@ -168,47 +168,41 @@ def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float
     the mean weight around these leaves. What remains of the variance of the samples tells how much is which.
     """
     starts, samples, weights = equations
-    sums = np.zeros((shares.size, 3), np.float32)  # of mean weights, of what remains, of the leaves' own
+    lights, squares = np.zeros((shares.size, 4), np.float32), np.empty((shares.size, 4), np.float32)
+    sums = np.zeros((shares.size, 4), np.float32)  # of mean weights, of what remains, of the leaves' own; 1
+    for n in range(shares.size):
+        share, weight = shares[n], rows[n, 3]
+        inverse = np.float32(1) / weight if weight > _ZERO else _ZERO
+        missed = square = _ZERO
+        for column in range(components):
+            lights[n, column] = share * targets[n, column]
+            square += targets[n, column] * targets[n, column]
+            missed += rows[n, column] * rows[n, column]
+        missed *= inverse * inverse
+        squares[n, 0], squares[n, 1] = weight, share
+        squares[n, 2], squares[n, 3] = share * missed, share * square
+        sums[n, 3] = np.float32(1)
     for leaf in range(starts.size - 1):
-        curve = share = square = x = y = z = squares = left = _ZERO
-        for i in range(starts[leaf], starts[leaf + 1]):
-            sample = np.uint64(samples[i])
-            weight = weights[i] * shares[sample]
-            curve += weights[i] * rows[sample, 3]
-            share += weight
-            weight *= weights[i]
-            square += weight
-            inverse = np.float32(1) / rows[sample, 3] if rows[sample, 3] > _ZERO else _ZERO
-            for column in range(components):
-                left += weight * (rows[sample, column] * inverse) ** 2
-            a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
-            x += weight * a
-            y += weight * b
-            z += weight * c
-            squares += weight * (a * a + b * b + c * c)
-        if not share > _ZERO:
+        first, end = starts[leaf], starts[leaf + 1]
+        weight, share, missed, square = weighted_rows(squares, samples, weights, first, end)
+        if share > _ZERO:
+            x, y, z, _ = weighted_rows(lights, samples, weights, first, end)
+            variance = square - (x * x + y * y + z * z) / share
+            part = missed / variance if variance > missed else np.float32(1)
+            add_to_rows(sums, samples, weights, first, end, (weight / share, part, np.float32(1), _ZERO))
+    for n in range(shares.size):
+        weight, total = rows[n, 3], sums[n, 2]
+        if not (weight > _ZERO and total > _ZERO):
             continue
-        variance = squares - (x * x + y * y + z * z) / square
-        part = left / variance if variance > left else np.float32(1)
-        for i in range(starts[leaf], starts[leaf + 1]):
-            sample = np.uint64(samples[i])
-            sums[sample, 0] += weights[i] * curve / share
-            sums[sample, 1] += weights[i] * part
-            sums[sample, 2] += weights[i]
-    for row in range(shares.size):
-        before = rows[row, 3]
-        if not (before > _ZERO and sums[row, 2] > _ZERO):
-            continue
-        part = (sums[row, 1] / sums[row, 2] - _SHOWN) / (_HIDDEN - _SHOWN)
+        part = (sums[n, 1] / total - _SHOWN) / (_HIDDEN - _SHOWN)
         part = min(max(part, _ZERO), np.float32(1))
         own = _ZERO
         for column in range(components):
-            target = targets[row, column]
-            own += _secant(target, target + rows[row, column] / before)
-        mean = sums[row, 0] / sums[row, 2]
-        factor = shares[row] * (own + part * (mean - own)) / before
+            target = targets[n, column]
+            own += _secant(target, target + rows[n, column] / weight)
+        factor = shares[n] * (own + part * (sums[n, 0] / total - own)) / weight
         for column in range(4):
-            rows[row, column] *= factor
+            rows[n, column] *= factor
 
 
 @kernel
