@@ -87,14 +87,14 @@ if TYPE_CHECKING:
     from octex.painting.unwrap import unwrap as unwrap
     from octex.photos.refine import refine_cameras as refine_cameras
     from octex.processing.blur import blur as blur
-    from octex.processing.cast import cast as cast
     from octex.processing.combine import combine as combine
     from octex.processing.combine import mix as mix
+    from octex.processing.mapping import cast as cast
+    from octex.processing.mapping import curves as curves
+    from octex.processing.mapping import levels as levels
     from octex.processing.mapping import map_values
     from octex.processing.resize import crop as crop
     from octex.processing.resize import resize as resize
-    from octex.processing.tone import curves as curves
-    from octex.processing.tone import levels as levels
     from octex.source.cloud import PointCloud as PointCloud
     from octex.source.corners import Creases as Creases
     from octex.source.load import load_surface as load_surface
@@ -138,11 +138,9 @@ _EXPORTS = {
     "painting.unwrap": "Patch unwrap",
     "photos.refine": "refine_cameras",
     "processing.blur": "blur",
-    "processing.cast": "cast",
     "processing.combine": "combine mix",
-    "processing.mapping": "map",
+    "processing.mapping": "cast curves levels map",
     "processing.resize": "crop resize",
-    "processing.tone": "curves levels",
     "source.cloud": "PointCloud",
     "source.corners": "Creases",
     "source.load": "load_surface",

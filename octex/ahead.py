@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -50,6 +50,26 @@ def use_shipped_code() -> None:
 
 
 @contextmanager
+def at_first_compilation(action: Callable[[], object]) -> Iterator[None]:
+    """While the block lasts, call ``action`` when numba first misses a kernel in its cache."""
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        is_called = False
+
+        def on_start(self, _event: Any) -> None:
+            if not self.is_called:
+                self.is_called = True
+                action()
+
+        def on_end(self, _event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+@contextmanager
 def ahead(*sections: str) -> Iterator[None]:
     """While the block lasts, have helpers compile sections of the list, once a kernel is missing."""
     count = min(cpu_count() - 1, _MOST) if sections else 0
@@ -57,37 +77,26 @@ def ahead(*sections: str) -> Iterator[None]:
     if count == 0 or not Path(sys.executable or "").name.startswith("python"):
         yield
         return
-    from numba.core import event
-
     helpers: list[subprocess.Popen[bytes]] = []
 
-    class Missing(event.Listener):  # type: ignore[misc]
-        def on_start(self, _event: Any) -> None:
-            if not helpers:
-                helpers.extend(_started(count, sections))
+    def start() -> None:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        null = subprocess.DEVNULL
+        for number in range(count):
+            call = [sys.executable, *_CALL, str(number), str(count), *sections]
+            with suppress(OSError):
+                helpers.append(
+                    subprocess.Popen(call, stdin=subprocess.PIPE, stdout=null, stderr=null, env=environment)
+                )
 
-        def on_end(self, _event: Any) -> None:
-            pass
-
-    listener = Missing()
-    event.register("numba:compile", listener)
     try:
-        yield
+        with at_first_compilation(start):
+            yield
     finally:
-        event.unregister("numba:compile", listener)
         for helper in helpers:
             with suppress(OSError, subprocess.TimeoutExpired):
                 helper.communicate(timeout=5.0)  # the end of its input ends it
             helper.kill()
-
-
-def _started(count: int, sections: tuple[str, ...]) -> Iterator[subprocess.Popen[bytes]]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    null = subprocess.DEVNULL
-    for number in range(count):
-        call = [sys.executable, *_CALL, str(number), str(count), *sections]
-        with suppress(OSError):
-            yield subprocess.Popen(call, stdin=subprocess.PIPE, stdout=null, stderr=null, env=environment)
 
 
 def main() -> None:
@@ -115,10 +124,7 @@ def _compile(line: str) -> None:
 
 
 def _writing() -> AbstractContextManager[Any]:
-    """Return what is held while a file is unfinished.
-
-    It is imported before there is another thread: two that import octex at once fail.
-    """
+    """Return the lock of unfinished files; import it before a second thread imports octex."""
     from octex.jit.cache import WRITING
 
     return WRITING

@@ -36,10 +36,7 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 
 
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
-    """Return so many bytes of 0: in memory, or if they are more in a temporary file, whose pages may go.
-
-    Raises OutputError where there is no room for that file.
-    """
+    """Return zero bytes, of many in a temporary file, whose pages may go; OutputError without room."""
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
     try:
@@ -47,7 +44,7 @@ def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
             return np.frombuffer(zeros_in(file, count), np.uint8)
     except OSError as error:
         raise OutputError(
-            f"{tempfile.gettempdir()}: has no place for {count:,} bytes: {error.strerror or error}; make room"
+            f"{tempfile.gettempdir()}: has no room for {count:,} bytes: {error.strerror or error}; make room"
         ) from error
 
 

@@ -77,17 +77,14 @@ def linear_to_srgb(linear: npt.ArrayLike) -> Float64s:
 
 
 def check_range(values: Floats, form: ChannelFormat, dtype: str, name: str = "") -> None:
-    """Refuse decoded values of a channel of floats that ``dtype`` cannot hold.
-
-    ``name`` says in messages whose channel it is.
-    """
+    """Refuse values of a float channel that ``dtype`` cannot hold; messages begin with ``name``."""
     if not dtype.startswith("u") or not form.dtype.startswith("float") or form.space == "direction":
         return
     for is_beyond, where in ((values > 1 + _ROUNDING, "above 1"), (values < -_ROUNDING, "below 0")):
         if is_beyond.any():
             raise ArgumentError(
-                f"{name}{': ' * bool(name)}channel {form.name!r} goes {where}, which {dtype} cannot hold; "
-                "give it the dtype float16 or float32"
+                f"{name}{': ' * bool(name)}channel {form.name!r} has values {where}, which {dtype} cannot "
+                "hold; give it the dtype float16 or float32"
             )
 
 

@@ -22,19 +22,13 @@ Choice = TypeVar("Choice", bound=str)
 
 
 def as_points(points: npt.ArrayLike, name: str = "points") -> Floats:
-    """Return positions as a C-ordered (n, 3) float32 or float64 array; float input is not copied if it fits.
-
-    Raises ArgumentError for another shape or for values that are not real numbers.
-    """
+    """Return positions as C-ordered (n, 3) float32 or float64, or raise ArgumentError."""
     array = as_point_rows(points, name)
     return np.ascontiguousarray(array, np.float32 if array.dtype == np.float32 else np.float64)
 
 
 def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
-    """Return positions as an (n, 3) array of whatever real type and order; an array is not copied.
-
-    Raises ArgumentError like ``as_points``. An empty list is a batch of no points.
-    """
+    """Return positions (n, 3) of any real type and order, not copied, or raise ArgumentError."""
     try:
         array = np.asarray(points)
     except ValueError:  # rows of unequal lengths
@@ -49,10 +43,7 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
 
 
 def as_array(given: Any) -> Array:
-    """Return what is given as an array, not copied if it is one.
-
-    Rows of unequal lengths make one of shape () and of a type that is no number's, for the caller to refuse.
-    """
+    """Return an array, not copied if it is one; one of shape () and void type for rows of unequal lengths."""
     try:
         return np.asarray(given)
     except ValueError:
@@ -107,10 +98,7 @@ def as_whole(number: int, name: str, least: int, most: int) -> int:
 
 
 def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentError) -> Path:
-    """Return the path of a file or folder.
-
-    Raises ArgumentError for what is no path, and ``refusal`` for what no file can be named.
-    """
+    """Return a path; raises ArgumentError for another type, ``refusal`` for an invalid name."""
     try:
         text = os.fsdecode(path)
         named = bool(text) and b"\0" not in os.fsencode(text)
@@ -119,7 +107,7 @@ def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentE
     except UnicodeError:  # lone surrogates
         named = False
     if not named:
-        raise refusal(f"{name}: no file can be named {path!r}")
+        raise refusal(f"{name}: {path!r} is not a valid file name")
     return Path(text)
 
 
@@ -161,7 +149,7 @@ def as_text(text: str, name: str) -> str:
 def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
     """Return what is given by name as a dict, or raise ArgumentError."""
     if not isinstance(given, Mapping):
-        raise ArgumentError(f"{name} must be a dict, with names, not {given!r}")
+        raise ArgumentError(f"{name} must be a dict with names as keys, not {given!r}")
     entries = dict(given)
     for each in entries:
         if not isinstance(each, str):
@@ -187,7 +175,7 @@ def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
         return [given]
     listed = list(given) if is_several(given) else []
     if not listed:
-        raise ArgumentError(f"there is no {name}: give octex.{kind.__name__}, one or several, not {given!r}")
+        raise ArgumentError(f"{name} is missing: give octex.{kind.__name__}, one or several, not {given!r}")
     for each in listed:
         if not isinstance(each, kind):
             raise ArgumentError(f"each {name} must be an octex.{kind.__name__}, not {each!r}")

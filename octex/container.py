@@ -45,11 +45,7 @@ class Contents(NamedTuple):
 
 
 def header(tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> bytes:
-    """Return the bytes before the arrays.
-
-    Raises ArgumentError for unusable names, for types that a file cannot hold, and for metadata that are not
-    strings.
-    """
+    """Return the bytes before the arrays; raises ArgumentError for bad names, types and metadata."""
     entries: dict[str, Any] = {_METADATA: dict(metadata)}
     if not all(isinstance(text, str) for pair in metadata.items() for text in pair):
         raise ArgumentError("metadata must map strings to strings")
@@ -91,10 +87,7 @@ def write(path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: 
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Map a file; only its header is read.
-
-    Raises TextureFileError if there is no such file, or its header is damaged or does not fit the file.
-    """
+    """Map a file and read its header; raises TextureFileError for one that is missing or damaged."""
     try:
         with open_file(path) as file:
             if os.fstat(file.fileno()).st_size < 8:
@@ -132,10 +125,7 @@ class Entry(NamedTuple):
 
 
 def described(text: bytes, begin: int = 0) -> tuple[dict[str, Entry], dict[str, str], int]:
-    """Return the tensors that a header describes, which begin at a byte, the metadata, and where they end.
-
-    ``text`` is the header without its first 8 bytes. Raises TextureFileError if it is damaged.
-    """
+    """Return a header's tensors, metadata and end, or raise TextureFileError if it is damaged."""
     try:
         entries = json.loads(text, object_pairs_hook=without_duplicates)
     except (ValueError, RecursionError) as error:
@@ -165,10 +155,7 @@ def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _checked_entry(name: str, entry: Any) -> tuple[np.dtype[Any], tuple[int, ...], int, int]:
-    """Return the type, the shape and the first and last byte of a tensor.
-
-    numpy holds no larger shape than these, also where one of the sizes is 0.
-    """
+    """Return the type, shape, first and last byte of a tensor that numpy can hold."""
     if not name or name != name.encode(errors="replace").decode():
         raise TextureFileError(f"its header is damaged: a tensor cannot have the name {name!r}")
     if not isinstance(entry, dict) or not {"dtype", "shape", "data_offsets"} <= entry.keys():

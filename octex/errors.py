@@ -5,7 +5,7 @@ OctexError                  anything octex refuses; the message names what, why 
 │   ├── ArgumentError       an argument (also a ValueError)
 │   ├── ModelError          a model file or surface
 │   ├── ImageError          an image file
-│   ├── CameraError         a camera or a file of cameras
+│   ├── CameraError         a camera or a camera file
 │   └── TextureFileError    an .octex file
 ├── OutputError             something could not be written; what stood there before still stands
 └── MissingExtraError       an optional package is not installed (also an ImportError)
@@ -64,7 +64,7 @@ class ImageError(InputError):
 
 
 class CameraError(InputError):
-    """A camera or a file of cameras cannot be used."""
+    """A camera or a camera file cannot be used."""
 
 
 class TextureFileError(InputError):
@@ -90,6 +90,11 @@ class ModelWarning(UserWarning):
 
 class DefectError(Exception):
     """Octex itself made something inconsistent: a defect, whatever was given to it."""
+
+
+def damaged(fault: str) -> ModelError:
+    """Return the error for a fault of a file that only another export can mend."""
+    return ModelError(f"{fault}; export it again")
 
 
 @contextmanager

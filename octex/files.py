@@ -55,7 +55,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
         # A pipe that nobody writes to is opened at once; for files this changes nothing.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError as error:
-        raise OSError(errno.EINVAL, f"no file has such a name ({error})", repr(path)) from None
+        raise OSError(errno.EINVAL, f"it is not a valid file name ({error})", repr(path)) from None
     try:
         mode = os.fstat(descriptor).st_mode
         if stat.S_ISDIR(mode):
@@ -77,7 +77,7 @@ def size_of(text: str) -> int:
     units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
     if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
-        raise ValueError(f"{text!r} is no size, like 20MB")
+        raise ValueError(f"{text!r} is not a size like 20MB")
     return int(float(found[1]) * units[found[2]])
 
 
@@ -97,7 +97,7 @@ def reading(path: Path) -> Iterator[None]:
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from None
     except MemoryError:
-        raise ModelError(f"{path.name} needs more memory than there is") from None
+        raise ModelError(f"{path.name} does not fit into memory") from None
 
 
 def is_absolute(path: str) -> bool:
@@ -107,10 +107,7 @@ def is_absolute(path: str) -> bool:
 
 
 def referred(folder: Path, name: str) -> Path:
-    """Return the place of a file that another one in ``folder`` names.
-
-    Raises OSError for an absolute path, Windows' or other: a file that is given away must not name others'.
-    """
+    """Return the path of a file named by one in ``folder``; raises OSError for an absolute path."""
     if is_absolute(name):
         raise OSError(
             errno.EINVAL, "absolute paths are not followed; name it from the referring file's folder"
@@ -120,10 +117,7 @@ def referred(folder: Path, name: str) -> Path:
 
 @contextlib.contextmanager
 def undone_on_failure(undo: Callable[[], None]) -> Iterator[None]:
-    """Call ``undo`` if the block fails or the process ends in it.
-
-    ``undo`` may be called when nothing is made yet, when all is made and complete, and twice.
-    """
+    """Call ``undo``, at any time and perhaps twice, if the block fails or the process ends in it."""
     key = object()
     with _undone_by_sigterm():
         _undos[key] = undo
@@ -181,7 +175,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     try:
         real = Path(os.path.realpath(target))  # through links, so that a link stays one
     except ValueError as error:
-        raise OutputError(f"{str(target)!r}: cannot be a file's name ({error}); choose another") from error
+        raise OutputError(f"{str(target)!r}: is not a valid file name ({error}); choose another") from error
     try:
         if real.is_symlink() or (real.exists() and not real.is_file()):  # a link still: it leads to itself
             raise OutputError(f"{target}: is not a file that can be replaced; choose another name")

@@ -69,10 +69,7 @@ def name_of(function: object) -> str:
 
 
 def takes_both(function: Callable[..., Any], what: str, one: str, other: str) -> bool:
-    """Say whether a function requires a second positional argument, ``other``, beside ``one``.
-
-    Raises ArgumentError for one that cannot be called with one or two.
-    """
+    """Say whether a function requires ``other`` beside ``one``; refuse other numbers of arguments."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # written in C

@@ -28,7 +28,7 @@ def read_npz(file: IO[bytes], names: Container[str] | None = None) -> dict[str, 
         with zipfile.ZipFile(file) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             if sum(info.file_size for info in members.values()) > _MOST_OF_A_BYTE * size:
-                raise ValueError("its arrays cannot be as large as it says")
+                raise ValueError("its arrays are larger than the file can hold")
             return {
                 name: _read_array(archive, info)
                 for name, info in members.items()
@@ -50,7 +50,7 @@ def _read_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Array:
         raise ValueError(f"{info.filename} is of version {version}")
     shape, is_fortran, dtype = read[version](head, max_header_size=_LONGEST_HEADER)
     if dtype.kind not in _KINDS or not dtype.itemsize:
-        raise ValueError(f"{info.filename} has the type {dtype}; save numbers, or texts")
+        raise ValueError(f"{info.filename} has the type {dtype}; save numbers or text")
     if any(type(length) is not int or length < 0 for length in shape):
         raise ValueError(f"{info.filename} has no shape")
     count, rest = 1, len(content) - head.tell()

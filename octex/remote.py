@@ -60,7 +60,7 @@ class RemoteFile:
             file, known = _made(cache if has_stamp else None, address, self._stamp, self.size)
         except OSError as error:
             raise OutputError(
-                f"{cache or tempfile.gettempdir()}: what is fetched of {address} cannot be kept: "
+                f"{cache or tempfile.gettempdir()}: the cache for {address} cannot be written: "
                 f"{error.strerror or error}; make room or choose another folder"
             ) from error
         self._file, self._is_here = file, known
@@ -140,7 +140,7 @@ class RemoteFile:
             self._file.flush()
         except OSError as error:
             raise OutputError(
-                f"{tempfile.gettempdir()}: what is fetched of {self.address} cannot be kept: "
+                f"{tempfile.gettempdir()}: the cache for {self.address} cannot be written: "
                 f"{error.strerror or error}; make room"
             ) from error
         for begin, end in runs.tolist():
@@ -156,7 +156,7 @@ class RemoteFile:
         size = info.get("size")
         if info.get("type") == "directory" or not isinstance(size, int) or size <= 0:
             raise TextureFileError(
-                f"{self.address}: is no file of known length; give the address of an .octex or .octz file"
+                f"{self.address}: has no known length; give the URL of an .octex or .octz file"
             )
         return size, (str(size), *(str(info[name]) for name in _STAMPS if info.get(name)))
 
@@ -164,7 +164,7 @@ class RemoteFile:
         """Raise TextureFileError if the file has changed: then nothing of it is here."""
         if self._described()[1] != self._stamp:
             self._is_here[:] = 0
-            raise TextureFileError(f"{self.address}: has changed since it was opened; open it again")
+            raise TextureFileError(f"{self.address}: changed after it was opened; open it again")
         self._is_checked = True
 
     def _failed(self, error: Exception) -> TextureFileError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,22 @@ def no_helpers() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Share what the suite compiles among its processes: two that need a kernel at once compile it twice."""
+    if jit.DISABLED or len(request.session.items) < 1000 or not hasattr(request.config, "workerinput"):
+        return
+    listed: dict[str, list[str]] = {}
+    for line in ahead.lines(*ahead.SECTIONS):
+        listed.setdefault(line.partition(":")[0], []).append(line)
+    for module, lines in sorted(listed.items(), key=lambda item: -len("".join(item[1]))):
+        claim = tmp_path_factory.getbasetemp().parent / f"compiles-{module}"
+        with suppress(FileExistsError):
+            claim.mkdir()  # by one process alone
+            for line in lines:
+                ahead._compile(line)
+
+
+@pytest.fixture(scope="session", autouse=True)
 def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Let commands keep what is the user's in a folder of the tests."""
     with pytest.MonkeyPatch.context() as changed:
@@ -62,6 +79,15 @@ def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
 
     write = octex.write_preview
     monkeypatch.setattr(octex, "write_preview", small)
+
+
+@pytest.fixture
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have cameras refined by a tenth of the points: enough for small pictures."""
+    from octex.photos import refine
+
+    for name in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
+        monkeypatch.setattr(refine, name, getattr(refine, name) // 10)
 
 
 @pytest.fixture(scope="session")

@@ -61,7 +61,9 @@ def code_block(
         if streams is None:
             found.append(encoded(coder))
         elif len(stream) % 4 or not is_whole(coder):
-            raise DamagedError(f"its bytes from {place} on make no sense: damaged, or not by octex")
+            raise DamagedError(
+                f"its bytes from {place} on cannot be decoded: the file is damaged, or octex did not write it"
+            )
         elif kind == STRUCTURE:
             _list_flagged(content, block)
     return found
@@ -93,12 +95,12 @@ def _list_flagged(content: Content, block: Block) -> None:
     ):
         found = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
         if found.size != cells.size:
-            raise DamagedError("its flags mark other cells than its blocks say; copy it again")
+            raise DamagedError("its blocks and its flags disagree; copy it again")
         cells[:] = found
     own = content.split.cells[begin.split : end.split]
     content.split.facings[begin.split : end.split] = flags[own] & np.uint8(FACING_FLAGS)
     if owners_of(content.split, block).size != end.row - begin.row:
-        raise DamagedError("its split cells have other rows than its blocks say; copy it again")
+        raise DamagedError("its blocks and its split cells disagree; copy it again")
 
 
 def _code_channel(

@@ -89,19 +89,21 @@ def unpacked(content: bytes, length: int) -> bytes | None:
 def read_directory(content: mmap.mmap, fetch: Fetch) -> Directory:
     """Read the directory of an archive; raises DamagedError for one that no archive has."""
     if len(content) < START:
-        raise DamagedError("is cut off; copy it again")
+        raise DamagedError("is truncated; copy it again")
     fetch([(0, START)])
     first = content[:START]
     if first[:8] != MAGIC:
-        raise DamagedError("is no archive of octex")
+        raise DamagedError("is not an octex archive")
     version, length = np.frombuffer(first, "<u4", 2, 8).tolist()
     if zlib.crc32(first[:28]) != int.from_bytes(first[28:], "little"):
-        raise DamagedError("its first bytes are damaged; copy it again")
+        raise DamagedError("its header is damaged; copy it again")
     if version != FORMAT_VERSION:
         raise DamagedError(f"has format version {version}, newer than this octex reads; update octex")
     begin = int.from_bytes(first[16:24], "little")
     if not START <= begin <= len(content) or begin + length != len(content) or length < 12:
-        raise DamagedError(f"has {len(content)} bytes, which is not what it says: cut off; copy it again")
+        raise DamagedError(
+            f"has {len(content)} bytes, which is not the size in its header: it is truncated; copy it again"
+        )
     fetch([(begin, len(content))])
     directory = content[begin:]
     lengths = np.frombuffer(directory, "<u4", 3).tolist()

@@ -74,7 +74,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
     try:
         with open_file(path) as file:
             if os.fstat(file.fileno()).st_size < START:
-                raise DamagedError("is cut off; copy it again")
+                raise DamagedError("is truncated; copy it again")
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                 decoding = Decoding(content)
                 decoding.decode_all()
@@ -82,7 +82,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
     except OSError as error:
         raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (MemoryError, OverflowError):
-        raise TextureFileError(f"{path}: needs more memory than there is") from None
+        raise TextureFileError(f"{path}: does not fit into memory") from None
     except (DamagedError, ArgumentError) as error:
         raise TextureFileError(f"{path}: {error}") from error
 
@@ -104,7 +104,7 @@ class Decoding:
         sizes = {name: array.nbytes for name, array in self._directory.tensors.items()}
         self._others = [(*piece, self._stream()) for piece in pieces_of(sizes, self.channels)]
         if self._at_byte != self._directory.begin:
-            raise DamagedError("has bytes that belong to no block; copy it again")
+            raise DamagedError("has bytes outside of all blocks; copy it again")
         #: What of each comes before each block, and which blocks are decoded of each kind.
         self._firsts = {
             name: np.array([getattr(part.block.begin, name) for part in self._parts], np.int64)
@@ -221,4 +221,4 @@ class Decoding:
             if place[:2] != (nodes[level + 2], cells[level + 2]):
                 raise DamagedError(f"level {level + 1} has not as many cells as its blocks; copy it again")
         if place[2:] != (split.cells.size, split.areas.size, kept.cells.size):
-            raise DamagedError("it has other split cells or kept nodes than its blocks; copy it again")
+            raise DamagedError("its blocks, split cells and kept nodes disagree; copy it again")

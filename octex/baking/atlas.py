@@ -238,10 +238,7 @@ def _area(flat: Float64s) -> float:
 
 
 def _upright(flat: Float64s, starts: Int64s) -> Float64s:
-    """Turn charts so that their boxes are small and wide, and put their lowest corners at the origin.
-
-    ``starts`` says where the triangles (m, 3, 2) of each chart begin.
-    """
+    """Turn charts until their boxes are small and wide; ``starts`` are their first triangles."""
     turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
     least = np.full(len(starts), np.inf)
     best = np.zeros(len(starts), np.int64)
@@ -272,10 +269,7 @@ def _turn(angle: float) -> Float64s:
 
 
 def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int) -> Float64s | None:
-    """Place charts (m, 3, 2), in texels from their lowest corners on, in a square map; None: no room.
-
-    The map is divided into blocks of so many texels a side, of which no two charts share one.
-    """
+    """Place charts (m, 3, 2), in texels, in a square map by blocks of texels; return None without room."""
     blocks = size // block
     _, reaches = _boxes(flat, starts)
     if (reaches + 2 * padding > size).any():
@@ -327,11 +321,7 @@ def _mark(corners: Float64s, around: float, mask: Bools) -> None:
 
 @kernel
 def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
-    """Put a mask where all blocks are free, in the first such place from ``start`` on; return it, or −1.
-
-    ``longest`` (rows,) are the longest runs of free blocks: rows with none as long as the mask's are passed
-    over. A run that meets a block that is not free moves on until it begins behind that.
-    """
+    """Put a mask into the first free blocks from ``start`` on; ``longest`` are rows' free runs."""
     height, width = mask.shape
     blocks = free.shape[0]
     runs = np.zeros((height, width), np.int64)  # how many blocks of a run there are up to each

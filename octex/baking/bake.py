@@ -13,18 +13,9 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
 from octex.baking.directions import across, in_tangent_space, turned, unit
-from octex.baking.fit import lacking
-from octex.baking.flat import are_flat, means_at_texels, points_on
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors
-from octex.baking.maps import (
-    BITS,
-    Bits,
-    Values,
-    alpha_mode,
-    average,
-    inputs_of,
-)
+from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, Shown, Texels, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
@@ -32,7 +23,7 @@ from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, as_progress, ordered_map, sharing, workers
-from octex.source.corners import Corners, area_vectors
+from octex.source.corners import Corners, area_vectors, at_corners
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -52,6 +43,11 @@ _REACH = 1.5
 _ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
+#: Twice the area of triangles that are flat in a map, at most, in texels; those of low-poly models lie on a
+#: palette's texels.
+_FLAT = 1e-9
+#: Points on one, and more for each texel of its length; those on all, at most, beside the former.
+_POINTS, _ALONG, _MOST_POINTS = 16, 4, 1 << 22
 
 
 def bake(
@@ -116,7 +112,7 @@ def bake(
             raise ArgumentError(f"texture_size must be a multiple of {_STEP}, not {texture_size}")
     distance = np.inf if max_distance is None else as_number(max_distance, "max_distance", 0.0, np.inf)
     if source is None and max_distance is not None:
-        raise ArgumentError("max_distance says how far away source may be; give source too")
+        raise ArgumentError("max_distance limits the distance to source; give source too")
     report = as_progress(progress)
     other = None
     if source is None:
@@ -129,20 +125,24 @@ def bake(
         coordinates = coordinates_of(sheets, len(surface.triangles))
         report("unwrap", 1, 1)
         job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
-        done, total = 0, sum(sheet.layout.height for sheet in sheets)
+        first, rows = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
         shows_any = False
         owners = np.empty(len(surface.triangles), np.int32)
         for sheet in sheets:
             owners[sheet.triangles] = len(materials) + sheet.owners
-            made, shows = _bake_sheet(job, sheet, pool, _part_of(report, done, total))
+
+            def advance(stage: str, done: int, total: int, before: int = first) -> None:  # noqa: ARG001
+                report(stage, min(before + done * _BAND, rows), rows)
+
+            made, shows = _bake_sheet(job, sheet, pool, advance)
             materials += made
             shows_any |= shows
-            done += sheet.layout.height
+            first += sheet.layout.height
     if source is not None and not shows_any:
         raise ModelError(
-            f"{source.name} has nothing that is near enough to {surface.name} and faces the same way; give a "
-            "larger max_distance, or another source"
+            f"{source.name} has no surface near {surface.name} that faces the same way; give a larger "
+            "max_distance, or another source"
         )
     baked = MaterialSource(
         materials, owners, surface.rest, surface.triangles,
@@ -152,15 +152,6 @@ def bake(
         surface.vertices, surface.triangles, baked, rest=surface.rest, uv=coordinates,
         frames=job.frames or surface.frames, name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
-
-
-def _part_of(report: Progress, before: int, whole: int) -> Progress:
-    """Return what reports bands of a sheet as rows of all sheets."""
-
-    def advance(stage: str, done: int, total: int) -> None:  # noqa: ARG001
-        report(stage, min(before + done * _BAND, whole), whole)
-
-    return advance
 
 
 def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> tuple[list[Material], bool]:
@@ -174,11 +165,13 @@ def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> 
     tasks = [(job, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
-    is_flat = are_flat(shown)
+    is_flat = np.abs(doubled_areas(shown.corners)) <= _FLAT
     if is_flat.any():
         _bake_flat(job, shown.of(is_flat), taken, maps)
     if layout.padding and not taken.all():
-        _bake_gutter(job, shown.of(~is_flat), taken, maps, pool)
+        charts = shown.of(~is_flat)
+        parts = Borders.of(charts, taken, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
+        list(ordered_map(pool, lambda borders: _bake_beside(job, charts, borders, maps), parts))
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
@@ -208,7 +201,7 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list
             as_choice(name, texture.channels, "channel of the texture")
             as_choice(name, baked, "channel of materials")
     if not names:
-        raise ArgumentError(f"no channel to bake: materials have {', '.join(baked)}")
+        raise ArgumentError(f"no channel to bake: baking to a material needs one of {', '.join(baked)}")
     return names
 
 
@@ -329,10 +322,7 @@ def _bake_drawn(
     job: _Job, drawing: Drawing, which: Int64s, drawn: Texels, first: int, lanes: Mapping[str, slice],
     values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
-    """Write the channels where some rows of a map show something, from ``first`` on.
-
-    ``values`` (texels, lanes); where there is nothing after all ``areas`` become 0.
-    """
+    """Write the channels of rows from ``first`` on; where nothing is there, ``areas`` become 0."""
     layout, surface = drawing.layout, job.surface
     shown = texel_points(
         layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
@@ -356,7 +346,7 @@ def _bake_drawn(
 
 def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
     """Write the channels of flat triangles where these are read from and nothing else is, in place."""
-    own, barycentric = points_on(layout)
+    own, barycentric = _points_on(layout)
     triangles = layout.faces[own]
     values, there = job.sampled(triangles, job.surface.rest_at(triangles, barycentric), None)
     if there is not None:
@@ -366,24 +356,46 @@ def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
         values[:, normals] = in_tangent_space(values[:, normals], job.frames, triangles, barycentric)
     corners = job.surface.rest[job.surface.triangles[layout.faces]]
     areas = np.linalg.norm(area_vectors(corners), axis=1)
-    texels, means = means_at_texels(layout, own, barycentric, values, areas)
+    texels, means = _means_at_texels(layout, own, barycentric, values, areas)
     is_free = ~taken.reshape(-1)[texels]
     put_rows(means[is_free], texels[is_free], maps.values.reshape(-1, means.shape[1]))
     maps.areas.reshape(-1)[texels[is_free]] = 1.0
     taken.reshape(-1)[texels] = True
 
 
-def _bake_gutter(job: _Job, layout: Layout, taken: Bools, maps: Values, pool: Executor) -> None:
-    """Write the channels around the charts, and count these texels as covered, in place."""
-    borders = Borders.of(layout, taken, math.ceil(_REACH * layout.padding))
-    list(ordered_map(pool, lambda some: _bake_beside(job, layout, some, maps), borders.parts(_GUTTER)))
+def _points_on(layout: Layout) -> tuple[Int64s, Float64s]:
+    """Return points that follow each other evenly on flat triangles: of which they are, and barycentric."""
+    lengths = np.ptp(layout.corners, axis=1).max(axis=1)
+    along = _ALONG * lengths * min(1.0, _MOST_POINTS / max(_ALONG * float(lengths.sum()), 1.0))
+    counts = _POINTS + along.astype(np.int64)
+    own = np.repeat(np.arange(counts.size), counts)
+    number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    # The sequence R2: whole multiples of two powers of the plastic number's inverse.
+    root, part = np.sqrt(number * 0.7548776662466927 % 1.0), number * 0.5698402909980532 % 1.0
+    return own, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
+
+
+def _means_at_texels(
+    layout: Layout, own: Int64s, barycentric: Float64s, values: Float32s, areas: Float64s
+) -> tuple[Int32s, Float32s]:
+    """Return the four texels that points (n,) read, and the texels' means by area (t, lanes)."""
+    corners = layout.corners.reshape(-1, 2)
+    rows = 3 * own[:, None] + np.arange(3)
+    columns, lines = np.floor(at_corners(corners, rows, barycentric) - 0.5).astype(np.int64).T
+    read = [
+        np.clip(lines + down, 0, layout.height - 1) * layout.width
+        + np.clip(columns + right, 0, layout.width - 1)
+        for down, right in np.ndindex(2, 2)
+    ]
+    texels, which = np.unique(np.concatenate(read), return_inverse=True)
+    weights = np.tile((areas / np.maximum(np.bincount(own, minlength=areas.size), 1))[own], 4)
+    totals = np.maximum(np.bincount(which, weights), 1e-300)
+    lanes = [np.bincount(which, weights * np.tile(lane, 4)) / totals for lane in values.T]
+    return texels.astype(np.int32), np.stack(lanes, axis=1).astype(np.float32)
 
 
 def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
-    """Write the channels at some texels of gutters.
-
-    They are as large as the texels of the chart beside them, in the plane of the triangle that they show.
-    """
+    """Write the channels of gutter texels, as large as texels of the chart, in its triangle's plane."""
     mesh = job.surface
     gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
     places = gutter.places

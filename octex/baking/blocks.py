@@ -20,7 +20,7 @@ from octex.field.values import Codes
 from octex.field.weights import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture
-from octex.texture.blend import stored
+from octex.texture.channel import stored
 from octex.texture.lookup import ANISOTROPY
 from octex.tree.layout import SPLIT
 from octex.tree.placement import Placement
@@ -82,10 +82,7 @@ class Blocks(NamedTuple):
     def of(
         cls, texture: OctreeTexture, names: list[str], normals: Float64s, dPdx: Float64s, dPdy: Float64s
     ) -> Blocks | None:
-        """Prepare channels for the triangles of a surface (m,), whose texels span dPdx and dPdy (m, 3).
-
-        None for trees of leaves of several depths, and for channels that are stored decoded.
-        """
+        """Prepare channels for triangles (m,) with texels' dPdx, dPdy (m, 3); None for adaptive trees."""
         field = texture._field
         rows = {name: stored(texture.channels[name]) for name in {*names, *({"alpha"} & {*texture.channels})}}
         if field.tiles is None or any(each.space is not None for each in rows.values()):
@@ -117,10 +114,7 @@ class Blocks(NamedTuple):
         )  # fmt: skip
 
     def look_up(self, shown: Shown, values: Float32s) -> Int64s:
-        """Write the channels' components side by side to ``values`` (places, n_lanes), where texels are.
-
-        Returns which texels have none: what is around them is not stored, or has no alpha, or is too far.
-        """
+        """Write components to ``values`` (points, n_lanes); return which texels have none."""
         n = shown.places.size
         weighs = int(self.alpha is not None)
         planes = -(-(1 + weighs + self.n_lanes) // 4)
@@ -184,10 +178,7 @@ def _list(
     tiles: Tiles, facings: Facings, areas: Uint8s, looks: Looks, shown: Shown, normals: Float32s,
     origin: tuple[float, float, float], size: float, group: int, texel: int, room: _Listed, failed: Bools,
 ) -> tuple[int, int, int, int, int]:  # fmt: skip
-    """List the cells around texels, from one of a group on, as many as there is room for.
-
-    Returns the group and the texel to go on from, and how many blocks, cells and rows are listed.
-    """
+    """List the cells around texels as far as there is room; return where to go on, and the numbers listed."""
     cells, scale = float(1 << tiles.depth), 1.0 / size
     n_blocks = n_cells = n_rows = 0
     first_row, one, none = facings.flags.size, np.uint64(1), np.float32(0.0)

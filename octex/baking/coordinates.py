@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int64s
+from octex.arrays import Bools, Float64s, Int64s
 from octex.baking.layout import Layout, doubled_areas, unit_area
 from octex.baking.texels import Drawing, Texels, barycentric_at
-from octex.channels import CHANNELS, ColorSpace, linear_to_srgb
+from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
 from octex.source.corners import area_vectors, at_corners
@@ -46,8 +46,8 @@ def check_overlaps(
             shared = _differing(texture, mesh, names, layout, drawn)
     if shared > _MOST:
         raise ModelError(
-            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, so that "
-            "one texel would show several places that differ; have an atlas made"
+            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
+            "and the overlapping areas differ in colour; let octex make an atlas"
         )
 
 
@@ -69,8 +69,8 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
-            f"{mesh.name}: its texture coordinates are squeezed, so that on {100 * spread:.3g} % of it one "
-            "texel shows several places that differ; have an atlas made"
+            f"{mesh.name}: its texture coordinates are too small: on {100 * spread:.3g} % of it one "
+            "texel covers areas that differ in colour; let octex make an atlas"
         )
 
 
@@ -101,10 +101,7 @@ def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
 
 
 def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
-    """Return texels a unit where triangles' coordinates are stretched least (m,), and which way that is.
-
-    The way (m, 3) is what a unit along it adds to barycentric coordinates.
-    """
+    """Return texels a unit where least stretched (m,), and that way in barycentrics (m, 3)."""
     assert mesh.uv is not None
     rest = mesh.rest[mesh.triangles]
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
@@ -148,15 +145,18 @@ def _look_otherwise(
         rows = mesh.triangles[triangles]
         normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
         found = texture.sample(places, kept, normals=normals, width=width, threads=1)
-        codes.append([_as_seen(found[name], CHANNELS[name].space) for name in kept])
+        codes.append(
+            [
+                linear_to_srgb(np.clip(found[name], 0, 1))
+                if CHANNELS[name].space == "srgb"
+                else found[name].astype(np.float64)
+                for name in kept
+            ]
+        )
     differs = np.zeros(len(ends[0][0]), np.bool_)
     for one, two in zip(*codes, strict=True):
         differs |= (np.abs(one - two) > _LOOKS_ALIKE).any(axis=1)
     return differs
-
-
-def _as_seen(values: Float32s, space: ColorSpace) -> Float64s:
-    return linear_to_srgb(np.clip(values, 0, 1)) if space == "srgb" else values.astype(np.float64)
 
 
 def _drawn(layout: Layout, pool: Executor) -> Texels:
@@ -187,10 +187,7 @@ def cell_of(texture: OctreeTexture) -> float:
 
 
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
-    """Return the width of a texture's leaves on a mesh: leaves that are finer hold less than 1 % of it.
-
-    It is that of the finest cells where no leaf holds the mesh.
-    """
+    """Return the leaves' width on a mesh, below which less than 1 % of it lies; default: finest cells."""
     own, weights = _scattered(areas_of(mesh))
     places = at_corners(mesh.rest, mesh.triangles[own], weights)
     places = places[texture.contains(places, threads=1)]

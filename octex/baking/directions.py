@@ -43,10 +43,7 @@ def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
 def in_tangent_space(
     directions: Float32s, frames: Frames, triangles: Int32s, barycentric: Float64s
 ) -> Float32s:
-    """Return directions at rest (n, 3) in the frames of points of triangles (n,), of length 1.
-
-    x is along the tangent, y along the bitangent, z along the normal (MikkTSpace's conventions).
-    """
+    """Return unit directions at rest (n, 3) in triangles' frames (MikkTSpace)."""
     found = np.empty((triangles.size, 3), np.float32)
     _turn_in(directions, *frames.normals, *frames.tangents, triangles, barycentric, found)
     return found

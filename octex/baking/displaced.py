@@ -65,7 +65,7 @@ def displace(
     as_choice(channel, texture.channels, "channel of the texture")
     form = texture.channels[channel].format
     if form.space == "direction":
-        raise ArgumentError(f"{channel} is directions; displacement is by numbers or colours")
+        raise ArgumentError(f"{channel} holds directions; displace by numbers or colours")
     scale = as_number(scale, "scale", -FARTHEST, FARTHEST)
     middle = as_number(middle, "middle", -FARTHEST, FARTHEST)
     finest = texture.placement.size / 2**texture.tree.max_depth
@@ -91,7 +91,8 @@ def displace(
     if not (np.abs(moved) <= FARTHEST).all():
         first = undisplaced[int(np.argmin((np.abs(moved) <= FARTHEST).all(axis=1)))]
         raise ArgumentError(
-            f"{surface.name}: {channel} displaces to what is not finite, at {first.tolist()} at rest; "
+            f"{surface.name}: {channel} displaces a vertex to a position that is not finite, "
+            f"at {first.tolist()} at rest; "
             "repair the texture, or give another scale"
         )
     bent = np.zeros_like(moved)
@@ -126,7 +127,8 @@ def _parts(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, mos
     if finest.max() > _MOST_LEVELS or (count := int((4**finest).sum())) > most:
         number = f"{count:,}" if finest.max() <= _MOST_LEVELS else f"4^{finest.max()} for a triangle"
         raise ArgumentError(
-            f"{surface.name} divided to cells of {cell:g} is too many triangles, {number}; give a larger cell"
+            f"{surface.name} divided to cells of {cell:g} would need too many triangles, {number}; "
+            "give a larger cell"
         )
     return tessellated(triangles, levels, (edges, sides))
 
@@ -228,10 +230,7 @@ def _bend(
     slopes: Float64s,
     bent: Float64s,
 ) -> None:
-    """Add up the normals of the displaced surface at vertices (n, 3), a unit vector for each parent there.
-
-    Two sides of each parent move with the surface: a tangent t becomes t + (∂h) n + h ∂n.
-    """
+    """Add up normals of the displaced surface (n, 3): a tangent t becomes t + (∂h) n + h ∂n."""
     for p in range(len(points)):
         t, v = owners[p], points[p]
         normal = row_of(directions, v)

@@ -52,10 +52,7 @@ class Gutter(NamedTuple):
 def gutter_of(
     borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s
 ) -> Gutter:
-    """Find what texels beside charts show: the surface as it goes on across the edge, unfolded.
-
-    Where it ends, they show the edge. ``others`` and ``sides`` are those of `layout.neighbors`.
-    """
+    """Find what texels beside charts show: the surface beyond the edge, unfolded, or its end."""
     count = borders.places.size
     found = np.empty(count, np.int32)
     barycentric, edges = np.zeros((2, count, 3))
@@ -104,10 +101,7 @@ def find_nearest(
 def _edge_frame(
     rest: Float64s, faces: Int32s, triangle: int, side: int
 ) -> tuple[Vector, Vector, float, float, float]:
-    """Return unit vectors along a side and from it into the triangle, and the side's length; 0: no frame.
-
-    And how far the triangle's tip lies along these vectors.
-    """
+    """Return unit vectors along a side and inward, the side's length (0: none), and the tip there."""
     start = row_of(rest, faces[triangle, side])
     along = minus(row_of(rest, faces[triangle, (side + 1) % 3]), start)
     to_tip = minus(row_of(rest, faces[triangle, (side + 2) % 3]), start)
@@ -129,10 +123,7 @@ def _follow(
     corners: Float64s, owners: Int32s, width: int, rest: Float64s, faces: Int32s, others: Int32s,
     sides: Int32s, borders: Borders, edges: Float64s, found: Int32s, barycentric: Float64s,
 ) -> None:  # fmt: skip
-    """Walk straight over the surface from edges of charts to where the middles of texels (n,) lie.
-
-    ``corners`` (k, 3, 2) of the map's triangles and ``owners`` (k,), those of the surface, are the layout's.
-    """
+    """Walk straight over the surface from charts' edges to texels' middles (n,)."""
     for n in range(found.size):
         drawn, side = borders.drawn[n], int(borders.sides[n])
         triangle = int(owners[drawn])
@@ -201,11 +192,7 @@ def _follow(
 
 
 def fill_up(values: Float32s, weights: Float32s) -> None:
-    """Fill texels (height, width, components) of weight 0 from those around, in place: push and pull.
-
-    Each level halves the map, averaging by ``weights`` (height, width); what has none takes, from the top
-    down, what lies between the coarser values (S. J. Gortler et al., "The Lumigraph", 1996, 3.4).
-    """
+    """Fill texels of weight 0 from those around, in place: push–pull (Gortler et al. 1996, 3.4)."""
     height, width = weights.shape
     if max(height, width) == 1:
         return

@@ -62,15 +62,12 @@ def unit_area(layout: Layout) -> float:
 
 
 def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
-    """Lay a surface out by its own texture coordinates in a square map, to be filled around its charts.
-
-    Raises ModelError if it has none, or if they repeat the map many times.
-    """
+    """Lay a surface out by its own coordinates, if it has some that repeat the map rarely."""
     if mesh.uv is None:
-        raise ModelError(f"{mesh.name} has no texture coordinates to keep; have an atlas made")
+        raise ModelError(f"{mesh.name} has no texture coordinates to keep; let octex make an atlas")
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     if not np.isfinite(uv).all():
-        raise ModelError(f"{mesh.name}: texture coordinates are not all finite; have an atlas made")
+        raise ModelError(f"{mesh.name}: texture coordinates are not all finite; let octex make an atlas")
     whole = np.abs(uv - np.rint(uv)) < BEYOND
     uv = np.where(whole, np.rint(uv), uv)
     low, high = np.floor(uv.min(axis=1)), np.maximum(np.ceil(uv.max(axis=1)), np.floor(uv.min(axis=1)) + 1)
@@ -78,7 +75,7 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
     if (repeats.prod(axis=1) > _MOST_REPEATS).any():
         raise ModelError(
             f"{mesh.name}: texture coordinates of a triangle reach over "
-            f"{int(repeats.prod(axis=1).max()):,} squares; have an atlas made"
+            f"{int(repeats.prod(axis=1).max()):,} squares; let octex make an atlas"
         )
     faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
     starts = np.cumsum(repeats.prod(axis=1)) - repeats.prod(axis=1)
@@ -94,10 +91,7 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
 
 
 def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
-    """Return the chart of each triangle (m,), and which of its sides (m, 3) are edges of that.
-
-    Triangles of a chart share edges both on the surface and in the map, where ``corners`` (m, 3, 2) are.
-    """
+    """Return charts (m,), connected on the surface and in the map, and which sides (m, 3) are their edges."""
     parents = np.arange(len(corners))
     beside = neighbors(mesh)
     are_joined = _joined(corners, *beside)

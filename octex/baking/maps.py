@@ -9,9 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s
-from octex.baking.fit import fit_rows, put_codes
-from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_encoder
+from octex.arrays import Float32s, Float64s, Uint8s, Uint16s
+from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_code, srgb8_encoder, unit_code
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.images.pyramid import Texels
@@ -35,6 +34,10 @@ BITS: tuple[Bits, ...] = (8, 16, 32)
 _FLOAT = 32
 #: Texels that differ by no more than this are alike, by the bits of a number: cells of 8 bits are rounded.
 _ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
+#: What texels lack of the nearest map that is linear in between, of their second differences along each axis,
+#: where they are the values at their middles; and what means over texels lack beyond that. Of a parabola,
+#: exactly.
+_LACKING, _OF_MEANS = 1.0 / 12.0, 1.0 / 24.0
 
 
 class Values(NamedTuple):
@@ -79,7 +82,7 @@ def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: 
 def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
     """Return the inputs of materials whose images are maps of channels, with numbers of 8, 16 or 32 bits.
 
-    Texels are fitted to bilinear reading: ``part`` is what they lack (`fit.lacking`). ``wrap`` is how
+    Texels are fitted to bilinear reading: ``part`` is what they lack (`lacking`). ``wrap`` is how
     coordinates beyond the unit square meet the images. A channel that does not vary is a number, and 1 in an
     image of others.
     """
@@ -92,7 +95,8 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
         texels: Texels = np.empty((*maps.areas.shape, 4), np.float32 if bits == _FLOAT else np.uint16)
         for name in given:
             form = CHANNELS[name]
-            lanes = _lanes_of(channels, [name])
+            first = 3 if name == ALPHA.name else channels.index(name)
+            lanes = tuple(range(first, first + form.components))
             strength = 1.0
             if form.space == "srgb" and bits != _FLOAT:
                 strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
@@ -120,20 +124,8 @@ def largest(values: Float32s, lane: int, components: int) -> float:
     return float(most)
 
 
-def _lanes_of(channels: tuple[str, ...], names: list[str]) -> tuple[int, ...]:
-    """Return where some of the channels of an image stand in it."""
-    lanes: list[int] = []
-    for name in names:
-        first = 3 if name == ALPHA.name else channels.index(name)
-        lanes += range(first, first + CHANNELS[name].components)
-    return tuple(lanes)
-
-
 def _number(name: str, given: Input, texels: Texels, alike: float) -> Input | None:
-    """Return a channel's input without its image; None if texels differ, or materials have no such number.
-
-    glTF has none for occlusion but 1, and none for normals but those of the surface.
-    """
+    """Return a channel's input without its image; None if texels differ, or glTF has no such number."""
     one, lanes = _one(texels), list(given.lanes)
     fixed = {"normal": (0.5, 0.5, 1.0), "occlusion": (1.0,)}.get(name)
     first = texels[0, 0, lanes] / one if fixed is None else np.array(fixed)
@@ -180,6 +172,61 @@ def _encode(
                 rows[..., lanes] = np.maximum(fitted[..., own], 0.0)
         for lane in {*range(4)} - used:
             rows[..., lane] = _one(texels)
+
+
+def lacking(supersample: int, blur: float) -> float:
+    """Return the part of second differences that texels, means of lookups blurred by ``blur``, lack."""
+    part = 1.0 / supersample**2
+    return _LACKING + _OF_MEANS * (1.0 - part + part * blur)
+
+
+@kernel
+def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted: Float32s) -> None:
+    """Write rows of a map (height, width, lanes) fitted to bilinear reading; rims stay. See `lacking`."""
+    height, width, lanes = values.shape
+    numbers, lacks, across = values.reshape(-1), np.float32(part), width * lanes
+    for row in range(fitted.shape[0]):
+        fitted[row] = values[first + row]
+        if not 0 < first + row < height - 1 or width < 3:
+            continue
+        begin, count = (first + row) * across, across - 2 * lanes
+        left, here, right = numbers[begin:], numbers[begin + lanes :], numbers[begin + 2 * lanes :]
+        above, below = numbers[begin + lanes - across :], numbers[begin + lanes + across :]
+        made = fitted[row].reshape(-1)[lanes:]
+        for n in range(count):
+            sides = (left[n] + right[n]) + (above[n] + below[n])
+            made[n] = here[n] - lacks * (sides - np.float32(4.0) * here[n])
+        for column in range(1, width - 1):
+            least = min(areas[first + row, column - 1], areas[first + row, column + 1])
+            least = min(least, min(areas[first + row - 1, column], areas[first + row + 1, column]))
+            if not min(least, areas[first + row, column]) > np.float32(0.0):
+                for lane in range(lanes):
+                    fitted[row, column, lane] = values[first + row, column, lane]
+
+
+@kernel
+def put_codes(
+    fitted: Float32s, lanes: tuple[int, int, int], most: float, is_srgb: bool, half: float, guesses: Uint8s,
+    thresholds: Float64s, texels: Uint16s,
+) -> None:  # fmt: skip
+    """Write lanes of a map, divided by ``most``, as codes of 8 bits to texels of 16 (rows, width, 4).
+
+    ``lanes`` are the first of the values, how many, and the first of the texels. Colours become sRGB, by
+    `channels.srgb8_encoder`; what goes from −1 to 1 has ``half`` 0.5, numbers from 0 to 1 have 0.
+    """
+    lane, count, to = lanes
+    scale, over = 1.0 - half, 1.0 / most
+    for row in range(texels.shape[0]):
+        for k in range(count):
+            of, at = np.uint64(lane + k), np.uint64(to + k)
+            if is_srgb:
+                for column in range(texels.shape[1]):
+                    code = srgb8_code(np.float64(fitted[row, column, of]) * over, guesses, thresholds)
+                    texels[row, column, at] = np.uint16(257 * code)
+            else:
+                for column in range(texels.shape[1]):
+                    number = unit_code(np.float64(fitted[row, column, of]) * over, scale, half, 255.0)
+                    texels[row, column, at] = np.uint16(257 * number)
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:

@@ -48,7 +48,9 @@ def sheets_of(
     atlas each. Otherwise all triangles share one atlas, and materials that differ in nothing but their names
     are one there. Raises ModelError for coordinates that cannot be kept, and for an atlas that has no room.
     """
-    materials, owners = _own_materials(surface)
+    materials, owners = [Material()], np.zeros(len(surface.triangles), np.int32)
+    if isinstance(surface.source, MaterialSource):
+        materials, owners = surface.source.materials, surface.source.triangle_materials
     if uv != "atlas":
         try:
             kept = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
@@ -80,12 +82,6 @@ def sheets_of(
     return [Sheet(surface, every, layout, shown, numbers[owners])]
 
 
-def _own_materials(surface: Surface) -> tuple[list[Material], Int32s]:
-    if isinstance(surface.source, MaterialSource):
-        return surface.source.materials, surface.source.triangle_materials
-    return [Material()], np.zeros(len(surface.triangles), np.int32)
-
-
 def _kept(
     texture: OctreeTexture, surface: Surface, names: list[str], size: int | None, padding: int | None,
     materials: list[Material], owners: Int32s, pool: Executor,
@@ -99,7 +95,7 @@ def _kept(
         groups.setdefault(key, []).append(number)
     coordinates = [_coordinates(surface, materials[alike[0]]) for alike in groups.values()]
     if all(each is None for each in coordinates):
-        raise ModelError(f"{surface.name} has no texture coordinates to keep; have an atlas made")
+        raise ModelError(f"{surface.name} has no texture coordinates to keep; let octex make an atlas")
     for own, alike in zip(coordinates, groups.values(), strict=True):
         chosen = np.flatnonzero(np.isin(owners, alike)).astype(np.int32)
         shown = [materials[number] for number in alike]
@@ -136,10 +132,7 @@ def _coordinates(surface: Surface, material: Material) -> Corners | None:
 
 
 def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
-    """Cut a mesh by the UDIM tiles that its triangles lie in: their numbers, meshes and triangles.
-
-    The tiles' coordinates are moved to the unit square. Empty if a triangle lies in several or elsewhere.
-    """
+    """Cut a mesh by UDIM tiles: numbers, meshes, triangles; empty if a triangle lies in several."""
     assert mesh.uv is not None
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     squares = np.floor(uv.mean(axis=1))
@@ -170,10 +163,7 @@ def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int | 
 def _fitted(
     texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None, materials: list[Material]
 ) -> Layout:
-    """Return a layout of a size, or of one that keeps the texture's leaves.
-
-    Where coordinates are squeezed none does: what matters there is that the materials' own texels stay apart.
-    """
+    """Return a layout of a size, or of one that keeps leaves and materials' texels apart."""
     if size is not None:
         return layout.sized(size)
     leaf = leaf_of(texture, mesh)

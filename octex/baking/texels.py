@@ -113,10 +113,7 @@ def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
 def _enter(
     corners: Float64s, triangle: int, first: int, shape: tuple[int, int], lines: Float64s
 ) -> tuple[int, int, int, int]:
-    """Write a triangle's sides; return the texels that it reaches of rows from ``first`` on.
-
-    These are the first and the end of its rows and of its columns; no rows if it has no area.
-    """
+    """Write a triangle's sides; return the range of its rows, empty without area, and columns."""
     top, bottom = _reach(corners, triangle, 1, first, first + shape[0])
     left, right = _reach(corners, triangle, 0, 0, shape[1])
     if top >= bottom or left >= right or not _lines(corners, triangle, lines):
@@ -293,10 +290,7 @@ def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[
 
 @kernel
 def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Float64s:
-    """Return the barycentric coordinates (n, 3) of places (n, 2) of a map on triangles (n,), kept on these.
-
-    ``corners`` (m, 3, 2) are all triangles' in the map.
-    """
+    """Return barycentric coordinates (n, 3) of map positions (n, 2), clamped to triangles (n,)."""
     found = np.empty((triangles.size, 3))
     for n in range(triangles.size):
         p, q, r = _barycentric(corners, int(triangles[n]), places[n, 0], places[n, 1])
@@ -342,10 +336,7 @@ def _find_triangles(
 
 
 class Shown(NamedTuple):
-    """Points that texels of a map show, by tile and triangle.
-
-    Those of one triangle come in Morton order of squares of 8², and row by row in these.
-    """
+    """Points that texels show, by tile and triangle; those of a triangle by squares of 8² in Morton order."""
 
     places: Int32s  # (t,)   the texels, counted row by row
     rest: Float64s  # (t, 3)   rest positions

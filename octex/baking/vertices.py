@@ -77,7 +77,7 @@ def bake_vertices(
     as_surface(surface)
     if BASE_COLOR.name not in texture.channels:
         names = ", ".join(texture.channels)
-        raise ArgumentError(f"vertex colours are of base_color; the texture has {names}")
+        raise ArgumentError(f"vertex colours need the channel base_color; the texture has {names}")
     longest = None
     if isinstance(subdivide, str):
         as_choice(subdivide, ("auto",), "subdivide")
@@ -197,10 +197,7 @@ class _Cut(NamedTuple):
 
 
 def _cut_at(triangles: Int64s, places: Int64s, halved: Int64s) -> tuple[Int64s, _Cut, Int64s]:
-    """Return the edges (k, 2) between ``halved`` places (j, 2), the triangles that they cut, and the others.
-
-    Vertices in their middles are numbered on from those there are.
-    """
+    """Return the edges (k, 2) between ``halved`` vertices, the triangles cut, and the others."""
     near = _have_two(triangles, places, halved)
     some = triangles[near]
     edges, sides = edges_of(some)

@@ -6,5 +6,5 @@ differentials  how the point that a pixel sees moves from pixel to pixel
 files          cameras read and written, whatever the format
 frames         the cameras of a file, with the names of their pictures
 fields         fields of records: read, checked, and named in errors
-others         one file a format; own: octex's
+others         one file a format; sfm: those of structure from motion
 """

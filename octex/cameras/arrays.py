@@ -22,8 +22,7 @@ import numpy as np
 from octex.arrays import Array, Float64s
 from octex.cameras.camera import LARGEST
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame
-from octex.cameras.own import frame_of
+from octex.cameras.frames import Frame, frame_of
 from octex.npz import read_npz
 
 #: The first bytes of an .npz file.

@@ -182,9 +182,11 @@ class Camera:
             raise ArgumentError(f"points must be finite, up to {LARGEST:g}, and at least one")
         fov, margin = as_number(fov, "fov", 0.0, 180.0), as_number(margin, "margin", 0.0, 0.5)
         if not _LEAST_ANGLE <= fov <= 180.0 - _LEAST_ANGLE:
-            raise ArgumentError(f"fov must be between 0 and 180 degrees, by {_LEAST_ANGLE:g}, not {fov:g}")
+            raise ArgumentError(
+                f"fov must be at least {_LEAST_ANGLE:g} degrees away from 0 and 180, not {fov:g}"
+            )
         if margin == 0.5:
-            raise ArgumentError("margin must be from 0 to below 0.5, which leaves nothing")
+            raise ArgumentError("margin must be at least 0 and below 0.5")
         rotation = _look_along(-as_vector(direction, "direction"), as_vector(up, "up"))
 
         focal = min(width, height) / 2 / np.tan(np.radians(fov) / 2)
@@ -201,10 +203,7 @@ class Camera:
         return cls(width, height, intrinsics(focal, focal, width / 2, height / 2), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
-        """Return the camera with the picture enlarged ``times`` about its middle.
-
-        Raises ArgumentError for a number that is not above zero.
-        """
+        """Return the camera with the picture enlarged ``times``, a number above zero, about its middle."""
         times = as_positive(times, "times")
         K, middle = self.K.copy(), np.array([self.width, self.height]) / 2
         K[:2, :2] *= times
@@ -218,10 +217,7 @@ class Camera:
 
     @property
     def matrix(self) -> Float64s:
-        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates.
-
-        Without the lens distortion, which no matrix can express: ``undistorted`` has the same matrix.
-        """
+        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), in pixels without lens distortion."""
         view = self.world_to_camera
         last = view[2] if self.projection == "pinhole" else np.array([0.0, 0.0, 0.0, 1.0])
         return np.vstack([self.K[:2] @ np.vstack([view[:2], last]), last, view[2]])
@@ -242,10 +238,7 @@ class Camera:
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
-        """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them.
-
-        Far from the axis, where the radial distortion would fold points back into the picture, they are NaN.
-        """
+        """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them, or NaN."""
         points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
         found = np.empty_like(points)
         with np.errstate(all="ignore"):
@@ -255,8 +248,7 @@ class Camera:
     def project(self, points: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
 
-        Where a pinhole camera's depth is not above zero, and where ``distort`` gives NaN, the pixel
-        coordinates are NaN.
+        Coordinates are NaN where a pinhole camera's depth is not above zero or ``distort`` gives NaN.
         """
         points = as_points(points)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
@@ -307,19 +299,13 @@ class Camera:
 
     @property
     def eye(self) -> Float64s:
-        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3).
-
-        As kernels read them: `octex.cameras.differentials`.
-        """
+        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3)."""
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation
         return np.vstack([self.position, rotation[2], steps])
 
     def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
-        """Return how wide a pixel is in the world, across the view, at depths of any shape.
-
-        Lens distortion is ignored.
-        """
+        """Return how wide a pixel is in the world, at depths of any shape, without lens distortion."""
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
         depth = as_reals(depth, "depth", *((-1,) * n for n in range(_MOST_DIMENSIONS)))
         return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)
@@ -400,7 +386,6 @@ def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:
-    """Return a matrix (4, 4) that rotates and moves, or raise ArgumentError."""
     given = as_reals(matrix, name, (4, 4), most=LARGEST)
     if not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
         raise ArgumentError(f"{name} must have the last row 0 0 0 1; is the matrix transposed?")

@@ -55,7 +55,7 @@ def find(path: Path) -> tuple[Path, str] | None:
                 return folder, ending
     raise CameraError(
         f"{path}: has no COLMAP model; choose a folder with cameras.bin and images.bin, or cameras.txt and "
-        "images.txt, or a file of cameras"
+        "images.txt, or a camera file"
     )
 
 
@@ -70,7 +70,7 @@ def read(folder: Path, ending: str) -> list[Frame]:
         for name, pose, camera in list(of_images(read_bytes(images))):
             with within(f"frame {name!r}"):
                 if camera not in optics:
-                    raise BrokenError(f"camera {camera} does not stand in {cameras.name}")
+                    raise BrokenError(f"camera {camera} is not in {cameras.name}")
                 view = rigid(rotation_of(pose[:4], "quaternion"), pose[4:])
                 frames.append(Frame(name, images, optics[camera], view_of(view)))
         return frames
@@ -121,7 +121,6 @@ def _images_binary(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
 
 
 def _pose(name: str, numbers: list[Any]) -> Float64s:
-    """Return the quaternion and the translation of an image (7,)."""
     field = "quaternion and translation"
     with within(f"frame {name!r}"):
         return Record({field: numbers}, are_texts=True).numbers(field, 7)

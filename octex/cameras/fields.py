@@ -35,7 +35,7 @@ def reading(path: Path) -> Iterator[None]:
         raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
     except (OSError, ValueError) as error:  # ValueError: names that no file can have
         reason = getattr(error, "strerror", None) or str(error)
-        raise CameraError(f"{path}: cannot be read: {reason}; give a file of cameras") from error
+        raise CameraError(f"{path}: cannot be read: {reason}; give a camera file") from error
 
 
 @contextlib.contextmanager
@@ -48,10 +48,9 @@ def within(place: str) -> Iterator[None]:
 
 
 class Record:
-    """Fields by name: of a JSON object, of an XML element, of a line of text.
+    """Fields by name, of JSON, of XML or of a line of text, where ``are_texts`` lets numbers be texts.
 
     Each method returns a field of one type, or raises BrokenError that says what the field must be.
-    With ``are_texts`` numbers may be written as texts.
     """
 
     def __init__(self, fields: Mapping[str, Any], *, are_texts: bool = False) -> None:

@@ -20,45 +20,24 @@ from __future__ import annotations
 import codecs
 import json
 import os
+import reprlib
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from octex.cameras import (
-    arrays,
-    bundler,
-    colmap,
-    gltf,
-    meshroom,
-    metashape,
-    openmvg,
-    openmvs,
-    opensfm,
-    own,
-    transforms,
-)
+from octex.cameras import arrays, colmap, gltf, metashape, openmvs, sfm, transforms
 from octex.cameras.camera import Camera
-from octex.cameras.fields import BrokenError, reading
+from octex.cameras.fields import BrokenError, Record, reading, within
 from octex.cameras.frames import Frame as Frame
-from octex.cameras.frames import file_name
+from octex.cameras.frames import file_name, frame_of
 from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, replacing
 
-#: The readers by the first bytes of a file ...
-_BY_MARK: dict[bytes, Callable[[Path, bytes], list[Frame]]] = {
-    b"glTF": gltf.read,
-    arrays.MARK: arrays.read,
-    openmvs.MARK: openmvs.read,
-    bundler.MARK: bundler.read,
-}
-#: ... and by fields of a JSON object.
-_BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]] = {
-    (own.MARK,): own.read,
-    ("frames",): transforms.read,
-    ("views", "poses"): meshroom.read,
-    ("views", "extrinsics"): openmvg.read,
-}
+#: The field that tells octex's own files, with the version of their layout.
+MARK = "octex_cameras"
+_VERSION = 1
 _LISTED = 10
 
 
@@ -87,27 +66,63 @@ def _read(path: Path, content: bytes) -> list[Frame]:
             return read(path, content)
     if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
         return metashape.read(path, content)
+    text = content.decode("utf-8-sig")
     try:
-        document = json.loads(content.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise
+        document = json.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, json.JSONDecodeError) else "a number or nesting too long"
-        raise BrokenError(f"is not JSON ({reason}), nor another file of cameras; is it damaged?") from None
+        raise BrokenError(f"is not JSON ({reason}), nor another camera file; is it damaged?") from None
     if isinstance(document, list) and document and isinstance(document[0], dict) and "shots" in document[0]:
-        return opensfm.read(path, document)
+        return sfm.read_opensfm(path, document)
     if not isinstance(document, dict):
-        raise BrokenError("is no file of cameras: its JSON must be an object; choose another file")
+        raise BrokenError("is not a camera file: its JSON must be an object; choose another file")
     for fields, read_fields in _BY_FIELDS.items():
         if all(field in document for field in fields):
             return read_fields(path, document)
     if "asset" in document:
         return gltf.read(path, content)
     raise BrokenError(
-        "is no file of cameras; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
+        "is not a camera file; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
         ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
         "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
     )
+
+
+def _read_own(path: Path, document: dict[str, Any]) -> list[Frame]:
+    version = document[MARK]
+    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+        raise BrokenError(f"{MARK} must be the number {_VERSION}, not {reprlib.repr(version)}")
+    if version > _VERSION:
+        newer = reprlib.repr(version)
+        raise BrokenError(f"{MARK} is {newer}, from a newer octex; this one reads {_VERSION}, update it")
+    frames = []
+    for number, record in enumerate(Record(document).records("cameras")):
+        with within(f"camera {number}"):
+            name = record.text("name")
+        with within(f"frame {name!r}"):
+            frame = frame_of(path, name, record, record.size())
+            try:
+                view = b64decode(record.text("view"), validate=True) if "view" in record else None
+            except ValueError as error:
+                raise BrokenError(f"view is not an image in base64 ({error}); draw the view again") from None
+            frames.append(frame._replace(view=view))
+    return frames
+
+
+#: The readers by the first bytes of a file ...
+_BY_MARK: dict[bytes, Callable[[Path, bytes], list[Frame]]] = {
+    b"glTF": gltf.read,
+    arrays.MARK: arrays.read,
+    openmvs.MARK: openmvs.read,
+    sfm.BUNDLER_MARK: sfm.read_bundler,
+}
+#: ... and by fields of a JSON object.
+_BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]] = {
+    (MARK,): _read_own,
+    ("frames",): transforms.read,
+    ("views", "poses"): sfm.read_meshroom,
+    ("views", "extrinsics"): sfm.read_openmvg,
+}
 
 
 def find_frame(frames: Sequence[Frame], name: str) -> Frame:
@@ -151,6 +166,23 @@ def write_cameras(
     for name, view in seen.items():
         if name not in cameras or not isinstance(view, bytes):
             raise ArgumentError(f"view {name!r} must be the bytes of a PNG file, for one of the cameras")
-    content = own.written(cameras, seen)
+    every = ((name, each, seen.get(name)) for name, each in cameras.items())
+    lines = [json.dumps(_written(*each), allow_nan=False) for each in every]
+    head = f'{{"{MARK}": {_VERSION}, "cameras": ['
     with replacing(path) as file:
-        file.write(content)
+        file.write((head + ",".join("\n" + line for line in lines) + "\n]}\n").encode("ascii"))
+
+
+def _written(name: str, camera: Camera, view: bytes | None) -> dict[str, Any]:
+    return {
+        "name": name,
+        "width": camera.width,
+        "height": camera.height,
+        "projection": camera.projection,
+        "K": camera.K.tolist(),
+        "pose": camera.world_to_camera.tolist(),
+        "convention": "opencv",
+        "distortion": list(camera.distortion),
+        **({} if camera.distortion_model == "opencv" else {"distortion_model": camera.distortion_model}),
+        **({} if view is None else {"view": b64encode(view).decode("ascii")}),
+    }

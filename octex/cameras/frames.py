@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,8 +12,8 @@ import numpy as np
 
 from octex.arrays import Float64s
 from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, Projection, intrinsics
-from octex.cameras.fields import BrokenError
-from octex.cameras.lens import DistortionModel
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel
 from octex.errors import ArgumentError, CameraError
 from octex.files import referred
 from octex.source.models.gltf_file import rotation_matrix
@@ -55,7 +55,7 @@ class Frame(NamedTuple):
         """
         frame = f"frame {self.name!r} of {self.file}"
         if size is None and self.size is None:
-            raise CameraError(f"{frame} does not say how large its picture is; give the size or the picture")
+            raise CameraError(f"{frame} has no image size; give the size or the image")
         width, height = self.size or size or (0, 0)
         if size is not None and not self.fits(size):
             raise CameraError(
@@ -128,3 +128,30 @@ def view_of(pose: Float64s, convention: Convention = "opencv") -> Float64s:
     view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
     exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
     return pose if exact else view
+
+
+def frame_of(
+    path: Path,
+    name: str,
+    record: Record,
+    size: tuple[int, int] | None,
+    K: str = "K",
+    pose: str = "pose",
+    shapes: Sequence[tuple[int, int]] = ((4, 4),),
+) -> Frame:
+    """Return the camera that a record describes; ``K`` and ``pose`` are the names of its matrices."""
+    projection = record.choice("projection", ("pinhole", "orthographic"))
+    convention = record.choice("convention", ("opencv", "opengl"))
+    matrix, placed = record.matrix(K, (3, 3)), record.matrix(pose, *shapes)
+    model: DistortionModel = record.choice("distortion_model", DISTORTION_MODELS, DISTORTION_MODELS[0])
+    distortion = record.numbers("distortion", *COUNTS[model]) if "distortion" in record else None
+    if projection == "orthographic" and (model != "opencv" or (distortion is not None and distortion.any())):
+        raise BrokenError("distortion must be zeros for an orthographic camera")
+    with within(K):
+        camera = Camera.pinhole(
+            size or (1, 1), pose=np.eye(4), convention="opencv", K=matrix, distortion_model=model,
+            distortion=None if distortion is None else distortion.tolist(),
+        )  # fmt: skip
+    with within(pose):
+        view = view_of(placed, convention)
+    return Frame(name, path, Optics(size, matrix, camera.distortion, model, projection), view)

@@ -32,7 +32,7 @@ def read(path: Path, content: bytes) -> list[Frame]:
         raise BrokenError(f"is not XML ({error}); export the cameras again") from None
     chunks = list(root.iter("chunk"))
     if root.tag != "document" or not chunks:
-        raise BrokenError("is no file of cameras; export them from Metashape as Agisoft XML")
+        raise BrokenError("is not a camera file; export the cameras from Metashape as Agisoft XML")
     return [frame for chunk in chunks for frame in _frames(path, chunk)]
 
 

@@ -32,7 +32,7 @@ def read(path: Path, content: bytes) -> list[Frame]:
     data.piece(len(MARK))
     version, _ = data.take("II")
     if not 1 <= version <= _NEWEST:
-        raise BrokenError(f"is of version {version} of OpenMVS's scenes; octex reads 1 to {_NEWEST}")
+        raise BrokenError(f"is an OpenMVS scene of version {version}; octex reads versions 1 to {_NEWEST}")
     platforms = [_platform(data, version) for _ in _numbered(data, "platform")]
     frames = []
     for number in _numbered(data, "image"):
@@ -49,10 +49,10 @@ def read(path: Path, content: bytes) -> list[Frame]:
             continue
         with within(f"frame {name!r}"):
             if platform >= len(platforms):
-                raise BrokenError(f"platform {platform} does not stand in the file")
+                raise BrokenError(f"platform {platform} is not in the file")
             optics, mounts, poses = platforms[platform]
             if camera >= len(optics) or pose >= len(poses):
-                raise BrokenError(f"camera {camera} or pose {pose} does not stand in the file")
+                raise BrokenError(f"camera {camera} or pose {pose} is not in the file")
             view = view_of(mounts[camera] @ poses[pose])
             frames.append(Frame(name, path, optics[camera], view, picture_path(path, name)))
     return frames

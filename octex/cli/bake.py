@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, tell
+from octex.cli.common import Reporter, bytes_text, check_outputs, tell_file
 from octex.cli.inputs import open_texture, refuse, shaped_model
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
     from octex.baking.maps import Bits
@@ -43,13 +42,14 @@ def bake(options: Options, program: str) -> int:
         return _write_ptex(options, program, began)
     at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if at_vertices else ("images", _OF_VERTICES)
-    refuse(options, others, f"has no meaning with {work}")
+    refuse(options, others, f"cannot be used with {work}")
     if ending not in _WITH_UNIT:
-        refuse(options, ["--unit"], f"has no meaning for {options.OUTPUT}: such files state none")
+        refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     from octex.formats.models import check_extra
+    from octex.formats.shared import materials_of
 
     check_extra(options.OUTPUT)
     with Reporter(program, options.quiet) as progress:
@@ -82,32 +82,31 @@ def bake(options: Options, program: str) -> int:
             )
         with progress.stage("write"):
             written = octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
-    size = max(_sizes(baked), default=0)
-    made: dict[str, Any] = {
-        "output": str(options.OUTPUT),
-        "channels": [form.name for form in baked.channels],
+    materials = materials_of(baked).materials
+    read = [each.texture for material in materials for each in material.inputs.values()]
+    size = max((each.texels.shape[1] for each in read if each is not None), default=0)
+    names = [form.name for form in baked.channels]
+    made = {
+        "channels": names,
         "triangles": len(baked.triangles),
         "vertices": len(baked.vertices),
         "texture_size": size,
         "bytes": sum(path.stat().st_size for path in written.files),
         "image_bytes": written.image_bytes,
-        "seconds": round(time.perf_counter() - began, 3),
     }
     where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
-    what = f"{', '.join(made['channels'])} {where}, {bytes_text(made['bytes'])}"
-    lines = [f"{options.OUTPUT}: {what}, {made['seconds']:.1f} s"]
+    hints = []
     if images == "png" and written.image_bytes > _LARGE:
         webp = "" if ending in USD_ENDINGS else "webp makes them smaller without loss, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
-        lines.append(f"{taken}: --image-format {webp}jpeg makes colours far smaller with some")
-    tell(options, made, *lines)
-    return ExitCode.DONE
+        hints = [f"{taken}: --image-format {webp}jpeg makes colours far smaller with some"]
+    return tell_file(options, began, f"{', '.join(names)} {where}", made, *hints)
 
 
 def _write_ptex(options: Options, program: str, began: float) -> int:
     """Write a .ptx file: texels for the polygons of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
-    refuse(options, set(options.words) - allowed, f"has no meaning for {options.OUTPUT}")
+    refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_texture(options.TEXTURE)
@@ -116,23 +115,5 @@ def _write_ptex(options: Options, program: str, began: float) -> int:
     from octex.formats.ptex.reader import PtexFile
 
     with PtexFile(options.OUTPUT) as file:
-        made: dict[str, Any] = {
-            "output": str(options.OUTPUT),
-            "faces": file.n_faces,
-            "texels": int(file.faces.counts.sum()),
-            "bytes": options.OUTPUT.stat().st_size,
-            "seconds": round(time.perf_counter() - began, 3),
-        }
-    texels = f"{made['texels']:,} texels on {made['faces']:,} faces"
-    tell(options, made, f"{options.OUTPUT}: {texels}, {bytes_text(made['bytes'])}, {made['seconds']:.1f} s")
-    return ExitCode.DONE
-
-
-def _sizes(baked: octex.Surface) -> Iterator[int]:
-    """Yield the widths of a surface's images."""
-    from octex.formats.images import materials_of
-
-    for material in materials_of(baked).materials:
-        for given in material.inputs.values():
-            if given.texture is not None:
-                yield given.texture.texels.shape[1]
+        made = {"faces": file.n_faces, "texels": int(file.faces.counts.sum())}
+    return tell_file(options, began, f"{made['texels']:,} texels on {made['faces']:,} faces", made)

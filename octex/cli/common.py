@@ -12,12 +12,12 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType, SimpleNamespace, TracebackType
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
-from octex.ahead import use_shipped_code
+from octex.ahead import at_first_compilation, use_shipped_code
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
 from octex.files import undo_all
 from octex.parallel import at_most
@@ -48,18 +48,8 @@ def limited(count: int | None) -> Iterator[None]:
             os.environ.pop(name, None)
 
 
-def run(command: str, body: Callable[[], int]) -> int:
-    """Run the body of a command and return its exit code; every failure becomes one line on stderr.
-
-    After SIGINT or SIGTERM nothing is left half-written; a second signal does not wait for threads.
-    """
-    use_shipped_code()
-    with _ended_by_signals():
-        return _run(command, body)
-
-
 class _TerminatedError(KeyboardInterrupt):
-    """The process is told to end."""
+    """SIGTERM."""
 
 
 @contextmanager
@@ -90,32 +80,40 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, usual)
 
 
-def _run(command: str, body: Callable[[], int]) -> int:
-    try:
+def run(command: str, body: Callable[[], int]) -> int:
+    """Run the body of a command and return its exit code; every failure becomes one line on stderr.
+
+    After SIGINT or SIGTERM nothing is left half-written; a second signal does not wait for threads.
+    """
+    use_shipped_code()
+    with _ended_by_signals():
         try:
-            code = body()
-        except SystemExit as wanted:  # argparse, after --help and --version
-            code = int(wanted.code or 0)
-        _write(sys.stdout, "")
-    except OctexError as error:
-        return fail(command, f"error: {error}", ExitCode.REFUSED)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return fail(command, f"error: {where}{error.strerror or error}", ExitCode.REFUSED)
-    except MemoryError as error:
-        reason = f" ({error})" if str(error) else ""
-        return fail(command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED)
-    except _TerminatedError:
-        return fail(command, "told to end", ExitCode.TERMINATED)
-    except KeyboardInterrupt:
-        return fail(command, "interrupted", ExitCode.INTERRUPTED)
-    except Exception as error:
-        if TRACEBACK_VARIABLE in os.environ:
-            traceback.print_exc()
-        defect = f"{type(error).__name__}: {error}".removesuffix(": ")
-        hint = f"run with {TRACEBACK_VARIABLE}=1 for the traceback"
-        return fail(command, f"this is a defect of octex: {defect}; {hint}", ExitCode.CRASHED)
-    return code
+            try:
+                code = body()
+            except SystemExit as wanted:  # after --help and --version
+                code = int(wanted.code or 0)
+            _write(sys.stdout, "")
+            return code
+        except OctexError as error:
+            return fail(command, f"error: {error}", ExitCode.REFUSED)
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            return fail(command, f"error: {where}{error.strerror or error}", ExitCode.REFUSED)
+        except MemoryError as error:
+            reason = f" ({error})" if str(error) else ""
+            return fail(
+                command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED
+            )
+        except _TerminatedError:
+            return fail(command, "told to end", ExitCode.TERMINATED)
+        except KeyboardInterrupt:
+            return fail(command, "interrupted", ExitCode.INTERRUPTED)
+        except Exception as error:
+            if TRACEBACK_VARIABLE in os.environ:
+                traceback.print_exc()
+            defect = f"{type(error).__name__}: {error}".removesuffix(": ")
+            hint = f"run with {TRACEBACK_VARIABLE}=1 for the traceback"
+            return fail(command, f"this is a defect of octex: {defect}; {hint}", ExitCode.CRASHED)
 
 
 def say(text: str) -> None:
@@ -146,23 +144,35 @@ def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None
         say("\n".join(lines))
 
 
-def facts(
-    texture: OctreeTexture, path: Path, seconds: float, what: str = ""
-) -> tuple[dict[str, Any], list[str]]:
-    """Return the facts of a texture that was written, for a machine and as a line for a person."""
-    tree, size = texture.tree, path.stat().st_size
+def tell_file(
+    options: SimpleNamespace,
+    began: float,
+    text: str,
+    made: Mapping[str, Any],
+    *lines: str,
+    others: Mapping[str, tuple[Path | None, str]] | None = None,
+    path: Path | None = None,
+) -> ExitCode:
+    """Print that OUTPUT, or ``path``, was written: ``text`` or ``made`` describe it, with its size and time.
+
+    ``others`` are further files by their names in JSON, each with a description; None is left out.
+    """
+    path, seconds = path or options.OUTPUT, time.perf_counter() - began
+    size = path.stat().st_size
+    written = {name: other for name, other in (others or {}).items() if other[0] is not None}
+    facts = {"output": str(path), "bytes": size, **made, "seconds": round(seconds, 3)}
+    facts |= {name: str(file) for name, (file, _) in written.items()}
+    first = ", ".join([*filter(None, [text]), bytes_text(facts["bytes"]), f"{seconds:.1f} s"])
+    tell(options, facts, f"{path}: {first}", *(f"{file}: {what}" for file, what in written.values()), *lines)
+    return ExitCode.DONE
+
+
+def facts_of(texture: OctreeTexture) -> tuple[str, dict[str, Any]]:
+    """Return the facts of a texture for a person and for a machine."""
+    tree = texture.tree
     cell = texture.placement.size / 2**tree.max_depth
-    made = {
-        "output": str(path),
-        "leaves": tree.n_leaves,
-        "nodes": tree.n_nodes,
-        "depth": tree.max_depth,
-        "cell": cell,
-        "bytes": size,
-        "seconds": round(seconds, 3),
-    }
-    cells = f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {cell:.4g})"
-    return made, [f"{path}: {what}{cells}, {bytes_text(size)}, {seconds:.1f} s"]
+    made = {"leaves": tree.n_leaves, "nodes": tree.n_nodes, "depth": tree.max_depth, "cell": cell}
+    return f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {cell:.4g})", made
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:
@@ -188,9 +198,8 @@ class Reporter:
         self._bar: Any = None
         self._stage: str | None = None
         self._began = 0.0
-        self._listener: Any = None
-        self._warned = warnings.catch_warnings()
-        self._others: Callable[..., None] = warnings.showwarning
+        self._stack = ExitStack()
+        self._show_warning: Callable[..., None] = warnings.showwarning
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that ``done`` of ``total`` units of a stage are done."""
@@ -248,19 +257,11 @@ class Reporter:
             with suppress(OSError):
                 self._line(text)
 
-    def _warn(
-        self,
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def _warn(self, message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, ModelWarning):
             self.note(f"warning: {message}")
         else:
-            self._others(message, category, filename, lineno, file, line)
+            self._show_warning(message, category, *place, **more)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -271,48 +272,23 @@ class Reporter:
 
     def __enter__(self) -> Self:
         """Listen to the compiler, and to warnings about models."""
-        self._warned.__enter__()
+        self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", ModelWarning)
-        self._others = warnings.showwarning
-        warnings.showwarning = self._warn
+        self._show_warning, warnings.showwarning = warnings.showwarning, self._warn
         if self._announce and not self._quiet:
-            self._listener = _announce_compilation(self)
+            text = "compiling: half a minute or more, this once (octex warm-up does it ahead)"
+            self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
     ) -> None:
         """End the last stage; after an error silently."""
-        self._warned.__exit__(kind, _value, _trace)
-        if self._listener is not None:
-            from numba.core import event
-
-            event.unregister("numba:compile", self._listener)
-            self._listener = None
+        self._stack.close()
         if kind is not None and self._bar is None:
             self._stage = None
         with suppress(OSError):
             self._end_stage()
-
-
-def _announce_compilation(reporter: Reporter) -> Any:
-    """Have the reporter say once that a kernel is not in numba's cache and is compiled."""
-    from numba.core import event
-
-    class Announcement(event.Listener):  # type: ignore[misc]
-        said = False
-
-        def on_start(self, _event: Any) -> None:
-            if not self.said:
-                self.said = True
-                reporter.note("compiling: half a minute or more, this once (octex warm-up does it ahead)")
-
-        def on_end(self, _event: Any) -> None:
-            pass
-
-    listener = Announcement()
-    event.register("numba:compile", listener)
-    return listener
 
 
 def check_outputs(
@@ -328,11 +304,9 @@ def check_outputs(
         if path is None:
             continue
         if path.is_dir():
-            raise OutputError(f"{path}: is a folder; give {word} a file's name")
+            raise OutputError(f"{path}: is a folder; give {word} a file name")
         if Path(os.path.realpath(path)).is_symlink():
-            raise OutputError(
-                f"{path}: is a link that leads to itself; remove it, or give {word} another name"
-            )
+            raise OutputError(f"{path}: is a symbolic link to itself; remove it, or give {word} another name")
         known = list(endings)
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, bytes_text, check_outputs, facts, tell
-from octex.cli.inputs import check_model, kind_of, model_files, open_texture, read_model, refuse
+from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
+from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse
 from octex.cli.parser import Options
-from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address
-from octex.errors import ArgumentError, ExitCode, OutputError
+from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName
+from octex.errors import ArgumentError, OutputError
 
 if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
@@ -36,7 +36,7 @@ _FOR: dict[str, set[str]] = {
     "voxels": _STORED,
 }
 _WHY = {
-    "texture": "needs the model, and this is a texture made from one; see octex edit",
+    "texture": "needs the model, but this is a texture made from it; see octex edit",
     "cloud": "needs a surface, and these are points",
     "voxels": "is not for voxels, which have their own depth",
 }
@@ -55,9 +55,9 @@ def _check(options: Options) -> None:
         raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
     check_model(options, path)
     if options.depth is not None and options.cell is not None:
-        raise ArgumentError("--depth and --cell both say how fine the cells are; give one of them")
+        raise ArgumentError("--depth and --cell both set the cell size; give one of them")
     if options.parts:
-        refuse(options, ("--separate", "--preview", "--memory"), "has no meaning with --parts")
+        refuse(options, ("--separate", "--preview", "--memory"), "cannot be used with --parts")
     if kind != "model":
         anywhere = {"--force", "--threads", "--quiet", "--json"}
         refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)
@@ -84,7 +84,10 @@ def _convert(options: Options, program: str) -> int:
     began = time.perf_counter()
     path, output = options.INPUT, options.OUTPUT
     outputs = (output, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
-    check_outputs(outputs, [path, *model_files(options)], force=options.force)
+    sources = [each.path if isinstance(each, FunctionName) else each for _, each in options.source]
+    sources = [each for each in sources if isinstance(each, Path)]
+    inputs = [path, *sources, options.rest, options.transfer, *options.also]
+    check_outputs(outputs, inputs, force=options.force)
     kind = kind_of(path)
     if kind == "texture" and output.suffix.lower() == path.suffix.lower():
         raise ArgumentError(f"{path}: is an octree texture already; octex edit makes it coarser or smaller")
@@ -117,17 +120,23 @@ def _convert(options: Options, program: str) -> int:
                 octex.write_preview(options.preview, texture, surface)
         if options.memory is None:
             write_texture(texture, output, progress)
-    made, lines = facts(texture, output, time.perf_counter() - began)
-    if surface is not None:
-        _tell_of_empty_cells(options, texture, made, lines)
-    if options.preview is not None:
-        made["preview"] = str(options.preview)
-        lines.append(f"{options.preview}: a picture of it")
+    text, made = facts_of(texture)
+    lines: list[str] = []
+    empty = 0 if surface is None else json.loads(texture.metadata["convert"]).get("empty", 0)
+    if empty:
+        made["empty"] = empty
+        # With leaves of several sizes, finest cells are no part of their number.
+        is_even = options.max_error is None and options.detail is None
+        share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
+        faces = (options.within or (None, None))[1] is not None
+        why = "is near enough and faces as they do" if faces else "is near enough"
+        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
     if found is not None:
-        made["separated"] = {**overlaps_as_json(found), "moved": _moved(texture)}
-        lines += _separated_text(texture, found)
-    tell(options, made, *lines)
-    return ExitCode.DONE
+        separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
+        made["separated"] = {**overlaps_as_json(found), "moved": separation["moved"]}
+        lines += _separated_text(separation["moved"], found)
+    others = {"preview": (options.preview, "a picture of it")}
+    return tell_file(options, began, text, made, *lines, others=others)
 
 
 def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
@@ -152,21 +161,6 @@ def _settings(options: Options) -> dict[str, Any]:
     return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
 
 
-def _tell_of_empty_cells(
-    options: Options, texture: OctreeTexture, made: dict[str, Any], lines: list[str]
-) -> None:
-    empty = json.loads(texture.metadata["convert"]).get("empty", 0)
-    if not empty:
-        return
-    made["empty"] = empty
-    # With leaves of several sizes, finest cells are no part of their number.
-    is_even = options.max_error is None and options.detail is None
-    share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
-    faces = (options.within or (None, None))[1] is not None
-    why = "is near enough and faces as they do" if faces else "is near enough"
-    lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
-
-
 def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
     """Return overlapping parts for a machine; a gap beyond the margin, and an unknown volume, are null."""
     pairs = [pair._asdict() for pair in found.pairs]
@@ -175,9 +169,8 @@ def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
     return {"parts": found.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in found.unchecked]}
 
 
-def _separated_text(texture: OctreeTexture, found: Overlaps) -> Iterator[str]:
+def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[str]:
     """Yield lines that say which parts were moved, how far, and what could not be checked."""
-    moved = _moved(texture)
     if moved:
         yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
@@ -195,11 +188,6 @@ def _separated_text(texture: OctreeTexture, found: Overlaps) -> Iterator[str]:
         )
 
 
-def _moved(texture: OctreeTexture) -> dict[str, list[float]]:
-    moved: dict[str, list[float]] = json.loads(texture.metadata.get("separation", '{"moved": {}}'))["moved"]
-    return moved
-
-
 def _convert_parts(options: Options, program: str) -> int:
     began = time.perf_counter()
     folder = options.OUTPUT
@@ -210,13 +198,10 @@ def _convert_parts(options: Options, program: str) -> int:
         made = octex.convert_set(surface, **_settings(options), progress=progress)
         with progress.stage("write"):
             made.save(folder)
-    seconds = time.perf_counter() - began
-    leaves, size = sum(texture.tree.n_leaves for texture in made.values()), made.info()["bytes"]
-    told = {"output": str(folder), "parts": len(made), "leaves": leaves, "bytes": size}
-    count = f"{len(made):,} part{'' if len(made) == 1 else 's'}"
-    line = f"{folder}: {count}, {leaves:,} leaves, {bytes_text(size)}, {seconds:.1f} s"
-    tell(options, {**told, "seconds": round(seconds, 3)}, line)
-    return ExitCode.DONE
+    leaves = sum(texture.tree.n_leaves for texture in made.values())
+    facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"]}
+    text = f"{len(made):,} part{'' if len(made) == 1 else 's'}, {leaves:,} leaves"
+    return tell_file(options, began, text, facts)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:

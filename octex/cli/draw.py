@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, bytes_text, check_outputs, tell
+from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import bare_model, frame_of, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import patch_of
-from octex.errors import ArgumentError, ExitCode
+from octex.errors import ArgumentError
 from octex.files import replacing
 
 if TYPE_CHECKING:
@@ -45,24 +45,18 @@ def draw(options: Options, program: str) -> int:
     _check(options, kind)
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
         width, height = _draw(options, kind, program)
-    size, seconds = options.OUTPUT.stat().st_size, time.perf_counter() - began
-    made = {"output": str(options.OUTPUT), "size": [width, height], "bytes": size}
-    made["seconds"] = round(seconds, 3)
-    lines = [f"{options.OUTPUT}: {width}×{height} pixels, {bytes_text(size)}, {seconds:.1f} s"]
-    if options.empty_layer is not None:
-        made["layer"] = str(options.empty_layer)
-        lines.append(f"{options.empty_layer}: an empty layer of its size")
-    if options.camera_out is not None:
-        made["camera"] = str(options.camera_out)
-        lines.append(f"{options.camera_out}: its camera")
-    tell(options, made, *lines)
-    return ExitCode.DONE
+    others = {
+        "layer": (options.empty_layer, "an empty layer of its size"),
+        "camera": (options.camera_out, "its camera"),
+    }
+    made = {"size": [width, height]}
+    return tell_file(options, began, f"{width}×{height} pixels", made, others=others)
 
 
 def _check(options: Options, kind: str) -> None:
     """Refuse files and options that make no sense together."""
     texture, model = options.TEXTURE, options.MODEL
-    refuse(options, _REFUSED.get(kind, ()), f"has no meaning with --as {kind}")
+    refuse(options, _REFUSED.get(kind, ()), f"cannot be used with --as {kind}")
     if texture is None and (model is None or kind in ("cells", "difference")):
         raise ArgumentError(f"--as {kind} needs a TEXTURE; see octex draw --help")
     if model is None and (kind in ("paint", "difference") or options.unwrap is not None):
@@ -72,18 +66,18 @@ def _check(options: Options, kind: str) -> None:
     if texture is None:
         refuse(options, ["--level"], "is a level of a TEXTURE")
     if options.camera is not None:
-        refuse(options, ["--direction", "--up"], "has no meaning with --camera; give one of them")
+        refuse(options, ["--direction", "--up"], "cannot be used with --camera; give one of them")
     if options.unwrap is not None:
         words = "--camera", "--camera-out", "--direction", "--up", "--zoom"
-        refuse(options, words, "has no meaning with --unwrap, which says what is seen")
+        refuse(options, words, "cannot be used with --unwrap, which sets the view")
     elif kind == "paint" and options.camera is None and options.camera_out is None:
         raise ArgumentError(
             "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
         )
     if options.light is None:
-        refuse(options, ["--exposure"], "has no meaning without --light")
+        refuse(options, ["--exposure"], "needs --light")
         if kind == "paint":
-            refuse(options, ["--bump"], "has no meaning in a picture without --light")
+            refuse(options, ["--bump"], "needs --light")
     outputs = (
         (options.OUTPUT, (".png",), "OUTPUT"),
         (options.empty_layer, (".png",), "--empty-layer"),
@@ -93,8 +87,8 @@ def _check(options: Options, kind: str) -> None:
     check_outputs(outputs, inputs, force=options.force)
     if options.empty_layer is not None and options.empty_layer.name == options.OUTPUT.name:
         raise ArgumentError(
-            f"--empty-layer has the name of OUTPUT, {options.OUTPUT.name}, by which its camera is found; "
-            "give it another"
+            f"--empty-layer has the name of OUTPUT, {options.OUTPUT.name}, but cameras are found by file "
+            "name; give it another"
         )
 
 
@@ -195,7 +189,8 @@ def _frame(options: Options, kind: str) -> Frame | None:
     if not frame.fits(options.size):
         width, height = frame.size
         raise ArgumentError(
-            f"--size has not the shape of frame {frame.name!r} of {file}, {width},{height}; leave --size out"
+            f"--size has another aspect ratio than frame {frame.name!r} of {file}, {width},{height}; "
+            "leave --size out"
         )
     return frame
 

@@ -7,12 +7,12 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
 import octex
-from octex.cli.common import Reporter, check_outputs, facts, tell
+from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
 from octex.cli.convert import OUTPUT_ENDINGS, check_output_kind, write_texture
 from octex.cli.inputs import open_texture
 from octex.cli.parser import Options
 from octex.cli.values import ARCHIVE_ENDING
-from octex.errors import ArgumentError, ExitCode, InputError
+from octex.errors import ArgumentError, InputError
 from octex.parallel import workers
 
 if TYPE_CHECKING:
@@ -36,9 +36,7 @@ def edit(options: Options, program: str) -> int:
         with workers() as executor:
             texture = _edited(options, executor)
         write_texture(texture, options.OUTPUT, progress, options.loss or 0)
-    made, lines = facts(texture, options.OUTPUT, time.perf_counter() - began)
-    tell(options, made, *lines)
-    return ExitCode.DONE
+    return tell_file(options, began, *facts_of(texture))
 
 
 def _edited(options: Options, executor: Executor | None) -> OctreeTexture:

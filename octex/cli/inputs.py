@@ -48,18 +48,12 @@ def kind_of(path: Path | Address) -> str:
 def open_texture(path: Path | Address) -> OctreeTexture:
     """Open a texture and validate it; errors name the file and what is broken."""
     if not is_texture(path):
-        raise ArgumentError(f"{path}: is no {TEXTURE_ENDINGS[0]} file; octex convert makes one of a model")
+        raise ArgumentError(
+            f"{path}: is not a {TEXTURE_ENDINGS[0]} file; octex convert makes one from a model"
+        )
     texture = octex.open(str(path))
     texture.validate()
     return texture
-
-
-def open_set(folder: Path, part: str | None = None) -> OctreeTexture | TextureSet:
-    """Open a folder of parts, or one part of it, and validate it."""
-    textures = octex.TextureSet.open(folder)
-    found = textures if part is None else textures[textures.names[number_of(textures, folder, part)]]
-    found.validate()
-    return found
 
 
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:
@@ -110,31 +104,20 @@ def check_model(options: Options, path: Path | Address) -> None:
     models = [path, *options.also]
     has_function = any(function_name(str(each)) for each in models)
     if has_function:
-        refuse(options, ("--pose", "--subdiv"), "is for meshes, not for functions")
+        refuse(options, ("--pose", "--subdiv"), "applies to meshes, not to functions")
     elif options.grid is not None:
-        raise ArgumentError("--grid is for surfaces that are functions: FILE.py:NAME")
+        raise ArgumentError("--grid applies to implicit surfaces only: FILE.py:NAME")
     if options.also:
-        refuse(options, ("--rest", "--pose"), "is of one model; with --also there are more")
+        refuse(options, ("--rest", "--pose"), "applies to one model; leave out --also")
     if options.transfer is None:
-        refuse(options, ("--radius", "--within"), "has no meaning without --transfer")
+        refuse(options, ("--radius", "--within"), "needs --transfer")
     if options.radius is not None and (options.within or (None,))[0] is not None:
-        raise ArgumentError("--radius and --within both say how far points count; give one of them")
+        raise ArgumentError("--radius and --within both limit the distance to points; give one of them")
     _sources(options)
 
 
-def model_files(options: Options) -> list[Path]:
-    """Return the files that are read besides a model."""
-    given = [each.path if isinstance(each, FunctionName) else each for _, each in options.source]
-    return [
-        each for each in [*given, options.rest, options.transfer, *options.also] if isinstance(each, Path)
-    ]
-
-
 def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surface:
-    """Read a model, or FILE.py:NAME, at rest, with its channels from wherever the options say.
-
-    ``extra`` channels are read too if the model has them.
-    """
+    """Read a model or FILE.py:NAME at rest with its channels, ``extra`` ones too if the model has them."""
     sources = {**_transferred(options), **_sources(options)}
     for channel, given in sources.items():
         if isinstance(given, FunctionName):
@@ -171,7 +154,7 @@ def _wanted(options: Options) -> list[str] | None:
 
 
 def _sources(options: Options) -> dict[str, Any]:
-    """Return the sources of channels by name; refuses a channel that is there twice or not wanted."""
+    """Return the sources of channels by name; refuses a channel that is named twice or not wanted."""
     sources: dict[str, Any] = {}
     wanted = _wanted(options)
     for name, given in options.source:
@@ -195,7 +178,7 @@ def _transferred(options: Options) -> dict[str, Any]:
     if path is None:
         return {}
     if path.suffix.lower() == PTEX_ENDING:
-        refuse(options, ("--radius", "--within"), f"has no meaning for {path}, which belongs to the model")
+        refuse(options, ("--radius", "--within"), f"cannot be used for {path}, which belongs to the model")
         return {**octex.Ptex(path).sources}
     distance, degrees = options.within or (None, None)
     if options.radius is not None or kind_of(path) == "cloud":
@@ -225,7 +208,7 @@ def load_function(named: FunctionName) -> Callable[..., Any]:
         raise InputError(f"{named.path} cannot be read: {error.strerror or error}") from None
     except Exception as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{named.path} raised {type(error).__name__}: {reason}; mend it") from error
+        raise InputError(f"{named.path} raised {type(error).__name__}: {reason}; fix the function") from error
     function = getattr(module, named.name, None)
     if not callable(function):
         known = [name for name, each in vars(module).items() if callable(each) and not name.startswith("_")]

@@ -83,7 +83,16 @@ def diff(options: Options, program: str) -> int:
                 other = read_model(options.OTHER, options, extra)
         points = {} if options.points is None else {"points": options.points}
         found = octex.difference(texture, other, channels=options.channels, **points, progress=progress)
-    told = {"a": str(paths[0]), "b": str(paths[1]), **as_json(found)}
+    told = {
+        "a": str(paths[0]),
+        "b": str(paths[1]),
+        "points": found.points,
+        "width": found.width,
+        "channels": {name: _as_json(result) for name, result in found.items()},
+        "unmatched": dict(zip("ab", map(list, found.unmatched), strict=True)),
+        "areas": dict(zip("ab", found.areas, strict=True)),
+        "uncovered": dict(zip("ab", found.uncovered, strict=True)),
+    }
     tell(options, told, *_readable(paths, (texture, other), found))
     return ExitCode.DONE
 
@@ -155,19 +164,8 @@ def _set_text(information: dict[str, Any]) -> Iterator[str]:
     yield f"{'all':{width}} {'':5} {'':12} {leaves:15,} {nodes:15,} {information['bytes']:15,}"
 
 
-def as_json(found: Differences) -> dict[str, Any]:
-    """Return differences for a machine; what is not finite becomes null."""
-    return {
-        "points": found.points,
-        "width": found.width,
-        "channels": {name: _as_json(result) for name, result in found.items()},
-        "unmatched": dict(zip("ab", map(list, found.unmatched), strict=True)),
-        "areas": dict(zip("ab", found.areas, strict=True)),
-        "uncovered": dict(zip("ab", found.uncovered, strict=True)),
-    }
-
-
 def _as_json(result: Difference) -> dict[str, Any]:
+    """Return a difference for a machine; numbers that are not finite become null."""
     fields: dict[str, Any] = result._asdict()
     if fields.pop("angle") is not None and result.angle is not None:
         fields["angle"] = _as_json(result.angle)
@@ -179,13 +177,26 @@ def _as_json(result: Difference) -> dict[str, Any]:
 
 def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) -> Iterator[str]:
     """Yield the lines of differences for a person."""
+    from octex.source.surface import Surface
+
     for letter, path, side in zip("AB", paths, sides, strict=True):
-        yield f"{letter}  {path}: {_described(side)}"
+        if isinstance(side, Surface):
+            yield f"{letter}  {path}: a model of {len(side.triangles):,} triangles"
+        else:
+            leaves = f"{side.tree.n_leaves:,} leaves"
+            yield f"{letter}  {path}: an octree texture of depth {side.tree.max_depth}, {leaves}"
     if found.width is None:
         yield f"at the centres of {found.points:,} leaves, those of both, by area"
     else:
         yield f"at {found.points:,} points, uniform by area, the model averaged over {found.width:.4g}"
-    yield from _notes(found)
+    for letter, names in zip("AB", found.unmatched, strict=True):
+        if names:
+            yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"
+    for letter, other, part in zip("AB", "BA", found.uncovered, strict=True):
+        if part:
+            yield f"{100 * part:.3g} % of {letter}'s surface is not in {other}; it is left out"
+    if abs(found.areas[0] - found.areas[1]) > 0.1 * max(found.areas):
+        yield f"A has an area of {found.areas[0]:.4g}, B of {found.areas[1]:.4g}"
     yield ""
     rows: list[tuple[str, ...]] = [
         ("channel", "measure", "rms", "PSNR", "p99", "maximum", "where", "A there", "B there")
@@ -214,24 +225,3 @@ def _row(name: str, result: Difference) -> tuple[str, ...]:
 def number(value: float) -> str:
     """Return a value of three digits or so."""
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.4f}".rstrip("0").rstrip(".")
-
-
-def _notes(found: Differences) -> Iterator[str]:
-    for letter, names in zip("AB", found.unmatched, strict=True):
-        if names:
-            yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"
-    for letter, other, part in zip("AB", "BA", found.uncovered, strict=True):
-        if part:
-            yield f"{100 * part:.3g} % of {letter}'s surface is not in {other}; it is left out"
-    a, b = found.areas
-    if abs(a - b) > 0.1 * max(a, b):
-        yield f"A has an area of {a:.4g}, B of {b:.4g}"
-
-
-def _described(side: Side) -> str:
-    from octex.source.surface import Surface
-
-    if isinstance(side, Surface):
-        return f"a model of {len(side.triangles):,} triangles"
-    tree = side.tree
-    return f"an octree texture of depth {tree.max_depth}, {tree.n_leaves:,} leaves"

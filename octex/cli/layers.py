@@ -136,7 +136,7 @@ class Painting:
         for names, name in ((paths, path), ([path.name for path in paths], path.name)):
             if names.count(name) == 1:
                 return names.index(name)
-        raise ArgumentError(f"--reference {path} is none of the pictures, or several of them")
+        raise ArgumentError(f"--reference {path} must name exactly one of the pictures")
 
 
 def _camera_names(shots: Sequence[Shot]) -> list[str]:
@@ -144,7 +144,7 @@ def _camera_names(shots: Sequence[Shot]) -> list[str]:
     for names in ([shot.name for shot in shots], [shot.path.name for shot in shots]):
         if len(set(names)) == len(names):
             return names
-    raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine these apart")
+    raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine those separately")
 
 
 def _value_of(options: Options) -> tuple[float, ...]:
@@ -157,10 +157,10 @@ def _value_of(options: Options) -> tuple[float, ...]:
     form = CHANNELS[as_choice(options.channel or DEFAULT_CHANNEL, CHANNELS, "channel")]
     codes: tuple[int, ...] = options.holes
     if form.space == "direction":
-        raise ArgumentError(f"--holes is a colour; {form.name} has directions")
+        raise ArgumentError(f"--holes is a colour, but {form.name} holds directions")
     if form.components == 1:
         if len(set(codes)) > 1:
-            raise ArgumentError(f"--holes is a colour; {form.name} has one component, give a grey")
+            raise ArgumentError(f"--holes is a colour, but {form.name} has one component; give a grey")
         codes = codes[:1]
     return tuple(decode(np.array(codes, np.uint8), form.space).tolist())
 

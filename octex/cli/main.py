@@ -55,18 +55,12 @@ def _answer(first: str, rest: Sequence[str]) -> int:
             else:
                 say(topic(name))
     else:
-        raise ArgumentError(_unknown(first))
+        near = get_close_matches(first, _NAMES, 1)
+        fault = f"{first!r} is not a command{f', do you mean {near[0]!r}' if near else ''}"
+        if not first or first.startswith("-"):
+            fault = f"{first} stands before the command" if first else "a command is missing"
+        raise ArgumentError(f"{fault}: the commands are {', '.join(_NAMES)}; see {PROGRAM} --help")
     return ExitCode.DONE
-
-
-def _unknown(word: str) -> str:
-    known = f"the commands are {', '.join(_NAMES)}; see {PROGRAM} --help"
-    if not word:
-        return f"a command is missing: {known}"
-    if word.startswith("-"):
-        return f"{word} stands before the command: {known}"
-    near = get_close_matches(word, _NAMES, 1)
-    return f"{word!r} is no command{f', do you mean {near[0]!r}' if near else ''}: {known}"
 
 
 def _overview() -> str:

@@ -57,7 +57,7 @@ _TABLE = """
 --blend MODE          over (default), multiply, screen, add, erase or replace
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
---max-depth N         deepest level of the paint (default: cells of half a pixel to one)
+--max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
 --max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
 --pictures MODE       how pictures combine: average, best, or robust (default for three or more)
@@ -115,7 +115,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.real: "--exposure",
     v.codes: "--max-error --vertex-error",
     v.whole_codes: "--loss",
-    v.text_value: "--detail --pose --channel --part",
+    str: "--detail --pose --channel --part",
     v.channel_names: "--channels",
     v.dtypes: "--dtype",
     v.file_size: "--memory --max-size",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_outputs, facts, fail, identity, tell
+from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.layers import Painting, channel_of, with_entries
 from octex.cli.options import DEFAULT_CHANNEL
@@ -49,9 +49,9 @@ def _check(options: Options, program: str) -> bool:
             raise ArgumentError(
                 f"{layers[0]}: is a layer; merge layers and paint pictures one after the other"
             )
-        refuse(options, set(options.words) - _OF_LAYERS, "has no meaning with layers")
+        refuse(options, set(options.words) - _OF_LAYERS, "cannot be used with layers")
     elif options.unwrap is not None:
-        refuse(options, ["--camera"], "has no meaning with --unwrap, which says what is seen")
+        refuse(options, ["--camera"], "cannot be used with --unwrap, which sets the view")
         if not options.IMAGE:
             raise ArgumentError(f"IMAGE is missing; see {program} --help")
     elif options.camera is None:
@@ -61,7 +61,7 @@ def _check(options: Options, program: str) -> bool:
     if options.blend == "erase" and options.TEXTURE is None:
         raise ArgumentError("there is no TEXTURE; there is nothing to erase")
     if options.reference is not None and options.balance is None and options.refine_cameras is None:
-        raise ArgumentError("--reference has no meaning without --balance or --refine-cameras")
+        raise ArgumentError("--reference needs --balance or --refine-cameras")
     files = [each for each in options.mask if not isinstance(each, tuple)]
     if len(options.mask) - len(files) > 1:
         raise ArgumentError("--mask gives several backdrop colours; give one")
@@ -128,17 +128,14 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 with_entries(layers[0], surface, entries).save(options.layer_out)
             made.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
-    number = f"{len(names):,} {'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''} painted, "
-    told, lines = facts(made, options.OUTPUT, time.perf_counter() - began, number)
-    told |= {"painted": names, "skipped": list(skipped)}
-    if options.layer_out is not None:
-        told["layer"] = str(options.layer_out)
-        lines.append(f"{options.layer_out}: the paint alone")
-    if options.preview is not None:
-        told["preview"] = str(options.preview)
-        lines.append(f"{options.preview}: a picture of it")
-    tell(options, told, *lines)
-    return ExitCode.DONE
+    kind = f"{'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''}"
+    text, facts = facts_of(made)
+    facts |= {"painted": names, "skipped": list(skipped)}
+    others = {
+        "layer": (options.layer_out, "the paint alone"),
+        "preview": (options.preview, "a picture of it"),
+    }
+    return tell_file(options, began, f"{len(names):,} {kind} painted, {text}", facts, others=others)
 
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:

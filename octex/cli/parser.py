@@ -40,11 +40,6 @@ class Option(NamedTuple):
         """The word with its value."""
         return f"{self.word} {self.value}".rstrip()
 
-    @property
-    def unset(self) -> Any:
-        """The value of an option that is not on the command line."""
-        return [] if self.repeats else None if self.read else False
-
 
 class File(NamedTuple):
     """A file that a command takes without an option's word."""
@@ -104,7 +99,9 @@ class Parser:
     def parsed(self, words: Sequence[str]) -> Options:
         """Parse words; those after -- are files. Raises ArgumentError, and SystemExit after --help."""
         found: dict[str, Any] = {
-            each.name: each.unset for command in self._commands.values() for each in command.options
+            each.name: [] if each.repeats else None if each.read else False
+            for command in self._commands.values()
+            for each in command.options
         }
         found["words"] = []
         left = deque(words)
@@ -177,4 +174,4 @@ class Parser:
         if others:
             self.error(f"{word} is an option of {', '.join(others)}, not of {self.program}")
         near = get_close_matches(word, self._options, 1, _ALIKE)
-        self.error(f"{word} is no option{f': do you mean {near[0]}' if near else ''}")
+        self.error(f"{word} is not an option{f': do you mean {near[0]}' if near else ''}")

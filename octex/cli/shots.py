@@ -60,10 +60,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
 ) -> tuple[Surface, list[Shot]]:
-    """Return the surface with the disc of --unwrap laid flat, and the pictures of that.
-
-    The unedited view is drawn again, to find the pixels that differ.
-    """
+    """Return the surface with the disc of --unwrap laid flat, and the pictures of that."""
     from octex.drawing.views import as_png, draw_paintable
     from octex.source.images.decode import image_size
 
@@ -158,12 +155,11 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
     own = [(frame.image, frame) for frame in frames if frame.image is not None]
     if not own:
-        raise CameraError(f"{file}: does not say where the pictures of its cameras are; give IMAGEs")
+        raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")
     missing = [frame.name for image, frame in own if not image.is_file()]
     if len(missing) == len(own):
         raise CameraError(
-            f"{file}: none of the {len(own)} pictures that it names is there: {_listing(missing)}; give "
-            "IMAGEs"
+            f"{file}: none of the {len(own)} pictures that it names exists: {_listing(missing)}; give IMAGEs"
         )
     return [(image, frame) for image, frame in own if image.is_file()], missing
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, NoReturn
@@ -76,7 +77,7 @@ class FunctionName(NamedTuple):
 
 
 #: What a channel comes from: an image file, a function, or a number for each component.
-Given = Path | FunctionName | float | tuple[float, ...]
+Source = Path | FunctionName | float | tuple[float, ...]
 
 
 class Projected(NamedTuple):
@@ -110,7 +111,7 @@ def texture_file(text: str) -> Path | Address:
     if not _is_texture(address.name):
         endings = " and NAME".join(TEXTURE_ENDINGS)
         raise ArgumentError(
-            f"{text} is an address; octex reads only textures, NAME{endings}, from one: download it first"
+            f"{text} is a URL; octex reads only textures, NAME{endings}, from one: download it first"
         )
     return address
 
@@ -118,16 +119,14 @@ def texture_file(text: str) -> Path | Address:
 def file_here(text: str) -> Path:
     """Read the name of a file on this machine that is read."""
     if is_address(text):
-        raise ArgumentError(f"{text} is an address, and this file is read here: download it first")
+        raise ArgumentError(f"{text} is a URL, and octex reads this file from disk: download it first")
     return Path(text)
 
 
 def output_file(text: str) -> Path:
     """Read the name of a file or folder that is written."""
     if is_address(text):
-        raise ArgumentError(
-            f"{text} is an address, and octex writes files of this machine; write one, and upload it"
-        )
+        raise ArgumentError(f"{text} is a URL, and octex writes to disk only; write a file, then upload it")
     return Path(text)
 
 
@@ -137,44 +136,45 @@ def function_name(text: str) -> FunctionName | None:
     return FunctionName(Path(path), name) if colon and path.endswith(".py") and name.isidentifier() else None
 
 
-def text_value(text: str) -> str:
-    """Return a text as it is."""
-    return text
-
-
 def one_of(*known: str) -> Callable[[str], str]:
     """Return a reader of one of some names."""
 
     def read(text: str) -> str:
         if text not in known:
-            raise ArgumentError(f"{text!r} is none of {', '.join(known)}")
+            raise ArgumentError(f"{text!r} is not one of {', '.join(known)}")
         return text
 
     return read
 
 
-def whole_number(text: str) -> int:
-    """Read a whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise ArgumentError(f"{text!r} is no whole number") from None
+def _number(
+    kind: type[Any], limits: str = "", fits: Callable[[Any], bool] | None = None
+) -> Callable[[str], Any]:
+    """Return a reader of an int or a float within limits."""
+
+    def read(text: str) -> Any:
+        try:
+            number = kind(text)
+        except ValueError:
+            raise ArgumentError(f"{text!r} is not a {'whole ' * (kind is int)}number") from None
+        if fits is not None and not fits(number):
+            raise ArgumentError(f"{text} is not {limits}")
+        return number
+
+    return read
 
 
-def count(text: str) -> int:
-    """Read a whole number of 1 or more."""
-    number = whole_number(text)
-    if number < 1:
-        raise ArgumentError(f"{number} is not above zero")
-    return number
-
-
-def port_number(text: str) -> int:
-    """Read a port of this machine."""
-    number = whole_number(text)
-    if not 1 <= number <= 65535:
-        raise ArgumentError(f"{number} is no port, 1 to 65535")
-    return number
+whole_number = _number(int)
+count = _number(int, "above zero", lambda number: number >= 1)
+port_number = _number(int, "a port from 1 to 65535", lambda number: 1 <= number <= 65535)
+real = _number(float, "a finite number", math.isfinite)
+length = _number(float, "a finite number above zero", lambda number: 0.0 < number < math.inf)
+codes = _number(float, "a finite number from 0 on", lambda number: 0.0 <= number < math.inf)
+whole_codes = _number(int, "a whole number from 0 on", lambda number: number >= 0)
+cells_apart = _number(float, "a number of cells from 1 to a million", lambda number: 1.0 <= number <= 1e6)
+opacity = _number(float, "from 0 to 1", lambda number: 0.0 <= number <= 1.0)
+angle = _number(float, "from 0 to 180", lambda number: 0.0 <= number <= 180.0)
+pixels = _number(float, "from 0 to 1000000", lambda number: 0.0 <= number <= 1e6)
 
 
 def file_size(text: str) -> int:
@@ -187,42 +187,9 @@ def file_size(text: str) -> int:
         raise ArgumentError(str(error)) from None
 
 
-def _number(limits: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return a reader of a number within limits."""
-
-    def read(text: str) -> float:
-        try:
-            number = float(text)
-        except ValueError:
-            raise ArgumentError(f"{text!r} is no number") from None
-        if not fits(number):
-            raise ArgumentError(f"{text} is not {limits}")
-        return number
-
-    return read
-
-
-_INFINITE = float("inf")
-real = _number("a finite number", lambda number: abs(number) < _INFINITE)
-length = _number("a finite number above zero", lambda number: 0.0 < number < _INFINITE)
-codes = _number("a finite number from 0 on", lambda number: 0.0 <= number < _INFINITE)
-cells_apart = _number("a number of cells from 1 to a million", lambda number: 1.0 <= number <= 1e6)
-opacity = _number("from 0 to 1", lambda number: 0.0 <= number <= 1.0)
-angle = _number("from 0 to 180", lambda number: 0.0 <= number <= 180.0)
-pixels = _number("from 0 to 1000000", lambda number: 0.0 <= number <= 1e6)
-
-
 def edge_length(text: str) -> float | str:
     """Read a length, or "auto"."""
-    return text if text == "auto" else length(text)
-
-
-def whole_codes(text: str) -> int:
-    """Read an error in whole codes of stored integers."""
-    number = codes(text)
-    if number != int(number):
-        raise ArgumentError(f"{text} is not a whole number of codes")
-    return int(number)
+    return text if text == "auto" else float(length(text))
 
 
 def angle_and_sides(text: str) -> tuple[float | None, bool]:
@@ -242,21 +209,31 @@ def light(text: str) -> Path | str:
     return text if text in ("studio", "soft") else file_here(text)
 
 
+def _pair(text: str, form: str) -> tuple[str, str]:
+    """Split NAME=VALUE at its first sign; ``form`` describes it in messages."""
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not (name and equals):
+        raise ArgumentError(f"{text!r} is not {form}")
+    return name, value
+
+
 def bump(text: str) -> tuple[str, float]:
     """Read CHANNEL=HEIGHT."""
-    name, equals, height = (part.strip() for part in text.partition("="))
-    if not (name and equals):
-        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT, like roughness=0.01")
+    name, height = _pair(text, "CHANNEL=HEIGHT, such as roughness=0.01")
     return name, real(height)
 
 
 def displacement(text: str) -> tuple[str, float, float]:
     """Read CHANNEL=HEIGHT or CHANNEL=HEIGHT,MIDDLE."""
-    name, equals, numbers = (part.strip() for part in text.partition("="))
-    if not (name and equals and numbers.count(",") <= 1):
-        raise ArgumentError(f"{text!r} is not CHANNEL=HEIGHT[,MIDDLE], like roughness=0.01,0.5")
+    name, numbers = _pair(text, "CHANNEL=HEIGHT[,MIDDLE], such as roughness=0.01,0.5")
     height, comma, middle = numbers.partition(",")
     return name, real(height), real(middle) if comma else 0.0
+
+
+def _check_names(names: Sequence[str]) -> None:
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise ArgumentError(f"{repeated} is named twice")
 
 
 def channel_names(text: str) -> list[str]:
@@ -264,36 +241,30 @@ def channel_names(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise ArgumentError(f"{text!r} has an empty name; write base_color,normal")
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ArgumentError(f"{twice} is there twice")
+    _check_names(names)
     return names
 
 
 def dtypes(text: str) -> str | dict[str, str]:
     """Read one stored type for all channels, or NAME=TYPE pairs separated by commas."""
+    read = one_of(*DTYPES)
     if "=" not in text:
-        return one_of(*DTYPES)(text.strip())
-    found: dict[str, str] = {}
-    for pair in text.split(","):
-        name, equals, dtype = (part.strip() for part in pair.partition("="))
-        if not (name and equals):
-            raise ArgumentError(f"{pair!r} is not NAME=TYPE, like normal=uint16")
-        if name in found:
-            raise ArgumentError(f"{name} is there twice")
-        found[name] = one_of(*DTYPES)(dtype)
-    return found
+        return read(text.strip())
+    pairs = [_pair(pair, "NAME=TYPE, such as normal=uint16") for pair in text.split(",")]
+    _check_names([name for name, _ in pairs])
+    return {name: read(dtype) for name, dtype in pairs}
 
 
-def source(text: str) -> tuple[str, Given]:
+def source(text: str) -> tuple[str, Source]:
     """Read the source of a channel: NAME=FILE, NAME=FILE.py:FUNCTION, or NAME=NUMBER,NUMBER,…."""
-    name, _, given = (part.strip() for part in text.partition("="))
-    if not (name and given):
-        raise ArgumentError(f"{text!r} is not CHANNEL=FILE, like roughness=rough.png")
+    form = "CHANNEL=FILE, such as roughness=rough.png"
+    name, value = _pair(text, form)
+    if not value:
+        raise ArgumentError(f"{text!r} is not {form}")
     try:
-        numbers = tuple(float(number) for number in given.split(","))
+        numbers = tuple(float(number) for number in value.split(","))
     except ValueError:
-        return name, function_name(given) or file_here(given)
+        return name, function_name(value) or file_here(value)
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
@@ -305,7 +276,9 @@ def projected(text: str) -> Projected:
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
-            raise ArgumentError(f"{setting!r} is none of axis=A, center=X,Y,Z, size=SIZE; like box:size=0.5")
+            raise ArgumentError(
+                f"{setting!r} is not one of axis=A, center=X,Y,Z, size=SIZE, such as box:size=0.5"
+            )
         try:
             found[name] = readers[name](value)
         except ArgumentError as error:
@@ -346,8 +319,8 @@ def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[
         try:
             numbers = tuple(float(number) for number in text.split(","))
         except ValueError:
-            raise ArgumentError(f"{text!r} is not numbers with commas between") from None
-        if not all(abs(number) < _INFINITE for number in numbers):
+            raise ArgumentError(f"{text!r} must be numbers separated by commas") from None
+        if not all(map(math.isfinite, numbers)):
             raise ArgumentError(f"{text} has numbers that are not finite")
         if not fits(numbers):
             raise ArgumentError(f"{text!r} is not {like}")
@@ -356,25 +329,28 @@ def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[
     return read
 
 
-position = _numbers("X,Y,Z, like 0,0.5,1", lambda given: len(given) == 3)
-box = _numbers("x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1", lambda given: len(given) == 6)
+position = _numbers("X,Y,Z, such as 0,0.5,1", lambda numbers: len(numbers) == 3)
+box = _numbers("x0,y0,z0,x1,y1,z1, such as 0,0,0,1,2,1", lambda numbers: len(numbers) == 6)
 grid = _numbers(
-    "x0,y0,z0,x1,y1,z1,EDGE, like -1,-1,-1,1,1,1,0.02", lambda given: len(given) == 7 and given[6] > 0.0
+    "x0,y0,z0,x1,y1,z1,EDGE, such as -1,-1,-1,1,1,1,0.02",
+    lambda numbers: len(numbers) == 7 and numbers[6] > 0.0,
 )
 levels = _numbers(
-    "BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2",
-    lambda given: len(given) in (2, 3) and 0 <= given[0] < given[1] <= 1 and 0 < given[-1] <= 100,
+    "BLACK,WHITE[,GAMMA], such as 0.1,0.9,1.2",
+    lambda numbers: len(numbers) in (2, 3) and 0 <= numbers[0] < numbers[1] <= 1 and 0 < numbers[-1] <= 100,
 )
-_sphere = _numbers("X,Y,Z,RADIUS, like 0,0.5,1,0.2", lambda given: len(given) == 4 and given[3] > 0.0)
+_sphere = _numbers(
+    "X,Y,Z,RADIUS, such as 0,0.5,1,0.2", lambda numbers: len(numbers) == 4 and numbers[3] > 0.0
+)
 _sizes = _numbers(
-    "a size above zero, nor three like 1,1,0.5", lambda given: len(given) in (1, 3) and min(given) > 0.0
+    "a size above zero, nor three like 1,1,0.5", lambda numbers: len(numbers) in (1, 3) and min(numbers) > 0.0
 )
 
 
 def sizes(text: str) -> float | tuple[float, ...]:
     """Read a size, or one for each direction."""
-    given = _sizes(text)
-    return given if len(given) == 3 else given[0]
+    numbers = _sizes(text)
+    return numbers if len(numbers) == 3 else numbers[0]
 
 
 def direction(text: str) -> tuple[float, ...]:
@@ -387,9 +363,8 @@ def direction(text: str) -> tuple[float, ...]:
 
 def disc(text: str) -> Disc:
     """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z]."""
-    place, *settings = text.split(":")
-    numbers = _sphere(place)
-    up = None
+    sphere, *settings = text.split(":")
+    numbers, up = _sphere(sphere), None
     for setting in settings:
         if setting.startswith("up="):
             up = direction(setting.removeprefix("up="))
@@ -402,21 +377,21 @@ def file_and_amount(text: str) -> tuple[Path | Address, float]:
     """Read a texture's file and a number from 0 to 1, after the last =."""
     name, equals, number = text.rpartition("=")
     if not (name and equals):
-        raise ArgumentError(f"{text!r} is not FILE=AMOUNT, like other.octex=0.3")
+        raise ArgumentError(f"{text!r} is not FILE=AMOUNT, such as other.octex=0.3")
     return texture_file(name), opacity(number)
 
 
 def camera(text: str) -> tuple[Path, str | None]:
     """Read a file of cameras, and the name of one after a #; both names may contain more #."""
     whole = file_here(text)
-    places = [place for place, letter in enumerate(text) if letter == "#" and place > 0]
-    if not places or whole.exists():
+    signs = [at for at, letter in enumerate(text) if letter == "#" and at > 0]
+    if not signs or whole.exists():
         return whole, None
-    place = next((place for place in places if Path(text[:place]).exists()), places[0])
-    name = text[place + 1 :]
+    sign = next((at for at in signs if Path(text[:at]).exists()), signs[0])
+    name = text[sign + 1 :]
     if not name:
         raise ArgumentError(f"{text!r} names no camera; write FILE#NAME, or FILE")
-    return Path(text[:place]), name
+    return Path(text[:sign]), name
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -424,7 +399,7 @@ def picture_size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(number) for number in re.split("[,x×]", text))
     except ValueError:
-        raise ArgumentError(f"{text!r} is not WIDTH,HEIGHT, like 1024,768") from None
+        raise ArgumentError(f"{text!r} is not WIDTH,HEIGHT, such as 1024,768") from None
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise ArgumentError(f"{text} is not from 1 to {MOST_PIXELS} pixels each way")
     return width, height

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, say, tell
-from octex.cli.inputs import kind_of, number_of, open_set, open_texture, refuse, shaped_model
+from octex.cli.common import Reporter, check_outputs, say, tell_file
+from octex.cli.inputs import kind_of, number_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
 from octex.cli.values import PAGE_ENDING
 from octex.errors import ArgumentError, ExitCode, OctexError
@@ -40,7 +40,12 @@ def view(options: Options, program: str) -> int:
                 if not is_set:  # a set's vertices are the whole model's
                     motion = _motion_of(model, options, note)
         if surface is not None and options.part is not None:
-            surface = _surface_of(path, options.part, surface)
+            number = number_of(octex.TextureSet.open(path), path, options.part)
+            if number > surface.parts.max():
+                raise ArgumentError(
+                    f"{surface.name} has {surface.parts.max() + 1} parts, but {path} has others"
+                )
+            surface = surface.part((surface.parts == number).nonzero()[0])
         read = _reader(options, surface, progress)
         if page is None:
             from octex.viewer import Viewer
@@ -64,10 +69,7 @@ def view(options: Options, program: str) -> int:
         with suppress(KeyboardInterrupt):
             viewer.run()
         return ExitCode.DONE
-    seconds = round(time.perf_counter() - began, 3)
-    made = {"output": str(page), "bytes": page.stat().st_size, "notes": notes, "seconds": seconds}
-    tell(options, made, f"{page}: {bytes_text(made['bytes'])}, {seconds:.1f} s", *notes)
-    return ExitCode.DONE
+    return tell_file(options, began, "", {"notes": notes}, *notes, path=page)
 
 
 def _reader(
@@ -80,7 +82,17 @@ def _reader(
         depth = _DEPTH if options.depth is None else options.depth
         texture = octex.convert(surface, depth=depth, progress=progress)
         return lambda: texture
-    return lambda: open_set(path, options.part) if path.is_dir() else open_texture(path)
+
+    def opened() -> OctreeTexture | TextureSet:
+        if not path.is_dir():
+            return open_texture(path)
+        textures = octex.TextureSet.open(path)
+        part = options.part
+        found = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
+        found.validate()
+        return found
+
+    return opened
 
 
 def _check(options: Options, is_set: bool) -> None:
@@ -89,27 +101,19 @@ def _check(options: Options, is_set: bool) -> None:
     if path is None and model is None:
         raise ArgumentError("TEXTURE is missing; see octex view --help")
     if path is None and kind_of(model) != "model":
-        raise ArgumentError(f"{model}: has no surface; octex convert makes a texture of it")
+        raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
-        refuse(options, ["--part"], f"has no meaning: {path or model} is no folder of parts")
+        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
     if model is None:
-        refuse(options, ["--rest", "--pose", "--subdiv"], "has no meaning without a MODEL")
+        refuse(options, ["--rest", "--pose", "--subdiv"], "needs a MODEL")
     if page is None:
         refuse(options, ["--max-size", "--force", "--json"], f"is for pages, NAME{PAGE_ENDING}")
     else:
-        refuse(options, ["--port", "--no-browser"], "has no meaning where a page is written")
+        refuse(options, ["--port", "--no-browser"], "cannot be used when a page is written")
         inputs = path, model, options.rest
         check_outputs([(page, (PAGE_ENDING,), "PAGE")], inputs, force=options.force)
-
-
-def _surface_of(folder: Path, part: str, surface: Surface) -> Surface:
-    """Return the triangles of a part of a set."""
-    number = number_of(octex.TextureSet.open(folder), folder, part)
-    if number > surface.parts.max():
-        raise ArgumentError(f"{surface.name} has {surface.parts.max() + 1} parts, and {folder} others")
-    return surface.part((surface.parts == number).nonzero()[0])
 
 
 def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:

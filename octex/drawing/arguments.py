@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy.typing as npt
 
-from octex.cameras.camera import Camera, as_size, as_vector
+from octex.cameras.camera import as_size, as_vector
 from octex.checks import as_number, as_positive, as_text, as_whole, is_several
 from octex.drawing.directions import Viewpoint
 from octex.drawing.environment import Environment
@@ -14,7 +14,6 @@ from octex.drawing.shaders import Bump
 from octex.errors import ArgumentError
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-from octex.tree.layout import MAX_DEPTH
 
 _MOST_SAMPLES = 64
 _MOST_PIXELS = 1 << 28
@@ -52,6 +51,12 @@ class Arguments(NamedTuple):
             raise ArgumentError(f"a picture has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
         if light is not None and not isinstance(light, Environment):
             raise ArgumentError(f"light must be an octex.Environment, not {light!r}")
+        if bump is not None:
+            pair = list(bump) if is_several(bump) else []
+            if len(pair) != 2:
+                raise ArgumentError(f"bump must be (channel, height), not {bump!r}")
+            rise = as_number(pair[1], "bump's height", -_STEEPEST, _STEEPEST)
+            bump = as_text(pair[0], "bump's channel"), rise
         return cls(
             None if texture is None else as_texture(texture),
             None if surface is None else as_surface(surface),
@@ -63,27 +68,6 @@ class Arguments(NamedTuple):
             ),
             None if channel is None else as_text(channel, "channel"),
             light,
-            None if bump is None else _as_bump(bump),
+            bump,
             as_whole(supersample, "supersample", 1, _MOST_SAMPLES),
         )
-
-
-def _as_bump(bump: Any) -> Bump:
-    pair = list(bump) if is_several(bump) else []
-    if len(pair) != 2:
-        raise ArgumentError(f"bump must be (channel, height), not {bump!r}")
-    return as_text(pair[0], "bump's channel"), as_number(pair[1], "bump's height", -_STEEPEST, _STEEPEST)
-
-
-def as_camera(camera: Camera) -> Camera:
-    """Return a camera whose lens draws straight lines straight, or raise ArgumentError."""
-    if not isinstance(camera, Camera):
-        raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
-    if camera.is_distorted:
-        raise ArgumentError("the camera's lens distorts, which pictures do not show; give camera.undistorted")
-    return camera
-
-
-def as_level(level: int | None) -> int | None:
-    """Return a level or None, or raise ArgumentError."""
-    return None if level is None else as_whole(level, "level", 0, MAX_DEPTH)

@@ -7,7 +7,7 @@ both sides have alpha, their light is multiplied by it first: what nobody sees d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from octex.errors import ArgumentError
 from octex.parallel import Progress, as_progress
 from octex.source.base import by_channel
 from octex.source.corners import area_vectors
-from octex.source.separation import SEPARATION
+from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
 from octex.tree.areas import AREAS
@@ -136,9 +136,7 @@ def difference(
     textures = [side for side in sides if isinstance(side, OctreeTexture)]
     models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
     if not textures:
-        raise ArgumentError(
-            "two models have no points in common to compare them at; convert one of them first"
-        )
+        raise ArgumentError("two models cannot be compared with each other; convert one of them first")
     width = finest_edge(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
@@ -169,9 +167,7 @@ def difference(
         done += len(weights)
         report("compare", done, total)
     if not compared:
-        raise ArgumentError(
-            "the surfaces have nothing in common: is it the same model, at the same rest positions?"
-        )
+        raise ArgumentError("the surfaces do not overlap: do they have the same rest positions?")
 
     results = Differences()
     for name in spaces:
@@ -220,7 +216,14 @@ class Reader:
 
     def read(self, points: Points) -> dict[str, Float64s]:
         """Return values (n, components) by channel."""
-        values = self._values(points)
+        values: Mapping[str, Float32s]
+        if isinstance(self._side, OctreeTexture):
+            values = self._side.sample(points.rest, self._names, self._filter, normalize=False)
+        else:
+            assert points.triangles is not None and points.barycentric is not None
+            widths = np.full(len(points.rest), self._width, np.float32)
+            rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
+            values = by_channel(self._side.channels, rows)
         measured = {}
         for name, space in self.spaces.items():
             measured[name] = np.asarray(values[name], np.float64)
@@ -229,27 +232,16 @@ class Reader:
                 measured[name] = 255 * linear_to_srgb(light)
         return measured
 
-    def _values(self, points: Points) -> dict[str, Float32s]:
-        if isinstance(self._side, OctreeTexture):
-            return self._side.sample(points.rest, self._names, self._filter, normalize=False)
-        assert points.triangles is not None and points.barycentric is not None
-        widths = np.full(len(points.rest), self._width, np.float32)
-        rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
-        return by_channel(self._side.channels, rows)
-
 
 def placed(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides, a model at the rest positions that the texture has.
-
-    Raises ArgumentError for parts that were moved apart in one texture and not, or otherwise, in the other.
-    """
+    """Return both sides, a model at the rest positions of the texture; refuse parts separated otherwise."""
     if isinstance(a, Surface):
         return (a.placed_in(b), b) if isinstance(b, OctreeTexture) else (a, b)
     if isinstance(b, Surface):
         return a, b.placed_in(a)
     if a.metadata.get(SEPARATION) != b.metadata.get(SEPARATION):
         raise ArgumentError(
-            "parts of these textures' surfaces were moved apart, and not by the same; compare each with its "
+            "parts of these textures' surfaces were separated by different distances; compare each with its "
             "model"
         )
     return a, b
@@ -271,11 +263,7 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:
-    """Return readers of the same channels, by default all that both have; models are averaged over width.
-
-    Raises ArgumentError for channels that are not in both or do not mean the same in both, and for an unknown
-    filter.
-    """
+    """Return readers of the same channels, by default all that both have; models are averaged over width."""
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
@@ -291,7 +279,7 @@ def readers_of(
         meanings = [(MEASURES[form.space], form.components) for form in (first[name], second[name])]
         if meanings[0] != meanings[1]:
             one, other = (f"{components} {measure}" for measure, components in meanings)
-            raise ArgumentError(f"channel {name!r} means {one} in one and {other} in the other")
+            raise ArgumentError(f"channel {name!r} holds {one} in one texture and {other} in the other")
         spaces[name] = first[name].space
     fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
     a, b = (Reader(side, spaces, fades, width, filter) for side in sides)
@@ -336,10 +324,7 @@ def _area(side: Side) -> float:
 
 
 def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
-    """Return a function of cubes, centres (n, 3) and edges (n,), that tells whether a leaf meets each.
-
-    Without edges the cubes are as large as the texture's finest cells.
-    """
+    """Return a function that tells which cubes, by default finest cells, meet a leaf."""
     level_of = cache(texture.level)
     # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
     inset = texture.placement.size * 2.0**-29

@@ -23,7 +23,6 @@ from octex.drawing.compare import (
 )
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import (
-    Panel,
     caption_height,
     captioned,
     leaf_camera,
@@ -80,6 +79,12 @@ def draw_difference(
     are drawn on the model if there is one; else as leaves no finer than two to a pixel, and the difference on
     the finer ones. Alpha and emitted light are drawn if both have them.
     """
+
+    def caption(side: Side, channel: str) -> str:
+        if isinstance(side, Surface):
+            return source_caption(side, channel)[1]
+        return f"{named(channel)}octree, depth {side.tree.max_depth}, {texture_facts(side)}"
+
     whole = placed(a, b)
     room = round(1.6 * caption_height(size[1]))
     has_model = any(isinstance(side, Surface) for side in whole)
@@ -89,18 +94,12 @@ def draw_difference(
     for channel, result in found.items():
         row = sides.row(channel)
         panels = [
-            captioned(Panel(picture, name, _caption(side, channel)), room)
+            captioned(picture, name, caption(side, channel), room)
             for picture, name, side in zip(row.pictures, names, whole, strict=True)
         ]
         panels.append(_difference_panel(row, channel, result.angle or result, room))
         rows.append(np.hstack([np.asarray(panel) for panel in panels]))
     return np.vstack(rows)
-
-
-def _caption(side: Side, channel: str) -> str:
-    if isinstance(side, Surface):
-        return source_caption(side, channel)[1]
-    return f"{named(channel)}octree, depth {side.tree.max_depth}, {texture_facts(side)}"
 
 
 class _OnModel:
@@ -159,7 +158,10 @@ class _TwoTrees:
         alone = ~meets_fine(coarse.centres, coarse.edges)
         covered = meets_coarse(fine.centres, fine.edges)
         self._covered = np.concatenate([covered, np.zeros(int(alone.sum()), np.bool_)])
-        self._leaves = *both, Leaves.joined(fine, coarse.only(alone))
+        self._leaves = (
+            *both,
+            Leaves.joined(fine, Leaves(coarse.corners[alone], coarse.edges[alone], coarse.normals[alone])),
+        )
         self._seen = [leaves.seen(self._camera.scaled(supersample)) for leaves in self._leaves]
 
     def row(self, channel: str) -> _Row:
@@ -206,19 +208,17 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
     exposed, coverage = row.film.exposure()
     apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
     within = np.maximum(coverage - alone, 1e-9)
-    colors = _on_scale(apart / within[..., 0]) * within + srgb_to_linear(_ALONE / 255) * alone
+    colors = (
+        srgb_to_linear(_scale_codes(apart / within[..., 0]) / 255) * within
+        + srgb_to_linear(_ALONE / 255) * alone
+    )
     picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
     ring = row.ring if shown.maximum > 0 else None
     place = "in the ring" if ring else "out of sight"
     most = f"maximum {_text(shown.maximum)} {shown.measure}, {place}"
-    panel = captioned(
-        Panel(
-            picture,
-            f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference",
-            f"rms {_text(shown.rms)}, {most}" if shown.maximum > 0 else "they do not differ",
-        ),
-        room,
-    )
+    title = f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference"
+    subtitle = f"rms {_text(shown.rms)}, {most}" if shown.maximum > 0 else "they do not differ"
+    panel = captioned(picture, title, subtitle, room)
     draw = ImageDraw.Draw(panel)
     if ring:
         x, y = ring
@@ -262,11 +262,6 @@ def _scale_codes(values: Float64s) -> Float64s:
     """Return the scale's sRGB codes (…, 3) of values from 0 to 1; larger ones have its last."""
     stops = np.linspace(0.0, 1.0, len(_SCALE))
     return np.stack([np.interp(values, stops, column) for column in _SCALE.T], axis=-1)
-
-
-def _on_scale(values: Float64s) -> Float64s:
-    """Return the scale's linear light."""
-    return srgb_to_linear(_scale_codes(values) / 255)
 
 
 def _text(number: float) -> str:

@@ -41,10 +41,8 @@ class Viewpoint(NamedTuple):
     ) -> Camera:
         """Return a camera that sees points (n, 3) above ``room`` pixels at the bottom of its picture.
 
-        parts    returns normals and areas, as for ``view_directions``, to find the side that shows most
-        unlit    makes a picture without light, as for ``best_direction``
-
-        A frame of another shape is made as large as it fits.
+        ``parts`` returns normals and areas as for ``view_directions``, ``unlit`` makes a picture without
+        light. A frame of another shape is made as large as it fits.
         """
         size = size[0], size[1] - room
         if self.frame is None:
@@ -67,21 +65,16 @@ USUAL = Viewpoint()
 def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
     """Return the mean direction and up of cameras; those of the first if they look from all around."""
     turns = [camera.world_to_camera[:3, :3] for camera in cameras]
-    direction, up = (_mean(np.array([-turn[axis] for turn in turns])) for axis in (2, 1))
-    return Viewpoint(direction, up)
-
-
-def _mean(vectors: Float64s) -> Float64s:
-    mean: Float64s = vectors.mean(axis=0)
-    return mean if np.linalg.norm(mean) >= _ALIKE else vectors[0]
+    means = []
+    for axis in (2, 1):
+        vectors = np.array([-turn[axis] for turn in turns])
+        mean = vectors.mean(axis=0)
+        means.append(mean if np.linalg.norm(mean) >= _ALIKE else vectors[0])
+    return Viewpoint(*means)
 
 
 def view_directions(normals: Floats, areas: Floats) -> Float64s:
-    """Return directions (k, 3) to look at a model from, unit vectors toward the camera; the usual one first.
-
-    normals    (n, 3) unit normals of its parts, and
-    areas      (n,) their areas
-    """
+    """Return unit vectors (k, 3) to the camera, the usual first, for normals and areas of parts."""
     weights = areas / max(float(areas.sum()), 1e-300)
     strengths, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, normals, normals))
     if strengths[2] < _FLAT:
@@ -98,11 +91,7 @@ def view_directions(normals: Floats, areas: Floats) -> Float64s:
 
 
 def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]) -> Float64s:
-    """Choose the direction (3,) from which a model shows most detail; not the first only if clearly so.
-
-    points    (n, 3) of the model
-    unlit     makes its picture (height, width, 3) without light: sRGB values, NaN where it is not
-    """
+    """Choose the direction (3,) from which ``unlit`` pictures of a model's points (n, 3) show most detail."""
     details = []
     for direction in directions if len(directions) > 1 else ():
         picture = unlit(Camera.fitted(points, direction, size=(96, 96)))

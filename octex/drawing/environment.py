@@ -92,7 +92,7 @@ class Environment:
         height, width = light.shape[:2]
         if height > width:  # the faces of a cube, one below another
             raise ImageError(
-                f"{name} is no light from all around: its {width} × {height} texels are higher than wide; "
+                f"{name} is not an environment map: its {width} × {height} texels are taller than wide; "
                 "give a latitude-longitude map, twice as wide as high"
             )
         tables = _tables(_resampled(np.maximum(light, 0.0)) * 2.0**exposure)
@@ -100,13 +100,9 @@ class Environment:
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
-        """Return the built-in one: dark walls, a bright floor and ceiling, two lamps and two strips.
-
-        It is grey, follows the camera and is tone mapped. Materials look about as bright as in three.js'
-        RoomEnvironment with its neutral tone mapping.
-        """
+        """Return a grey, tone-mapped room that follows the camera, as bright as three.js' own."""
         stops = as_number(exposure, "exposure", -64.0, 64.0)
-        light, shapes = _studio_tables()
+        light, shapes = _studio()
         tables = Tables(light * np.float32(2.0**stops), shapes, np.eye(3))
         return cls(tables, follows=True, tone_mapped=True)
 
@@ -178,8 +174,8 @@ def _means(many: int, few: int) -> Float64s:
 
 
 @cache
-def _studio() -> Float64s:
-    """Return the built-in light; +z is toward the camera, x to its right, y up."""
+def _studio() -> tuple[Float32s, Int64s]:
+    """Return the tables of the built-in light; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
     up = directions[..., 1]
     light = 0.22 + 0.49 * _ramp(up, -0.05, -0.45) + 0.43 * _ramp(up, 0.1, 0.7)
@@ -197,19 +193,13 @@ def _studio() -> Float64s:
         v = np.abs(directions @ np.cross(middle, right)) / np.maximum(ahead, 1e-3)
         lamp = _ramp(u, across[0] + size, across[0]) * _ramp(v, across[1] + size, across[1]) * (ahead > 0)
         light = light + strength * lamp
-    return np.repeat(light[..., None], 3, axis=2)
+    return _tables(np.repeat(light[..., None], 3, axis=2))
 
 
 def _ramp(values: Float64s, low: float, high: float) -> Float64s:
     """Return 0 at ``low``, 1 at ``high``, and a smooth step between."""
     t = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
-
-
-@cache
-def _studio_tables() -> tuple[Float32s, Int64s]:
-    """Return the tables of the built-in one."""
-    return _tables(_studio())
 
 
 def _directions(height: int, width: int) -> Float64s:
@@ -238,11 +228,7 @@ def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
 
 
 def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
-    """Return all levels' texels, finest first, and each level's first texel, height and width.
-
-    Rows are the mean light, its solid angle, the direction that most of the light comes from, and how far the
-    texel reaches.
-    """
+    """Return rows of all levels, finest first (light, angle, direction, reach), and their shapes."""
     rows: list[Float64s] = []
     levels: list[tuple[int, int, int]] = []
     first = 0
@@ -274,10 +260,7 @@ def _of_four(values: Float64s) -> Float64s:
 
 @kernel
 def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: float, found: Float64s) -> None:
-    """Average light around directions (n, 3): by GGX's lobe of some alpha, or, if that is 0, by the cosine.
-
-    A texel is divided where it is large beside its distance from the lobe (Barnes & Hut, 1986).
-    """
+    """Average light around directions (n, 3): GGX's lobe, the cosine for 0 (Barnes & Hut 1986)."""
     coarsest = len(levels) - 1
     stack = np.empty((256, 2), np.int64)
     lobe = min(2.0 * alpha, _WIDEST_LOBE) if alpha > 0.0 else _WIDEST_LOBE

@@ -76,7 +76,9 @@ class Seen:
     def posed(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Posed]:
         """Return what pixels (n,) see, also on the posed surface."""
         hits, points = self._look(pixels, buffers)
-        normals = hits.normals if not self.is_posed else _between(hits, self._smooth)
+        normals = hits.normals
+        if self.is_posed:
+            normals = np.einsum("nk,nkc->nc", hits.barycentric, self._smooth[hits.triangles])
         return hits, Posed(points, self._faces[hits.triangles], normals)
 
     def _look(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
@@ -95,10 +97,7 @@ class Seen:
 def visible_hits(
     surface: Surface, camera: Camera, normals: Float32s, buffers: Buffers | None = None
 ) -> Iterator[tuple[Int64s, Hits]]:
-    """Yield what the camera's pixels see, some at a time, with their numbers row by row.
-
-    ``normals`` are the surface's ``rest_normals``; ``buffers`` say what is seen, by default the nearest.
-    """
+    """Yield what pixels see, with their numbers; ``buffers`` are by default the nearest depths."""
     if buffers is None:
         buffers = z_buffer(surface.vertices, surface.triangles, camera)
     seen = Seen(surface, camera, normals)
@@ -114,12 +113,6 @@ def rest_normals(surface: Surface) -> Float32s:
 def is_posed(surface: Surface) -> bool:
     """Tell whether a surface is not as it rests."""
     return not np.array_equal(surface.rest, surface.vertices)
-
-
-def _between(hits: Hits, corners: Float32s) -> Float64s:
-    """Interpolate what stands at the corners of triangles (m, 3, 3) at hits."""
-    found: Float64s = np.einsum("nk,nkc->nc", hits.barycentric, corners[hits.triangles])
-    return found
 
 
 @kernel

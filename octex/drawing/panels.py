@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -85,10 +85,7 @@ def draw_preview(
     light: Environment | None = None,
     bump: tuple[str, float] | None = None,
 ) -> Uint8s:
-    """Return the picture of ``write_preview`` as sRGB codes (height, width, 3).
-
-    ``note`` is added to the texture's caption.
-    """
+    """Return the picture of ``write_preview``; ``note`` is added to the texture's caption."""
     room = caption_height(size[1])
     if surface is not None:
         placed = surface if texture is None else surface.placed_in(texture)
@@ -99,23 +96,21 @@ def draw_preview(
         panel_size = size[0] // len(looks), size[1]
         camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
         films = film_surface(placed, camera, looks, supersample, light)
-        panels = [Panel(film.picture(), *caption) for film, caption in zip(films, captions, strict=True)]
+        pictures = [film.picture() for film in films]
     elif texture is not None:
         channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
         camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), room, view)
         level = visible_level(texture, camera, pixels=10.0)
         draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
-        fine, coarse = draw(bump=bump), draw(level=level, cubes=True)
+        pictures = [draw(bump=bump), draw(level=level, cubes=True)]
         cells = count_text(texture.level(level).tree.n_leaves, "cell")
-        panels = [
-            Panel(fine, *texture_caption(texture, channel, note)),
-            Panel(coarse, f"level {level}", cells),
-        ]
+        captions = [texture_caption(texture, channel, note), (f"level {level}", cells)]
     else:
-        raise ArgumentError("a preview needs a surface, or a texture, or both")
-    for panel in panels:  # a zoomed model reaches below
-        panel.picture[-room:] = background(*panel.picture.shape[:2])[-room:]
-    return np.hstack([np.asarray(captioned(panel)) for panel in panels])
+        raise ArgumentError("a preview needs a surface, a texture or both")
+    for picture in pictures:  # a zoomed model reaches below
+        picture[-room:] = background(*picture.shape[:2])[-room:]
+    panels = [captioned(picture, *caption) for picture, caption in zip(pictures, captions, strict=True)]
+    return np.hstack([np.asarray(panel) for panel in panels])
 
 
 def shaders_of(
@@ -141,14 +136,6 @@ def write_png(path: str | Path, codes: Uint8s) -> None:
     """Write sRGB codes (height, width, 3 or 4) as a file, or leave the old one; raises OutputError."""
     with replacing(path) as file:
         Image.fromarray(codes).save(file, "PNG")
-
-
-class Panel(NamedTuple):
-    """A picture with its caption."""
-
-    picture: Float32s  # (height, width, 3)   linear light
-    title: str
-    subtitle: str
 
 
 def surface_camera(
@@ -223,13 +210,16 @@ def caption_height(height: int) -> int:
     return max(height // 11, 24)
 
 
-def captioned(panel: Panel, room: int | None = None) -> Image.Image:
-    """Return a panel with its caption at the top of the ``room`` at its bottom."""
-    picture = Image.fromarray(encode(panel.picture, "uint8", "srgb"))
-    strip = caption_height(picture.height)
-    title, subtitle = ImageFont.load_default(strip * 0.36), ImageFont.load_default(strip * 0.28)
-    draw = ImageDraw.Draw(picture)
-    middle, top = picture.width // 2, picture.height - (room or strip)
-    draw.text((middle, top + strip * 0.05), panel.title, (12, 12, 14), title, "ma")
-    draw.text((middle, top + strip * 0.50), panel.subtitle, (40, 40, 44), subtitle, "ma")
-    return picture
+def captioned(picture: Float32s, title: str, subtitle: str, room: int | None = None) -> Image.Image:
+    """Return linear light (height, width, 3) with a caption at the top of the ``room`` at its bottom."""
+    panel = Image.fromarray(encode(picture, "uint8", "srgb"))
+    strip = caption_height(panel.height)
+    draw = ImageDraw.Draw(panel)
+    middle, top = panel.width // 2, panel.height - (room or strip)
+    for text, down, color, size in (
+        (title, 0.05, (12, 12, 14), 0.36),
+        (subtitle, 0.50, (40, 40, 44), 0.28),
+    ):
+        font = ImageFont.load_default(strip * size)
+        draw.text((middle, top + strip * down), text, color, font, "ma")
+    return panel

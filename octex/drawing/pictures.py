@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Floats, Int64s
 from octex.cameras.camera import Camera
 from octex.drawing.hits import Hits, Seen
 from octex.drawing.reflection import Material, reflected, tone_mapped
@@ -88,7 +88,13 @@ def _turned(appearance: Appearance, seen: Seen, hits: Hits) -> Appearance:
     """Return an appearance whose own normals, if it has any, are those of the posed surface."""
     if appearance.normals is None or not seen.is_posed:
         return appearance
-    return appearance._replace(normals=posed_normals(seen.surface, hits.triangles, appearance.normals))
+    surface, rows = seen.surface, np.arange(3 * len(hits.triangles), dtype=np.int32).reshape(-1, 3)
+    corners = surface.triangles[hits.triangles]
+    resting, posed = surface.rest[corners].reshape(-1, 3), surface.vertices[corners].reshape(-1, 3)
+    normals = Corners(np.repeat(appearance.normals, 3, axis=0).astype(np.float32), rows)
+    tangents = Corners(np.tile(np.array([1, 0, 0, 1], np.float32), (1, 1)), np.zeros_like(rows))
+    turned = carried(Frames(normals, tangents), rows, resting, posed).normals.values[::3]
+    return appearance._replace(normals=turned)
 
 
 def lit(
@@ -99,11 +105,7 @@ def lit(
     faces: Floats,
     normals: Floats,
 ) -> Appearance:
-    """Return what points look like in a light: all of it reflected toward the camera.
-
-    ``points``, ``faces`` and ``normals`` (n, 3) as for ``shading.light``; an appearance's own normals are
-    taken instead.
-    """
+    """Return what points look like in a light; arrays (n, 3) as for ``soft_light.light``."""
     if appearance.reflected is None:
         return appearance
     if appearance.normals is not None:
@@ -122,16 +124,6 @@ def lit(
     return appearance._replace(reflected=tone_mapped(seen), emitted=None)
 
 
-def posed_normals(surface: Surface, triangles: Int32s, normals: Floats) -> Floats:
-    """Return what normals at rest (n, 3), on triangles (n,), are on the posed surface."""
-    rows = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    corners = surface.triangles[triangles]
-    resting, posed = surface.rest[corners].reshape(-1, 3), surface.vertices[corners].reshape(-1, 3)
-    each = Corners(np.repeat(normals, 3, axis=0).astype(np.float32), rows)
-    tangents = Corners(np.tile(np.array([1, 0, 0, 1], np.float32), (1, 1)), np.zeros_like(rows))
-    return carried(Frames(each, tangents), rows, resting, posed).normals.values[::3]
-
-
 class Film:
     """Gathers samples into pixels, those in front before those behind them."""
 
@@ -143,14 +135,13 @@ class Film:
         self._passed = np.ones(camera.height * camera.width * supersample**2, np.float32)
 
     def add(self, samples: Int64s, appearance: Appearance) -> Bools:
-        """Add samples, numbered row by row in the supersampled picture, as they look in the light.
-
-        Returns whether more is seen behind each (n,).
-        """
+        """Add lit samples, numbered row by row; return where more is seen behind (n,)."""
         opened = np.empty(len(samples), np.bool_)
-        parts = (appearance.reflected, appearance.emitted)
-        reflected, emitted = (_floats(np.empty((0, 3)) if part is None else part) for part in parts)
-        coverage = _floats(np.empty(0) if appearance.coverage is None else appearance.coverage)
+        parts = ((appearance.reflected, (0, 3)), (appearance.emitted, (0, 3)), (appearance.coverage, 0))
+        reflected, emitted, coverage = (
+            np.ascontiguousarray(np.empty(shape) if part is None else part, np.float32)
+            for part, shape in parts
+        )
         _expose(
             samples, self._shape[1], self._supersample, reflected, emitted, coverage,
             self._passed, self._sums, opened,
@@ -166,10 +157,6 @@ class Film:
         """Return linear light (height, width, 3) over the backdrop."""
         color, coverage = self.exposure()
         return (color + (1.0 - coverage) * background(*self._shape)).astype(np.float32)
-
-
-def _floats(values: Floats) -> Float32s:
-    return np.ascontiguousarray(values, np.float32)
 
 
 @kernel
@@ -225,10 +212,6 @@ class Leaves(NamedTuple):
     def joined(cls, *parts: Leaves) -> Leaves:
         """Return all leaves of some parts."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-    def only(self, chosen: Bools) -> Leaves:
-        """Return some of them."""
-        return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
     def seen(self, camera: Camera) -> CubeBuffers:
         """Return which of them a camera sees."""

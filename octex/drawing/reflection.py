@@ -49,12 +49,7 @@ def reflected(
     normals: Floats,
     material: Material,
 ) -> Float32s:
-    """Return the light (n, 3) that points reflect toward a camera.
-
-    points     (n, 3) in the world
-    faces      (n, 3) normals of their triangles: they decide which side is seen
-    normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
-    """
+    """Return the light (n, 3) reflected toward a camera; arguments as for ``soft_light.light``."""
     lit = np.empty((len(points), 3), np.float32)
     columns = np.ones((len(points), 9))
     columns[:, :3] = material.base_color
@@ -90,10 +85,7 @@ def tone_mapped(light: Floats) -> Float64s:
 
 @cache
 def reflectances() -> Float64s:
-    """Return (32, 32, 2) of cosine and roughness, by middles of 32 steps: A, B of the reflectance A·F₀ + B.
-
-    Sums over samples of the lobe with Smith's height-correlated shadowing and Schlick's Fresnel term.
-    """
+    """Return A, B of the reflectance A·F₀ + B by cosine and roughness, (32, 32, 2): Smith and Schlick."""
     middles = (np.arange(_SIZE) + 0.5) / _SIZE
     index = np.arange(_SAMPLES, dtype=np.uint64)
     turned = np.zeros(_SAMPLES)

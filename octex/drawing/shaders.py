@@ -89,10 +89,7 @@ class Shown(NamedTuple):
         return self.channel.name == "base_color"
 
     def appearance(self, values: Mapping[str, Floats]) -> Appearance:
-        """Return how values (n, components) by channel look.
-
-        Data and directions are shown as sRGB values: data as they are, unit vectors as (x + 1) / 2.
-        """
+        """Return how values (n, components) by channel look; data and directions as sRGB."""
         shown = values[self.channel.name]
         alpha = values.get(ALPHA.name) if self.channel.name != ALPHA.name else None
         coverage = None if alpha is None else alpha[:, 0]
@@ -192,7 +189,7 @@ def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
     known = {form.name: form for form in formats}
     as_choice(bump[0], known, "channel to bend normals by")
     if known[bump[0]].space == "direction":
-        raise ArgumentError(f"{bump[0]} is directions; normals are bent by numbers or colours")
+        raise ArgumentError(f"{bump[0]} holds directions; bump needs numbers or colours")
     return bump[0]
 
 
@@ -228,10 +225,7 @@ def field_slopes(
 
 
 def bent(normals: Floats, slopes: Float64s) -> Float64s:
-    """Return normals (n, 3) bent against the slope of what is added along them.
-
-    (J. Blinn, "Simulation of Wrinkled Surfaces", 1978.)
-    """
+    """Return normals (n, 3) bent against the slope of what is added along them (Blinn 1978)."""
     normals = normals.astype(np.float64)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     along = np.einsum("nc,nc->n", slopes, normals)[:, None] * normals

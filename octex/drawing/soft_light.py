@@ -62,10 +62,7 @@ def _light(
 
 
 def background(height: int, width: int) -> Float32s:
-    """Return a neutral grey backdrop (height, width, 3), brightest a little below the middle.
-
-    It is the same across, so that pictures side by side have no seam.
-    """
+    """Return a grey backdrop (height, width, 3), the same across, brightest a little below the middle."""
     down = (np.arange(height) + 0.5) / height
     grey = 0.40 - 0.40 * (down - 0.55) ** 2
     return np.broadcast_to(grey[:, None, None], (height, width, 3)).astype(np.float32)

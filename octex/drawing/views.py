@@ -11,9 +11,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from octex.arrays import Uint8s
+from octex.cameras.camera import Camera
 from octex.channels import encode
-from octex.checks import as_flag, as_path
-from octex.drawing.arguments import Arguments, as_camera, as_level
+from octex.checks import as_depth, as_flag, as_path
+from octex.drawing.arguments import Arguments
 from octex.drawing.directions import Viewpoint
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import leaf_camera, surface_camera, write_png
@@ -22,7 +23,6 @@ from octex.drawing.shaders import Appearance, Bump, Shader, source_shader, textu
 from octex.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from octex.cameras.camera import Camera
     from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
@@ -68,8 +68,11 @@ def render(
     texture, surface, size, view, channel, light, bump, supersample = Arguments.checked(
         texture, surface, size, (direction, up, zoom), channel, light, bump, supersample
     )
-    camera = None if camera is None else as_camera(camera)
-    level, cubes = as_level(level), as_flag(cubes, "cubes")
+    if camera is not None and not isinstance(camera, Camera):
+        raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
+    if camera is not None and camera.is_distorted:
+        raise ArgumentError("the camera's lens distorts, which pictures do not show; give camera.undistorted")
+    level, cubes = None if level is None else as_depth(level, "level"), as_flag(cubes, "cubes")
     if texture is None and (cubes or level is not None):
         raise ArgumentError("level and cubes are for a texture; give one, or leave them out")
     if cubes and bump is not None:

@@ -30,7 +30,7 @@ from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_b
 from octex.editing.split import rows_facing
 from octex.jit import decoded, kernel
 from octex.texture import Channel, OctreeTexture
-from octex.texture.blend import NO_TABLE
+from octex.texture.channel import NO_TABLE
 from octex.tree.areas import AREAS, SKIRT, area_codes
 from octex.tree.children import children_of
 from octex.tree.octree import Octree
@@ -45,6 +45,8 @@ _LIMITS = {
     "direction": (-1.0, 1.0),
 }
 
+#: Residuals of so many nodes are found for all levels at once; of more level by level, for memory.
+_FEW = 1 << 16
 #: What becomes of residuals: from cells (n,), their values and the means of what is below them, decoded
 #: (n, components) each, to residuals.
 Change = Callable[[Int64s, Float64s, Float64s], Float64s]
@@ -82,7 +84,8 @@ def residuals(
     form, alpha = channel.format, _alpha_beside(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
     found = np.zeros((nodes.cells.size, form.components), precise)
-    for here in by_level(tree, nodes):
+    few = [slice(None)] if nodes.cells.size else []  # all at once
+    for here in by_level(tree, nodes) if nodes.cells.size > _FEW else few:
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
         _keep_apart(form, channel.values[cells], means, cells, change, found[here])

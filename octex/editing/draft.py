@@ -25,7 +25,7 @@ from octex.tree.children import children_before, groups_of, masks_of
 from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
-from octex.tree.split import counts_of
+from octex.tree.split import counts_of, rows_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
@@ -65,13 +65,21 @@ class Change(NamedTuple):
 
         Raises ArgumentError for a texture that is not as the one was from which the change was made.
         """
-        if not _is_cut_from(self.before, texture, self.tiles):
-            raise ArgumentError("the change was made from another texture, or from this one as it was once")
+        here, before = texture, self.before
+        is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
+        if is_like and self.tiles is not None:
+            here = cut_out(texture, self.tiles)
+        if not (is_like and all(map(np.array_equal, _arrays(here), _arrays(before)))):
+            raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
 
     def put_into(self, texture: OctreeTexture) -> OctreeTexture:
         """Return the texture from which the change was made with it."""
-        return self.after if self.tiles is None else put_back(texture, self.tiles, self.after)
+        if self.tiles is None:
+            return self.after
+        if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
+            return _overwritten(texture, self.tiles, self.before, self.after)
+        return put_back(texture, self.tiles, self.after)
 
 
 class Runs(NamedTuple):
@@ -90,6 +98,11 @@ class Runs(NamedTuple):
         follows = np.zeros(owners.size + 1, np.bool_)
         follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
         return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
+
+    @classmethod
+    def of_numbers(cls, owners: Int64s, numbers: Int64s) -> Runs:
+        """Return the runs of consecutive numbers of one owner."""
+        return cls.joined((owners, numbers, numbers + 1))
 
     @classmethod
     def one(cls, owner: int, end: int) -> Runs:
@@ -211,34 +224,79 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     is_open = is_node & among(codes, tiles.codes)
     is_closed = is_node & ~is_open
     numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    levels, cells, nodes = _below([tree], _runs(np.zeros_like(numbers), numbers))
+    levels, cells, nodes = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
     runs = (
         Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells),
         Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes),
     )
     made = _joined([texture], texture, level, levels, runs, is_closed)
-    return _forgetting(made, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed))
-
-
-def _forgetting(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
-    """Return a texture in which cells keep nothing."""
-    tree = texture.tree
-    stays = ~among(tree.kept.cells.astype(np.int64), cells)
+    tree, closed = made.tree, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed)
+    stays = ~among(tree.kept.cells.astype(np.int64), closed)  # as leaves these keep nothing
     if stays.all():
-        return texture
+        return made
     flags = tree.arrays.flags.copy()
-    flags[cells] &= np.uint8(0xFF ^ KEPT)
+    flags[closed] &= np.uint8(0xFF ^ KEPT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays]))
     channels = {
         name: channel._replace(kept_values=channel.kept_values[stays])
-        for name, channel in texture.channels.items()
+        for name, channel in made.channels.items()
     }
-    return texture.with_cells(tree, channels)
+    return made.with_cells(tree, channels)
 
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
     """Return a texture with what a draft, cut out of it and edited, has in the open tiles and above them."""
-    return put_together(draft, _with_channels(texture, draft), [(tiles, draft)])
+    if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
+        texture = with_alpha(texture)
+    return put_together(draft, texture, [(tiles, draft)])
+
+
+def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
+    """Say whether an edit has left all cells, split cells and kept nodes where they were."""
+    arrays: list[list[Array]] = [
+        [*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree)
+    ]
+    is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
+    return is_same and before.channels.keys() == after.channels.keys()
+
+
+def _overwritten(
+    texture: OctreeTexture, tiles: Tiles, before: OctreeTexture, after: OctreeTexture
+) -> OctreeTexture:
+    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied."""
+    tree, draft, level = texture.tree, after.tree, tiles.level
+    codes, is_node = tree.walked_to(level)
+    is_open = among(codes, tiles.codes)
+    first, end = tree.arrays.level_cells[level : level + 2].tolist()
+    top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
+    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
+    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
+    runs = [
+        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
+    ]
+    here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
+    there = np.concatenate([top, np.arange(end, draft.n_cells)])
+    targets, sources = (
+        (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))
+        for each, own in ((tree, here), (draft, there))
+    )
+
+    def changed(whole: Array, was: Array, own: Array, at: Array, source: Array) -> Array:
+        if np.array_equal(was, own):
+            return whole
+        made = whole.copy()
+        made[at] = own[source]
+        return made
+
+    flags, areas = (
+        changed(*arrays, here, there)
+        for arrays in zip(tree.arrays[3:], before.tree.arrays[3:], draft.arrays[3:], strict=True)
+    )
+    channels = {}
+    for name, (form, *stored) in texture.channels.items():
+        parts = stored, before.channels[name][1:], after.channels[name][1:], targets, sources
+        channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
+    return texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
 
 
 def put_together(
@@ -261,31 +319,22 @@ def put_together(
         cells[of_tile], nodes[of_tile] = where.cells, where.nodes
     is_below = nodes >= 0
     trees = [each.tree for each in textures]
-    levels, cells_below, nodes_below = _below(trees, _runs(owners[is_below], nodes[is_below]))
+    levels, cells_below, nodes_below = _below(trees, Runs.of_numbers(owners[is_below], nodes[is_below]))
     runs = (
-        Runs.joined(Runs.one(0, int(top.tree.arrays.level_cells[level])), _runs(owners, cells), *cells_below),
+        Runs.joined(
+            Runs.one(0, int(top.tree.arrays.level_cells[level])), Runs.of_numbers(owners, cells), *cells_below
+        ),
         Runs.joined(Runs.one(0, int(top.tree.arrays.level_nodes[level])), *nodes_below),
     )
     return _joined(textures, top, level, levels, runs, is_below != is_node)
 
 
-def _with_channels(texture: OctreeTexture, draft: OctreeTexture) -> OctreeTexture:
-    """Return a texture with a draft's channels: without alpha it is opaque."""
-    if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
-        return with_alpha(texture)
-    return texture
-
-
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
     """Give a texture a channel alpha: opaque."""
-    channel = Channel(
-        ALPHA,
-        *(
-            np.full((rows, 1), ONE[ALPHA.dtype], ALPHA.dtype)
-            for rows in (texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size)
-        ),
-    )
-    return texture.with_cells(texture.tree, {**texture.channels, ALPHA.name: channel})
+    tree = texture.tree
+    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
+    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in rows)
+    return texture.with_cells(tree, {**texture.channels, ALPHA.name: Channel(ALPHA, *opaque)})
 
 
 def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:
@@ -296,24 +345,11 @@ def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeText
     return draft.with_cells(draft.tree, channels)
 
 
-def _is_cut_from(draft: OctreeTexture, texture: OctreeTexture, tiles: Tiles | None) -> bool:
-    """Say whether a draft has what a texture has in the open tiles and above them."""
-    if draft.channels.keys() != texture.channels.keys() or draft.placement != texture.placement:
-        return False
-    here = texture if tiles is None else cut_out(texture, tiles)
-    return all(np.array_equal(one, own) for one, own in zip(_arrays(here), _arrays(draft), strict=True))
-
-
 def _arrays(texture: OctreeTexture) -> list[Array]:
     """Return what a texture is made of."""
     tree = texture.tree
     channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
     return [*tree.arrays, *tree.split, *tree.kept, *channels]
-
-
-def _runs(owners: Int64s, numbers: Int64s) -> Runs:
-    """Return the runs of consecutive numbers of one owner."""
-    return Runs.joined((owners, numbers, numbers + 1))
 
 
 def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], list[Runs], list[Runs]]:

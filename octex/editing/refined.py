@@ -120,18 +120,12 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
     starts = np.cumsum(np.concatenate([[0], counts]))
     own = np.repeat(taps.starts[owners] - starts[:-1], counts) + np.arange(starts[-1])
     rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
-    cells = _cells_of(tree, rows)
-    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-    weights[(facings & bits == 0) & (facings & OPPOSITE[bits] != 0)] *= _AWAY
-    return _Taps(starts, rows, weights), *find_rows(tree.split, cells, bits)
-
-
-def _cells_of(tree: Octree, rows: Uint32s) -> Int64s:
-    """Return the cells of rows: of coefficients those that keep them."""
     cells = rows.astype(np.int64)
     is_kept = cells >= tree.n_cells
     cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
-    return cells
+    facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+    weights[(facings & bits == 0) & (facings & OPPOSITE[bits] != 0)] *= _AWAY
+    return _Taps(starts, rows, weights), *find_rows(tree.split, cells, bits)
 
 
 def _blended(

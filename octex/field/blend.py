@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint32s
 from octex.field.taps import AT_ONCE, OFF, Taps, end_of
-from octex.field.values import NO_FIVE, Codes, Five, Flat, Four, flat_of, value_at, value_of, with_row
+from octex.field.values import (
+    NO_FIVE,
+    Codes,
+    Five,
+    Flat,
+    Four,
+    flat_of,
+    put_value,
+    value_at,
+    value_of,
+    with_row,
+)
 from octex.field.weights import NO_VIEW, Weighing, find_split, new_sight, view_of, weigh
 from octex.jit import fused_kernel, fused_part, inlined, kernel, part, prefetch
 
@@ -50,17 +62,6 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     return _sum(taps, n, flat, 4)
 
 
-@inlined
-def _put_value(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
-    results[np.uint64(at)] = a
-    if components > 1:
-        results[np.uint64(at + 1)] = b
-    if components > 2:
-        results[np.uint64(at + 2)] = c
-    if components > 3:
-        results[np.uint64(at + 3)] = d
-
-
 @part
 def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     """Write the values of rows (points,), which are cells."""
@@ -68,7 +69,7 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     flat_results = results.reshape(-1)
     for n in range(rows.size):
         a, b, c, d = value_of(flat, int(rows[np.uint64(n)]), components)
-        _put_value(flat_results, n * components, components, a, b, c, d)
+        put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @fused_kernel
@@ -86,12 +87,12 @@ def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
                 a, b, c, d = value_of(flat, int(taps.rows[taps.starts[n]]), components)
-                _put_value(flat_results, n * components, components, a, b, c, d)
+                put_value(flat_results, n * components, components, a, b, c, d)
                 continue
             a, b, c, d, total = _sum_any(taps, n, flat, components)
             inverse = 1.0 / total if total > 0.0 else 0.0
             a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
-            _put_value(flat_results, n * components, components, a, b, c, d)
+            put_value(flat_results, n * components, components, a, b, c, d)
 
 
 @inlined
@@ -303,6 +304,49 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
         taps.weights[at] *= parts[at]
         for axis in range(3 if taps.slopes.shape[0] > 0 else 0):
             taps.slopes[at, axis] *= parts[at]
+
+
+class Listed(NamedTuple):
+    """The taps of points, one point's after another's.
+
+    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
+    the kept table, then those of the split table.
+    """
+
+    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
+    rows: Uint32s | Int64s  # (taps,)
+    weights: Float32s  # (taps,)   1 in sum for each point
+    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
+    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
+
+
+_NO_TAPS = Listed(
+    np.zeros(1, np.int64),
+    np.empty(0, np.uint32),
+    np.empty(0, np.float32),
+    np.empty((0, 3), np.float32),
+    np.empty(0, np.float32),
+)
+
+
+def listed(taps: Taps, scale: float) -> Listed:
+    """List taps, with weights that sum to 1 for each point and slopes times ``scale``."""
+    room = int((taps.ends - taps.starts).sum()) + 1
+    starts, rows = np.empty(taps.starts.size + 1, np.int64), np.empty(room, np.uint32)
+    weights = np.empty(room, np.float32)
+    slopes = np.empty((room if len(taps.slopes) else 0, 3), np.float32)
+    list_taps(taps, scale, starts, rows, weights, slopes)
+    end = starts[-1]
+    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
+
+
+def joined(lists: Sequence[Listed]) -> Listed:
+    """Join the taps of points, one list's after another's."""
+    if len(lists) == 1:
+        return lists[0]
+    parts = [(np.diff(each.starts), *each[1:]) for each in (_NO_TAPS, *lists)]
+    counts, *columns = map(np.concatenate, zip(*parts, strict=True))
+    return Listed(np.cumsum(np.append(0, counts)), *columns)
 
 
 @kernel

@@ -21,23 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
+from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Int32s, Int64s, Uint32s
 from octex.field.neighborhood import Way, taps_around
 from octex.field.splines import QUADRATIC
 from octex.field.taps import LEAST, Taps, new_taps
 from octex.field.tiles import Integer
-from octex.field.values import Codes
+from octex.field.values import Codes, Flat, flat_of, put_value, value_of
 from octex.field.windows import MOST_TAPS, Walk
-from octex.jit import (
-    decoded,
-    fused_kernel,
-    inlined,
-    popcount,
-    prefetch,
-    refine_rows,
-    trailing_zeros,
-    weighted_cube,
-)
+from octex.jit import fused_kernel, inlined, popcount, prefetch, refine_rows, trailing_zeros, weighted_cube
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree
@@ -69,15 +60,11 @@ class Tree(NamedTuple):
 
 
 class Values(NamedTuple):
-    """A channel that is decoded, and alpha, which it weighs by; if there is none, that has no rows."""
+    """A channel that is decoded, and alpha, which it weighs by; if there is none, that is empty."""
 
-    codes: Codes
-    alpha: Codes
-
-    @classmethod
-    def of(cls, codes: Codes, alpha: Codes | None) -> Values:
-        """Return both."""
-        return cls(codes, codes._replace(values=codes.values[:0]) if alpha is None else alpha)
+    codes: Flat
+    alpha: Flat
+    components: int
 
 
 class Bricks(NamedTuple):
@@ -121,38 +108,21 @@ def new_bricks() -> Bricks:
 
 
 @inlined
-def _decoded_four(
-    stored: ChannelValues, table: Floats, row: int
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the decoded components of a row, and zeros after them."""
-    components = stored.shape[1]
-    at = np.uint64(row)
-    a = np.float32(decoded(table, stored[at, 0]))
-    b = c = d = np.float32(0.0)
-    if components > 1:
-        b = np.float32(decoded(table, stored[at, 1]))
-    if components > 2:
-        c = np.float32(decoded(table, stored[at, 2]))
-    if components > 3:
-        d = np.float32(decoded(table, stored[at, 3]))
-    return a, b, c, d
-
-
-@inlined
-def value_of(values: Values, row: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+def _covered_value(
+    values: Values, row: int
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the components of a row times its alpha, and that."""
-    codes, alpha = values.codes, values.alpha
-    n_cells = codes.values.shape[0]
+    a, b, c, d = value_of(values.codes, row, values.components)
     covered = np.float32(1.0)
-    if row < n_cells:
-        a, b, c, d = _decoded_four(codes.values, codes.table, row)
-        if alpha.values.shape[0] > 0:
-            covered = np.float32(decoded(alpha.table, alpha.values[np.uint64(row), 0]))
-    else:
-        a, b, c, d = _decoded_four(codes.kept_values, codes.table, row - n_cells)
-        if alpha.values.shape[0] > 0:
-            covered = np.float32(decoded(alpha.table, alpha.kept_values[np.uint64(row - n_cells), 0]))
-    return covered * a, covered * b, covered * c, covered * d, covered
+    if values.alpha.values.size > 0:
+        covered = np.float32(value_of(values.alpha, row, 1)[0])
+    return (
+        covered * np.float32(a),
+        covered * np.float32(b),
+        covered * np.float32(c),
+        covered * np.float32(d),
+        covered,
+    )
 
 
 @inlined
@@ -161,7 +131,7 @@ def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int,
     rows, one = bricks.rows, np.uint64(1)
     a = b = c = d = covered = np.float32(0.0)
     if row >= 0:
-        a, b, c, d, covered = value_of(values, row)
+        a, b, c, d, covered = _covered_value(values, row)
     else:
         weight = covered
     first = np.uint64(4 * at)
@@ -197,13 +167,13 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 
 
 @inlined
-def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, side: int) -> bool:
+def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int) -> bool:
     """List the coefficients below the nodes of a block, and which children of these are nodes.
 
     Returns False if there is any such after the last step.
     """
     arrays, over, inner, stop = tree.arrays, bricks.over, bricks.inner, step == 3
-    groups = arrays.groups
+    groups, side = arrays.groups, (0, 3, 4, 6)[step]
     n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
     to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
     below, n_cells = 2 * side - 2, arrays.flags.size
@@ -235,9 +205,10 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, 
             lower = (left & (~left + one)) - one
             left &= left - one
             number, is_kept = first_node + popcount(nodes & lower), 0
+            a, b, c = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
             if tree.kept_cells.size > 0:
                 row = min(first_cell + popcount(stored & lower), n_cells - 1)
-                at = _child_place(x, y, z, octant, below)
+                at = a + below * (b + below * c)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
                     is_kept = 1
                     over[to_over] = keeps | at << 1 | kept_row(tree, row) + 1 << 16
@@ -245,7 +216,6 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, 
                 elif keeps:  # else zeros are there
                     over[to_over] = at << 1
                     to_over += one
-            a, b, c = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
             inner[to_inner] = is_kept | a << 1 | b << 5 | c << 9 | number << 16
             to_inner += one
     bricks.n_over[step] = np.int64(to_over) - 1000 * step
@@ -254,30 +224,26 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int, 
 
 
 @inlined
-def look_below(tree: Tree, values: ChannelValues, bricks: Bricks) -> int:
-    """List what is in the blocks of a brick; return the first without nodes, or −1 if none is."""
+def list_blocks(tree: Tree, values: ChannelValues, bricks: Bricks, corner: int) -> int:
+    """List what is in the blocks of the brick whose 3³ cells are those from one of a 4³ on.
+
+    Returns the first block without nodes, or −1 if there is none.
+    """
+    count = 0
+    for place in range(27):
+        x, y, z = place % 3, place // 3 % 3, place // 9
+        at = np.uint64(corner + x + 4 * (y + 4 * z))
+        node = bricks.nodes[at]
+        if node >= 0:
+            bricks.inner[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
+            count += 1
+    bricks.n_inner[0] = count
     for step in range(1, 4):
         if bricks.n_inner[step - 1] == 0:
             return step - 1
-        side = (0, 3, 4, 6)[step]
-        if not list_children(tree, values, bricks, step, side):
+        if not list_children(tree, values, bricks, step):
             return -1
     return 3
-
-
-@inlined
-def list_around(bricks: Bricks, corner: int) -> None:
-    """List the nodes of the 3³ cells from one of a 4³ on."""
-    count = 0
-    for z in range(3):
-        for y in range(3):
-            for x in range(3):
-                at = np.uint64(corner + x + 4 * (y + 4 * z))
-                node = bricks.nodes[at]
-                if node >= 0:
-                    bricks.inner[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
-                    count += 1
-    bricks.n_inner[0] = count
 
 
 @inlined
@@ -366,18 +332,11 @@ def decode(
 @inlined
 def enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
     """Write the root's block: it is the second cell along each axis, the others have nothing."""
-    middle, arrays = 1 + 4 * (1 + 4), tree.arrays
-    for at in range(64):
-        bricks.nodes[at] = -1
-        _write_value(values, bricks, at, -1, planes, np.float32(1.0))
-    row = -1
-    if arrays.groups.shape[0] == 0:
-        row = 0
-    else:
+    middle, row = 1 + 4 * (1 + 4), 0
+    if tree.arrays.groups.shape[0] > 0:
         bricks.nodes[middle] = 0
-        bricks.keeps[middle] = tree.kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
-        if bricks.keeps[middle]:
-            row = kept_row(tree, 0)
+        bricks.keeps[middle] = tree.kept_cells.size > 0 and tree.arrays.flags[0] & KEPT != 0
+        row = kept_row(tree, 0) if bricks.keeps[middle] else -1
     bricks.has[0] = row >= 0
     if row >= 0:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))
@@ -392,7 +351,8 @@ class Asked(NamedTuple):
 
     places: Float64s  # (n, 3)   in texture space
     order: Order  # of the places
-    results: Float32s  # (n, components)   the mean of the channel
+    results: Float32s  # (n · components,)   the mean of the channel
+    components: int
     missed: Int32s  # (n,)   points that are not answered
 
 
@@ -404,20 +364,12 @@ def _answer(
 
     Returns how many points are missed then.
     """
-    results = asked.results
     inverse = 1.0 / total
     a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
     if not (total >= LEAST and abs(a) + abs(b) + abs(c) + abs(d) < np.inf):
         asked.missed[n_missed] = n
         return n_missed + 1
-    components = results.shape[1]
-    results[n, 0] = a
-    if components > 1:
-        results[n, 1] = b
-    if components > 2:
-        results[n, 2] = c
-    if components > 3:
-        results[n, 3] = d
+    put_value(asked.results, int(n) * asked.components, asked.components, a, b, c, d)
     return n_missed
 
 
@@ -429,7 +381,7 @@ def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int,
     sum_a = sum_b = sum_c = sum_d = total = 0.0
     for tap in range(end):
         share = np.float64(found.weights[np.uint64(tap)])
-        a, b, c, d, covered = value_of(values, int(found.rows[np.uint64(tap)]))
+        a, b, c, d, covered = _covered_value(values, int(found.rows[np.uint64(tap)]))
         sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
         sum_d, total = sum_d + share * d, total + share * covered
     return _answer(asked, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
@@ -463,7 +415,7 @@ def _blend_brick(
     for m in range(begin, end):
         ahead = int(numbers[min(m + AHEAD, numbers.size - 1)])
         prefetch(places, ahead)
-        prefetch(asked.results, ahead)
+        prefetch(asked.results, ahead * asked.components)
         n = np.uint64(numbers[m])
         x = (places[n, 0] + 1.0 - 1.0) * cells
         y = (places[n, 1] + 1.0 - 1.0) * cells
@@ -482,29 +434,24 @@ def _blend_brick(
 
 
 @fused_kernel
-def look_up_crowded(
-    tree: Tree,
-    values: Values,
-    asked: Asked,
-    bricks: Bricks,
-    walk: Walk,
-) -> int:
-    """Look up all that is asked; return how many points are missed.
+def look_up_crowded(tree: Tree, codes: Codes, alpha: Codes, asked: Asked, bricks: Bricks, walk: Walk) -> int:
+    """Look up a channel, which weighs by alpha unless that has no rows; return how many points are missed.
 
-    These lie off the surface, or nearly, or where alpha is zero.
+    These lie off the surface, or nearly, or where alpha is zero. ``bricks`` and ``walk`` are new.
     """
     ends, split, order = bricks.ends, bricks.split, asked.order
-    codes, numbers = order.codes, order.numbers
+    places, numbers = order.codes, order.numbers
+    values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])
     planes, few = 1, _FEW_KEPT if tree.kept_cells.size > 0 else _FEW
-    if values.codes.values.shape[1] > 3 or (values.alpha.values.shape[0] > 0 and tree.kept_cells.size > 0):
+    if values.components > 3 or (values.alpha.values.size > 0 and tree.kept_cells.size > 0):
         planes = 2
     enter(tree, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
-    ends[0], split[0] = codes.size, False
+    ends[0], split[0] = places.size, False
     way = Way(tree.arrays, tree.kept_cells, walk, QUADRATIC, 2, 1, False)
     found = new_taps(1, MOST_TAPS, False)
     path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
-    while begin < codes.size:
+    while begin < places.size:
         while begin >= ends[level]:
             level -= 1
         end = ends[level]
@@ -513,8 +460,7 @@ def look_up_crowded(
             is_done = end - begin <= few
             if not is_done:
                 corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
-                list_around(bricks, corner)
-                last = look_below(tree, values.codes.values, bricks)
+                last = list_blocks(tree, codes.values, bricks, corner)
                 has, source, stride = bricks.has[level], corner, 4
                 first = 64 * (level + 1)
                 for step in range(1, max(last, 1) + 1):
@@ -544,8 +490,8 @@ def look_up_crowded(
             split[level] = True
         level += 1
         shift = 3 * (MAX_DEPTH - level)
-        ends[level], split[level] = end_of_cell(codes, begin, end, shift), False
-        octant = codes[begin] >> shift & 7
+        ends[level], split[level] = end_of_cell(places, begin, end, shift), False
+        octant = places[begin] >> shift & 7
         path[level, 0], path[level, 1] = 2 * i + (octant & 1), 2 * j + (octant >> 1 & 1)
         path[level, 2], path[level, 3] = 2 * k + (octant >> 2), octant
     return n_missed

@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 from threading import RLock
-from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s, bit_counts
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
-from octex.field.blend import list_taps
+from octex.field.blend import Listed, joined, listed
 from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
-from octex.field.sources import Batch, find_taps
+from octex.field.sources import find_taps
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
     MOST_TILED,
     OFF,
     Ahead,
+    Batch,
     Taps,
     hold_outside,
     new_taps,
@@ -42,20 +42,6 @@ _NONE = np.empty(0, np.uint8)
 _NOTHING: Uint8s = np.empty((1, 1), np.uint8)
 _NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
 _NO_FACINGS = Facings(_NONE, np.empty(0, np.uint32), np.empty(0, np.uint32))
-
-
-class Listed(NamedTuple):
-    """The taps of points, one point's after another's.
-
-    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
-    the kept table.
-    """
-
-    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
-    rows: Uint32s  # (taps,)
-    weights: Float32s  # (taps,)   none negative, 1 in sum for each point
-    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
-    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
 
 
 class NotFiniteError(ValueError):
@@ -176,18 +162,7 @@ class Field:
 
         Raises NotFiniteError.
         """
-        found = list(self.batches(points, placement, filter, gradient=gradient))
-        if len(found) == 1:
-            return found[0]
-        ends = np.cumsum([0, *(taps.rows.size for taps in found)])
-        starts = [taps.starts[:-1] + end for taps, end in zip(found, ends, strict=False)]
-        return Listed(
-            np.concatenate([*starts, ends[-1:]]),
-            np.concatenate([np.empty(0, np.uint32), *(taps.rows for taps in found)]),
-            np.concatenate([np.empty(0, np.float32), *(taps.weights for taps in found)]),
-            np.concatenate([np.empty((0, 3), np.float32), *(taps.slopes for taps in found)]),
-            np.concatenate([np.empty(0, np.float32), *(taps.covers for taps in found)]),
-        )
+        return joined(list(self.batches(points, placement, filter, gradient=gradient)))
 
     def batches(
         self,
@@ -198,18 +173,9 @@ class Field:
         normals: Float32s | None = None,
         gradient: bool = False,
     ) -> Iterator[Listed]:
-        """Yield the taps of consecutive runs of rest positions. See ``taps`` and ``runs``."""
+        """Yield the taps of consecutive runs of rest positions. See ``runs``."""
         for taps in self.runs(points, placement, filter, normals=normals, gradient=gradient):
-            n, room = taps.starts.size, int((taps.ends - taps.starts).sum()) + 1
-            starts, rows, weights = (
-                np.empty(n + 1, np.int64),
-                np.empty(room, np.uint32),
-                np.empty(room, np.float32),
-            )
-            slopes = np.empty((room if gradient else 0, 3), np.float32)
-            list_taps(taps, 1.0 / placement.size, starts, rows, weights, slopes)
-            end = starts[-1]
-            yield Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
+            yield listed(taps, 1.0 / placement.size)
 
     def runs(
         self,

@@ -33,7 +33,7 @@ _SHORTEST, _LONGEST = 1e-150, 1e150
 #: What is longer than so many root cells is cut off.
 _ROOTS = 4.0
 #: Least and largest widths that have a level of their own, in root cells.
-_NARROWEST, _WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
+_NARROWEST, WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
 #: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
 #: error, and one look does for widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
@@ -63,11 +63,6 @@ class Probes(NamedTuple):
     owners: Int32s  # (m,)   whose looks these are
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
     slopes: Float32s = NO_SLOPES  # (m, 3)   derivatives of the shares in texture space; (0, 3) if not wanted
-
-    def of(self, rows: Int64s) -> Probes:
-        """Return some of them."""
-        slopes = self.slopes[rows] if self.slopes.size else self.slopes
-        return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
 
 
 #: What all footprints that are as wide as long have in common.
@@ -186,17 +181,21 @@ def _write_look(
     return at + 1
 
 
+@inlined
+def level_of(width: float, size: float, depth: int, finer: float) -> np.float32:
+    """Return the level, 0 … depth and between, at which looks of a width are made."""
+    width = min(max(width, size * _NARROWEST), size * WIDEST)
+    level = np.log2(np.float32(size / width)) + np.float32(finer)
+    whole = np.floor(level)
+    part = (level - whole - np.float32(WHOLE)) / np.float32(1.0 - 2.0 * WHOLE)
+    level = whole + min(max(part, np.float32(0.0)), np.float32(1.0))
+    return min(max(level, np.float32(0.0)), np.float32(depth))
+
+
 @kernel
 def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: Float32s) -> None:
-    """Say at which level, 0 … depth and between, looks of some widths are made."""
-    least, most = size * _NARROWEST, size * _WIDEST
     for n in range(widths.size):
-        width = min(max(widths[n], least), most)
-        level = np.log2(np.float32(size / width)) + np.float32(finer)
-        whole = np.floor(level)
-        part = (level - whole - np.float32(WHOLE)) / np.float32(1.0 - 2.0 * WHOLE)
-        level = whole + min(max(part, np.float32(0.0)), np.float32(1.0))
-        levels[n] = min(max(level, np.float32(0.0)), np.float32(depth))
+        levels[n] = level_of(widths[n], size, depth, finer)
 
 
 @inlined

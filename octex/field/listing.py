@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint32s
-from octex.field.blend import list_taps
+from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
+from octex.field.blend import Listed, joined, listed
 from octex.field.field import Field, NotFiniteError
-from octex.field.footprints import NO_SLOPES, Probes
-from octex.field.lookups import ChannelRows, Lookup, Query, pass_on
-from octex.field.taps import BLOCK, Taps, place_points
+from octex.field.footprints import NO_SLOPES
+from octex.field.lookups import ChannelRows, Lookup, Query
+from octex.field.taps import Taps, place_points
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
-_NO_ROWS = np.empty(0, np.uint32)
+_NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
 
 
 class TapList(NamedTuple):
@@ -39,12 +39,10 @@ def list_blends(
     query: Query,
     channel: ChannelRows,
     alpha: ChannelRows | None,
-) -> TapList:
+) -> Listed:
     """List what `lookups.look_up` blends of a channel. Raises NotFiniteError."""
     task = _Listing(field, placement, query, [channel], alpha, [], [])
-    if query.footprints is None:
-        return task.leaves_listed(points)
-    return task.footprints_listed(points)
+    return task.leaves_listed(points) if query.footprints is None else task.footprints_listed(points)
 
 
 class Reads(NamedTuple):
@@ -75,31 +73,24 @@ def reads_of(
 class _Listing(Lookup):
     """Lookups of one channel."""
 
-    def leaves_listed(self, points: Floats) -> TapList:
-        """List the blends of leaves."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-        for some, taps in self.each_block(points):
+    def leaves_listed(self, points: Floats) -> Listed:
+        found = []
+        for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
-            room = int((taps.ends - taps.starts).sum()) + 1
-            starts, found = np.empty(len(points[some]) + 1, np.int64), np.empty(room, np.uint32)
-            shares = np.empty(room, np.float32)
-            list_taps(taps, 1.0, starts, found, shares, NO_SLOPES)
-            counts.append(np.diff(starts))
-            rows.append(found[: starts[-1]])
-            weights.append(shares[: starts[-1]])
-        return _join_parts(counts, rows, weights)
+            found.append(listed(taps, 1.0))
+        return joined(found)
 
-    def footprints_listed(self, points: Floats) -> TapList:
+    def footprints_listed(self, points: Floats) -> Listed:
         """List the blends of footprints: looks at all levels, added up."""
-        counts, rows, weights = [np.zeros(1, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        found = []
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
-            for _, taps, owner_of, shares in self._looks(run, by_level):
+            for _, looks, taps in self.each_look(run, by_level):
                 self._weigh_all(taps, always=True)
                 look, at = _each_tap(taps)
-                keys.append(owner_of[look].astype(np.int64) << 32 | taps.rows[at])
-                parts.append(taps.weights[at].astype(np.float64) * shares[look])
+                keys.append(looks.owners[look].astype(np.int64) << 32 | taps.rows[at])
+                parts.append(taps.weights[at].astype(np.float64) * looks.shares[look])
             key, which = np.unique(np.concatenate(keys), return_inverse=True)
             part = np.bincount(which, np.concatenate(parts), key.size)
             owner, row = key >> 32, key & 0xFFFFFFFF
@@ -117,23 +108,17 @@ class _Listing(Lookup):
                 order = np.argsort(owner, kind="stable")
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
-            counts.append(np.bincount(owner, minlength=n_points))
-            rows.append(row)
-            weights.append(part.astype(np.float32))
-        return _join_parts(counts, rows, weights)
+            starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
+            found.append(Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS))
+        return joined(found)
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List what is read at each level."""
         depth = self._field.depth
-        found: dict[int, list[Reads]] = {}
         if self._query.footprints is None:
-            for _, taps in self.each_block(points):
-                found.setdefault(depth, []).append(self._read(taps, depth))
-        else:
-            for run, by_level in self.each_run(points):
-                for level, taps, _, _ in self._looks(run, by_level):
-                    found.setdefault(level, []).append(self._read(taps, level))
-        return joined_reads(found)
+            return joined_reads({depth: self._read(taps, depth)} for _, taps in self.each_block(points))
+        looks = (each for run in self.each_run(points) for each in self.each_look(*run))
+        return joined_reads({level: self._read(taps, level)} for level, _, taps in looks)
 
     def cells(self, points: Floats) -> dict[int, Reads]:
         """List the cells that hold points that are looked at, at each level, whatever is stored."""
@@ -144,34 +129,18 @@ class _Listing(Lookup):
             raise NotFiniteError(fault)
         if self._query.footprints is None:
             return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}
-        found: dict[int, list[Reads]] = {}
+        found = []
         for _, by_level in self.each_run(points):
             for level, looks in by_level.items():
                 places = np.empty((len(looks.points), 3))
                 place_points(Positions.of(looks.points), *self._placement, places)
-                found.setdefault(level, []).append(Reads(_NO_ROWS, _cells_at(places, level)))
+                found.append({level: Reads(_NO_ROWS, _cells_at(places, level))})
         return joined_reads(found)
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return what the taps of the latest block of points read, and which cells hold these."""
         places = self._places[: taps.starts.size]
         return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
-
-    def _looks(self, run: slice, by_level: dict[int, Probes]) -> Iterator[tuple[int, Taps, Int32s, Float32s]]:
-        """Yield the level, the taps, the owners and the shares of the looks of a run, in blocks."""
-        normals = None if self._query.normals is None else self._query.normals[run]
-        for level in range(self._field.depth + 1):
-            if level not in by_level:
-                continue
-            looks = by_level[level]
-            here, owners = self._field.level(level), looks.owners
-            left = np.zeros(len(looks.points) if self.weighing(here).mixed.size else 0, np.float32)
-            for begin in range(0, len(looks.points), BLOCK):
-                some = slice(begin, begin + BLOCK)
-                facing = None if normals is None else normals[owners[some]]
-                taps, _ = self.weighed_taps(here, looks.points[some], facing, (left[some], NO_SLOPES))
-                yield level, taps, owners[some], looks.shares[some]
-            pass_on(by_level, level, looks, left)
 
     def _weigh_all(self, taps: Taps, *, always: bool) -> None:
         """Let taps weigh as the channel's do."""
@@ -185,14 +154,18 @@ def _cells_at(places: Float64s, level: int) -> Int64s:
     return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
 
 
-def joined_reads(found: dict[int, list[Reads]]) -> dict[int, Reads]:
-    """Join what several blocks of points read, by level."""
+def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
+    """Join what several blocks of points, or lookups of several channels, read by level."""
+    by_level: dict[int, list[Reads]] = {}
+    for levels in found:
+        for level, read in levels.items():
+            by_level.setdefault(level, []).append(read)
     return {
         level: Reads(
             distinct(np.concatenate([each.rows for each in parts])).astype(np.uint32),
             distinct(np.concatenate([each.cells for each in parts])),
         )
-        for level, parts in found.items()
+        for level, parts in by_level.items()
     }
 
 
@@ -202,22 +175,3 @@ def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
     points = np.repeat(np.arange(counts.size), counts)
     before = np.cumsum(counts) - counts
     return points, np.arange(points.size) + (taps.starts - before)[points]
-
-
-def _join_parts(
-    counts: Sequence[Int64s], rows: Sequence[Uint32s] | Sequence[Int64s], weights: Sequence[Float32s]
-) -> TapList:
-    """Join the taps of runs of points, of which so many are each point's."""
-    return TapList(
-        np.cumsum(np.concatenate(counts)), np.concatenate(rows).astype(np.int64), np.concatenate(weights)
-    )
-
-
-def joined(lists: Sequence[TapList]) -> TapList:
-    """Join the taps of points, one list's after another's."""
-    if len(lists) == 1:
-        return lists[0]
-    none = np.zeros(1, np.int64), np.empty(0, np.int64), np.empty(0, np.float32)
-    _, *more = zip(none, *lists, strict=True)
-    counts = [none[0], *(np.diff(each.starts) for each in lists)]
-    return _join_parts(counts, *more)

@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
-from octex.field.bricks import Asked, Values, look_up_crowded, new_bricks
+from octex.field.bricks import Asked, look_up_crowded, new_bricks
 from octex.field.field import Field, Finder, NotFiniteError, weighed
 from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
@@ -35,7 +35,6 @@ _NO_TABLE = np.empty(0, np.float32)
 _NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_BYTES = np.empty(0, np.uint8)
 _NO_DOUBLES = np.empty((0, 3))
-_NO_NUMBERS = np.empty(0, np.int64)
 _NO_SHARES = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
     np.empty(0, np.int32),
@@ -203,10 +202,12 @@ class Lookup:
 
     def at(self, points: Floats) -> None:
         """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
-        if self.is_tiled:
-            self.tiled(points)
-        else:
+        if not self.is_tiled:
             self.untiled(points)
+            return
+        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
+        if rim.size:
+            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
     def untiled(self, points: Floats) -> None:
         """Look up the leaves without tiles."""
@@ -218,23 +219,19 @@ class Lookup:
     def sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in the order of space."""
         (channel,), (results,) = self._channels, self._answers
-        alpha = None if channel.is_alpha or self._alpha is None else self._alpha.codes
+        alpha = channel.codes._replace(values=channel.codes.values[:0])
+        if self._alpha is not None and not channel.is_alpha:
+            alpha = self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
         fault = place_points(_positions(points), *self._placement, places)
         if fault >= 0:
             raise NotFiniteError(fault)
-        asked = Asked(places, order_of(places), results, missed)
-        values = Values.of(channel.codes, alpha)
-        n_missed = look_up_crowded(self._field.mixed, values, asked, new_bricks(), new_walk())
+        asked = Asked(places, order_of(places), results.reshape(-1), results.shape[1], missed)
+        task = self._field.mixed, channel.codes, alpha, asked, new_bricks(), new_walk()
+        n_missed = look_up_crowded(*task)
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
-
-    def tiled(self, points: Floats) -> None:
-        """Look up the leaves by tiles."""
-        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
-        if rim.size:
-            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
     def _by_tiles(
         self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
@@ -348,19 +345,9 @@ class Lookup:
             if gradient:
                 for level, looks in by_level.items():
                     by_level[level] = looks._replace(slopes=np.zeros((looks.shares.size, 3), np.float32))
-            normals = None if self._query.normals is None else self._query.normals[run]
-            for level in range(self._field.depth + 1):
-                if level in by_level:
-                    here, looks = self._field.level(level), by_level[level]
-                    count = len(looks.points) if self.weighing(here).mixed.size else 0
-                    left = np.zeros(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
-                    rim: Int64s | None = None
-                    if is_added and here.tiles_for(QUADRATIC) is not None:
-                        own = Additions(looks.owners, looks.shares, left[0], sums[0])
-                        rim = self._by_tiles(here, looks.points, own, normals)
-                    if rim is None or rim.size:
-                        self._add_by_taps(here, looks, rim, normals, sums, left)
-                    pass_on(by_level, level, looks, *left)
+            for _, looks, taps in self.each_look(run, by_level, sums[0] if is_added else None):
+                for number, used, codes in self.each_weighed(taps, False, always=True):
+                    add_up(used, codes, False, looks.owners, looks.shares, looks.slopes, sums[number])
             bare = np.zeros(n_points, np.bool_)
             for number, channel in enumerate(self._channels):
                 gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -372,27 +359,36 @@ class Lookup:
                 rows = run.start + np.flatnonzero(bare)
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
 
-    def _add_by_taps(
-        self,
-        here: Field,
-        looks: Probes,
-        which: Int64s | None,
-        normals: Float32s | None,
-        sums: Sequence[Sums],
-        left: Left,
-    ) -> None:
-        """Add looks at a level up, or some of them, in any tree."""
-        for begin in range(0, len(looks.points) if which is None else which.size, BLOCK):
-            run = slice(begin, begin + BLOCK)
-            rows = run if which is None else which[run]
-            owners, slopes = looks.owners[rows], looks.slopes[rows] if self._gradients else looks.slopes
-            facing = None if normals is None else normals[owners]
-            parts = left[0][rows] if left[0].size else left[0], left[1][rows] if left[1].size else left[1]
-            taps, _ = self.weighed_taps(here, looks.points[rows], facing, parts)
-            for number, used, codes in self.each_weighed(taps, False, always=True):
-                add_up(used, codes, False, owners, looks.shares[rows], slopes, sums[number])
-            if which is not None and left[0].size:
-                left[0][rows] = parts[0]
+    def each_look(
+        self, run: slice, by_level: dict[int, Probes], sums: Sums | None = None
+    ) -> Iterator[tuple[int, Probes, Taps]]:
+        """Yield the looks of a run, level by level and a block after another, and their taps, weighed.
+
+        With ``sums`` what tiles can look up is added to them instead.
+        """
+        normals = None if self._query.normals is None else self._query.normals[run]
+        for level in range(self._field.depth + 1):
+            if level not in by_level:
+                continue
+            here, looks = self._field.level(level), by_level[level]
+            count = len(looks.points) if self.weighing(here).mixed.size else 0
+            left = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
+            rim: Int64s | None = None
+            if sums is not None and here.tiles_for(QUADRATIC) is not None:
+                own = Additions(looks.owners, looks.shares, left[0], sums)
+                rim = self._by_tiles(here, looks.points, own, normals)
+            for begin in range(0, len(looks.points) if rim is None else rim.size, BLOCK):
+                block = slice(begin, begin + BLOCK)
+                rows = block if rim is None else rim[block]
+                slopes = looks.slopes[rows] if looks.slopes.size else looks.slopes
+                some = Probes(looks.points[rows], looks.owners[rows], looks.shares[rows], slopes)
+                facing = None if normals is None else normals[some.owners]
+                parts = left[0][rows] if count else left[0], left[1][rows] if left[1].size else left[1]
+                taps, _ = self.weighed_taps(here, some.points, facing, parts)
+                if rim is not None and count:
+                    left[0][rows] = parts[0]
+                yield level, some, taps
+            pass_on(by_level, level, looks, *left)
 
     def _look_again(
         self,

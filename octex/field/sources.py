@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, Uint16s, Uint32s, Uint64s
+from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
 from octex.field.splines import (
     LINEAR,
     NEAREST,
@@ -20,83 +20,24 @@ from octex.field.splines import (
     quartic_weights,
     single_quadratic_weights,
 )
-from octex.field.taps import LEAST, OFF, Ahead, Taps, ask_for, scale_off
-from octex.field.tiles import GROUP, Near, Tiles, code_in_tile, find_tiles, is_marked, new_near, tile_key
-from octex.jit import (
-    fused_kernel,
-    fused_part,
-    inlined,
-    kernel,
-    part,
-    popcount,
-    prefetch,
-    trailing_zeros,
+from octex.field.taps import OFF, Ahead, Batch, Taps, ask_for, finish, scale_off
+from octex.field.tiles import (
+    GROUP,
+    Near,
+    Tiles,
+    code_in_tile,
+    find_tiles,
+    is_marked,
+    look_in,
+    nearest_rows,
+    new_near,
+    rounded_cell,
+    tile_key,
 )
-from octex.tree.layout import GRID_BITS
-from octex.tree.morton import encode
-from octex.tree.search import UNITS
-
-
-class Batch(NamedTuple):
-    """Points whose taps are sought by tiles, and lists of those that these do not answer."""
-
-    places: Float64s  # (n, 3)   in texture space
-    which: Int64s  # (n,)   the points' numbers among the taps
-    last: int  # the largest number of a cell
-    empty: Int64s  # (n,)   takes points without any cell around them
-    rim: Int64s  # (n,)   takes points for the walk: their weights are too small, or other levels count there
-    ahead: Ahead  # what is asked for of the cells
-
-
-@inlined
-def rounded_cell(x: float, depth: int) -> np.int32:
-    """Find the cell that holds a coordinate 0 … 1, rounded as the vertices of surfaces are."""
-    cell = np.int32(x * (1 << GRID_BITS) + 0.5) >> np.int32(GRID_BITS - depth)
-    return min(cell, np.int32((1 << depth) - 1))
-
-
-@inlined
-def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
-    """Return the number that a cell of an octant has if it is stored, and whether it is."""
-    bit = np.uint64(code & 63)
-    mask = tiles.masks[np.uint64(octant)]
-    below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-    number = np.int64(tiles.firsts[np.uint64(octant)]) + popcount(below)
-    return int(number), (mask >> bit) & np.uint64(1) != np.uint64(0)
-
-
-@inlined
-def _place_nearest(places: Float64s, begin: int, count: int, depth: int, near: Near, codes: Int32s) -> None:
-    """Find each point's tile, and the code of its cell there."""
-    three, seven = np.int32(3), np.int32(7)
-    for n in range(count):
-        at = np.uint64(3 * (begin + n))
-        x, y, z = places[at], places[at + np.uint64(1)], places[at + np.uint64(2)]
-        i, j, k = rounded_cell(x, depth), rounded_cell(y, depth), rounded_cell(z, depth)
-        near.keys[np.uint64(n)] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
-        codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
-
-
-@fused_part
-def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
-    """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
-    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
-    near, codes = new_near(), np.zeros(GROUP, np.int32)
-    flat = places.reshape(-1)
-    n_empty = 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
-        _place_nearest(flat, begin, count, tiles.depth, near, codes)
-        find_tiles(tiles, near, count)
-        for n in range(count):
-            code = np.int64(codes[np.uint64(n)])
-            octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
-            cell, is_stored = look_in(tiles, int(octant), int(code))
-            ask_for(ahead, int(cell))
-            found[np.uint64(begin + n)] = min(cell, last)
-            empty[np.uint64(n_empty)] = begin + n
-            n_empty += not is_stored
-    return n_empty
+from octex.field.windows import INSIDE, PLACES
+from octex.jit import fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.tree.layout import MAX_DEPTH
+from octex.tree.search import UNITS, nearer_box
 
 
 @inlined
@@ -152,28 +93,6 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
             end += 1
 
 
-@inlined
-def _finish(
-    batch: Batch, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
-) -> tuple[int, int, int]:
-    """Note where the taps of a point are; one that has none, or too small ones, is listed instead.
-
-    Returns the end of the taps, and how many points are listed.
-    """
-    point = batch.which[np.uint64(n)]
-    at = np.uint64(point)
-    if not total >= LEAST:
-        taps.starts[at] = taps.ends[at] = start
-        if end == start:
-            batch.empty[np.uint64(n_empty)] = point
-            return end, n_empty + 1, n_rim
-        batch.rim[np.uint64(n_rim)] = point
-        return start, n_empty, n_rim + 1
-    taps.starts[at], taps.ends[at] = start, end
-    taps.covers[at] = total
-    return end, n_empty, n_rim
-
-
 @fused_kernel
 def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of trilinear interpolation. See `find_taps`."""
@@ -215,7 +134,7 @@ def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int,
                 ask_for(ahead, int(taps.rows[np.uint64(tap)]))
             if gradient:
                 _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
-            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
+            end, n_empty, n_rim = finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
         for n in range(count if tiles.marks.size > 0 else 0):
             at = np.uint64(which[np.uint64(begin + n)])
             if taps.ends[at] > taps.starts[at] and is_marked(tiles, int(taps.rows[taps.starts[at]])):
@@ -230,28 +149,21 @@ class Tables(NamedTuple):
 
     masks: Uint64s  # (8 · words,)   which cells; bit child & 63 of word child >> 6, child = 8 · node + octant
     #: (2 · 8 · children,) where in `Group.along` a child's weight along x is for the first point of a group,
-    #: and that along y and z.
+    #: and that along y and z
     places: Uint16s
 
 
-def _tabulate(reach: int) -> Tables:
-    """Tabulate windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
-    side, nodes = 2 * reach + 1, reach + 1
-    children = 8 * nodes**3
-    masks = np.zeros((8, -(-children // 64)), np.uint64)
-    places = np.zeros((8, children, 2), np.uint16)
-    for parity in range(8):
-        for child in range(children):
-            node, octant = child >> 3, child & 7
-            corner = node % nodes, node // nodes % nodes, node // nodes**2
-            x, y, z = (2 * corner[axis] + (octant >> axis & 1) - (parity >> axis & 1) for axis in range(3))
-            if min(x, y, z) >= 0 and max(x, y, z) < side:
-                masks[parity, child >> 6] |= np.uint64(1 << (child & 63))
-                places[parity, child] = GROUP * x, GROUP * (side + side * y + z)
-    return Tables(masks.reshape(-1), places.reshape(-1))
+def _tables(reach: int) -> Tables:
+    """Return the tables of windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
+    side, children = 2 * reach + 1, 8 * (reach + 1) ** 3
+    place = PLACES[reach - 1, :, :children].astype(np.uint16)
+    x, y, z = place % side, place // side % side, place // side**2
+    along = (GROUP * np.stack([x, side + side * y + z], axis=-1)).astype(np.uint16)
+    masks = INSIDE[reach - 1, :, : -(-children // 64)]
+    return Tables(masks.ravel().copy(), along.ravel())  # numba compiles no strides
 
 
-_QUADRATIC, _QUARTIC = _tabulate(1), _tabulate(2)
+_QUADRATIC, _QUARTIC = _tables(1), _tables(2)
 
 
 class Group(NamedTuple):
@@ -487,7 +399,7 @@ def _spline_taps(
             else:
                 for word in range(1 if reach == 1 else 4):
                     end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
-            end, n_empty, n_rim = _finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
+            end, n_empty, n_rim = finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
     return end, n_empty, n_rim
 
 
@@ -509,9 +421,7 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
     """
     places, which = batch.places, batch.which
     group = new_group(False)
-    shift = 21 - tiles.depth
-    size = 1 << shift
-    one = np.int32(1)
+    shift, one = MAX_DEPTH - tiles.depth, np.int32(1)
     n_empty = 0
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
@@ -523,34 +433,19 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
         find_tiles(tiles, group.near, count)
         for n in range(count):
             _find_window(tiles, group, n, 1, batch.ahead)
-            x, y, z = (
-                places[begin + n, 0] * UNITS,
-                places[begin + n, 1] * UNITS,
-                places[begin + n, 2] * UNITS,
-            )
-            low = (
-                np.int64(rounded_cell(places[begin + n, 0], tiles.depth)) - 1,
-                np.int64(rounded_cell(places[begin + n, 1], tiles.depth)) - 1,
-                np.int64(rounded_cell(places[begin + n, 2], tiles.depth)) - 1,
-            )
-            parity = np.int64(group.parities[n])
-            mask = group.masks[0]
-            left = mask & _QUADRATIC.masks[parity]
+            x, y, z = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
+            a, b, c = rounded_cell(x, tiles.depth), rounded_cell(y, tiles.depth), rounded_cell(z, tiles.depth)
+            point = x * UNITS, y * UNITS, z * UNITS
+            parity, mask = np.int64(group.parities[n]), group.masks[0]
+            left = mask & INSIDE[0, parity, 0]
             nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
             while left != np.uint64(0):
                 bit = trailing_zeros(left)
                 left &= left - np.uint64(1)
-                place = 2 * (64 * parity + bit)
-                yz = np.int64(_QUADRATIC.places[place + 1]) // GROUP - 3
-                i = int(low[0] + np.int64(_QUADRATIC.places[place]) // GROUP << shift)
-                j = int(low[1] + yz // 3 << shift)
-                k = int(low[2] + yz % 3 << shift)
-                dx = max(i - x, x - (i + size), 0.0)
-                dy = max(j - y, y - (j + size), 0.0)
-                dz = max(k - z, z - (k + size), 0.0)
-                distance = dx * dx + dy * dy + dz * dz
-                code = np.int64(encode(i, j, k))
-                if distance < least or (distance == least and code < least_code):
+                place = np.int64(PLACES[0, parity, bit])
+                low = a - 1 + place % 3 << shift, b - 1 + place // 3 % 3 << shift, c - 1 + place // 9 << shift
+                is_nearer, distance, code = nearer_box(point, low, 1 << shift, least, least_code)
+                if is_nearer:
                     below = mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1))
                     nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
             point = which[begin + n]
@@ -562,18 +457,6 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
     return end, n_empty
-
-
-@part
-def _nearest_taps(tiles: Tiles, batch: Batch, taps: Taps) -> int:
-    """Find the cells that hold all points there are; return how many none holds, which are listed."""
-    n_empty = nearest_rows(tiles, batch, taps.rows)
-    for n in range(batch.places.shape[0]):
-        taps.starts[n], taps.ends[n] = n, n + 1
-        taps.weights[n] = taps.covers[n] = np.float32(1.0)
-    for n in range(n_empty):
-        taps.ends[batch.empty[n]] = taps.starts[batch.empty[n]]
-    return n_empty
 
 
 @kernel
@@ -589,7 +472,13 @@ def find_taps(
         if is_off:
             end, n_empty = _nearest_around(tiles, batch, taps, end)
             return end, n_empty, 0
-        return batch.places.shape[0], _nearest_taps(tiles, batch, taps), 0
+        n_empty = nearest_rows(tiles, batch, taps.rows)
+        for n in range(batch.places.shape[0]):
+            taps.starts[n], taps.ends[n] = n, n + 1
+            taps.weights[n] = taps.covers[n] = np.float32(1.0)
+        for m in range(n_empty):
+            taps.ends[batch.empty[m]] = taps.starts[batch.empty[m]]
+        return batch.places.shape[0], n_empty, 0
     if filter_code == LINEAR:
         end, n_empty, n_rim = _linear_taps(tiles, batch, taps, end)
     elif filter_code == QUADRATIC:

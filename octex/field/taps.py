@@ -53,6 +53,17 @@ def ask_for(ahead: Ahead, cell: int) -> None:
         prefetch(ahead.areas, cell)
 
 
+class Batch(NamedTuple):
+    """Points whose taps are sought by tiles, and lists of those that these do not answer."""
+
+    places: Float64s  # (n, 3)   in texture space
+    which: Int64s  # (n,)   the points' numbers among the taps
+    last: int  # the largest number of a cell
+    empty: Int64s  # (n,)   takes points without any cell around them
+    rim: Int64s  # (n,)   takes points for the walk: their weights are too small, or other levels count there
+    ahead: Ahead  # what is asked for of the cells
+
+
 class Taps(NamedTuple):
     """The taps of a block of points.
 
@@ -87,6 +98,28 @@ def end_of(taps: Taps) -> int:
     for n in range(taps.ends.size):
         end = max(end, taps.ends[np.uint64(n)])
     return int(end)
+
+
+@inlined
+def finish(
+    batch: Batch, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
+) -> tuple[int, int, int]:
+    """Note where the taps of a point are; one that has none, or too small ones, is listed instead.
+
+    Returns the end of the taps, and how many points are listed.
+    """
+    point = batch.which[np.uint64(n)]
+    at = np.uint64(point)
+    if not total >= LEAST:
+        taps.starts[at] = taps.ends[at] = start
+        if end == start:
+            batch.empty[np.uint64(n_empty)] = point
+            return end, n_empty + 1, n_rim
+        batch.rim[np.uint64(n_rim)] = point
+        return start, n_empty, n_rim + 1
+    taps.starts[at], taps.ends[at] = start, end
+    taps.covers[at] = total
+    return end, n_empty, n_rim
 
 
 @inlined

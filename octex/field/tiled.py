@@ -10,19 +10,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
-from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, take, weigh_by_alpha
-from octex.field.sources import Batch, find_taps, nearest_rows
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
+from octex.field.blend import (
+    Sums,
+    add_weighed,
+    blend,
+    blend_slopes,
+    divide,
+    new_sums,
+    take,
+    weigh_by_alpha,
+)
+from octex.field.sources import find_taps
 from octex.field.splines import NEAREST
 from octex.field.taps import (
     MOST_TILED,
     Ahead,
+    Batch,
     Taps,
     hold_outside,
     new_taps,
     place_points,
 )
-from octex.field.tiles import Tiles
+from octex.field.tiles import Tiles, nearest_rows
 from octex.field.values import Codes
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, part
@@ -60,19 +70,6 @@ class Additions(NamedTuple):
 
 
 @part
-def _new_additions(points: int, components: int) -> Additions:
-    """Return those of points that own one look each, of which nothing is summed yet."""
-    sums = Sums(
-        np.empty((points, components), np.float64),
-        np.empty(points, np.float64),
-        np.empty((0, components, 3), np.float64),
-        np.empty((0, 3), np.float64),
-    )
-    owners, shares = np.arange(points, dtype=np.int32), np.ones(points, np.float32)
-    return Additions(owners, shares, np.empty(0, np.float32), sums)
-
-
-@part
 def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
     # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
@@ -84,13 +81,6 @@ def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tu
     for n in range(points):
         numbers[n] = n
     return new_taps(points, room, gradient), np.empty((points, 3), np.float64), numbers
-
-
-@part
-def _read_ahead(search: Search, codes: Codes, alpha: Uint8s) -> Ahead:
-    """Return what is read of cells."""
-    flags = search.by.facings.flags if search.by.faces else search.by.facings.flags[:0]
-    return Ahead(bytes_of(codes.values), alpha, flags, search.by.areas)
 
 
 @kernel
@@ -124,10 +114,12 @@ def look_up_tiled(
     is_split = search.by.facings.rows.size > 0 and faces and not (adds or sees)
     room, places, each = _new_room(search, step, is_split, gradient)
     facing = np.empty((step if faces else 0, 3), np.float32)
-    if sees:
-        additions = _new_additions(step, results.shape[1])
+    if sees:  # points own one look each
+        shares, none = np.ones(step, np.float32), np.empty(0, np.float32)
+        additions = Additions(np.arange(step, dtype=np.int32), shares, none, new_sums(step, results, False))
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
-    ahead = _read_ahead(search, channel.codes, bytes_of(alpha))
+    flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
+    ahead = Ahead(bytes_of(channel.codes.values), bytes_of(alpha), flags, search.by.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):

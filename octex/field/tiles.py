@@ -25,9 +25,11 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
-from octex.jit import inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.field.taps import Batch, ask_for
+from octex.jit import fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.children import children
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
 
@@ -225,6 +227,16 @@ def is_marked(tiles: Tiles, cell: int) -> bool:
 
 
 @inlined
+def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
+    """Return the number that a cell of an octant has if it is stored, and whether it is."""
+    bit = np.uint64(code & 63)
+    mask = tiles.masks[np.uint64(octant)]
+    below = mask & ((np.uint64(1) << bit) - np.uint64(1))
+    number = np.int64(tiles.firsts[np.uint64(octant)]) + popcount(below)
+    return int(number), (mask >> bit) & np.uint64(1) != np.uint64(0)
+
+
+@inlined
 def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
     """Row of the tile at a place of the grid of tiles; places outside have the empty one."""
     none = (tiles.masks.size >> 3) - 1
@@ -237,12 +249,9 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
         shift -= 3
         a, b, c = i >> shift, j >> shift, k >> shift
         code = code_in_tile(a & 7, b & 7, c & 7)
-        octant = np.uint64(8 * row + (code >> 8))
-        bit = np.uint64(code & 63)
-        mask = tiles.masks[octant]
-        if (mask >> bit) & np.uint64(1) == np.uint64(0):
+        row, is_stored = look_in(tiles, 8 * row + (code >> 8), code)
+        if not is_stored:
             return none
-        row = int(np.int64(tiles.firsts[octant])) + popcount(mask & ((np.uint64(1) << bit) - np.uint64(1)))
         row = min(row, none)
     return row
 
@@ -326,3 +335,39 @@ def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
                 missing &= missing - 1
                 octants[np.uint64(slot + other)] = _find_octant(tiles, key, other)
     near.latest[0], near.latest[1], near.latest[2] = key, slot, known
+
+
+@inlined
+def rounded_cell(x: float, depth: int) -> np.int32:
+    """Find the cell that holds a coordinate 0 … 1, rounded as the vertices of surfaces are."""
+    cell = np.int32(x * (1 << GRID_BITS) + 0.5) >> np.int32(GRID_BITS - depth)
+    return min(cell, np.int32((1 << depth) - 1))
+
+
+@fused_part
+def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
+    """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
+    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
+    near, codes = new_near(), np.zeros(GROUP, np.int32)
+    flat = places.reshape(-1)
+    three, seven, n_empty = np.int32(3), np.int32(7), 0
+    for begin in range(0, places.shape[0], GROUP):
+        count = min(GROUP, places.shape[0] - begin)
+        for n in range(count):
+            at = np.uint64(3 * (begin + n))
+            i = rounded_cell(flat[at], tiles.depth)
+            j = rounded_cell(flat[at + np.uint64(1)], tiles.depth)
+            k = rounded_cell(flat[at + np.uint64(2)], tiles.depth)
+            key = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+            near.keys[np.uint64(n)] = key
+            codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
+        find_tiles(tiles, near, count)
+        for n in range(count):
+            code = np.int64(codes[np.uint64(n)])
+            octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
+            cell, is_stored = look_in(tiles, int(octant), int(code))
+            ask_for(ahead, int(cell))
+            found[np.uint64(begin + n)] = min(cell, last)
+            empty[np.uint64(n_empty)] = begin + n
+            n_empty += not is_stored
+    return n_empty

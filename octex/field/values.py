@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import ChannelValues, Floats
+from octex.arrays import ChannelValues, Float32s, Floats
 from octex.jit import decoded, inlined, part
 
 Four = tuple[float, float, float, float]
@@ -62,6 +62,18 @@ def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: in
     if components > 3:
         d = np.float64(decoded(table, values[at + np.uint64(3)]))
     return a, b, c, d
+
+
+@inlined
+def put_value(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
+    """Write components to flat results from a place on."""
+    results[np.uint64(at)] = a
+    if components > 1:
+        results[np.uint64(at + 1)] = b
+    if components > 2:
+        results[np.uint64(at + 2)] = c
+    if components > 3:
+        results[np.uint64(at + 3)] = d
 
 
 @inlined

@@ -15,16 +15,8 @@ import numpy as np
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import (
-    FileFormat,
-    ImageFormat,
-    Target,
-    Written,
-    encoded_images,
-    image_names,
-    materials_of,
-)
-from octex.formats.origins import origin_of
+from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
+from octex.formats.shared import Target, Written, materials_of, origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface
@@ -40,21 +32,36 @@ _DIELECTRIC = 0.04
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface whose values come from images, as ``bake`` makes it, as glTF 2.0.
+    """Write a surface with images as glTF 2.0; raises ModelError for values that its materials cannot hold.
 
-    The path ends in .glb, one file, or .gltf, whose .bin and images are written beside it. Positions are the
-    posed ones, of a model far from the origin by a translation of its node; normals and tangents are the
-    surface's ``frames``, without which viewers shade it flat.
-
-    Raises ModelError for a surface whose values glTF's materials cannot say.
+    A model far from the origin is moved by a translation of its node. Without ``frames``, viewers shade flat.
     """
     path, images, _ = target
     if images == "exr":
         raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
     content = _Content(images)
     content.add(surface, materials_of(surface))
-    write_content = _write_glb if path.suffix.lower() == ".glb" else _write_files
-    return Written(write_content(content, path), sum(len(data) for data, _ in content.images))
+    image_bytes = sum(len(data) for data, _ in content.images)
+    if path.suffix.lower() == ".glb":
+        words = content.finish({}, content.embed)
+        words += b" " * (-len(words) % 4)
+        size = sum(map(len, content.arrays))
+        total = 12 + 8 + len(words) + 8 + size
+        if total >= 2**32:
+            raise ModelError(f"{path.name}: {total:,} bytes are more than a .glb holds; write a .gltf")
+        with replacing(path) as file:
+            file.write(struct.pack("<4sII", b"glTF", 2, total))
+            file.write(struct.pack("<II", len(words), _JSON) + words)
+            file.write(struct.pack("<II", size, _BIN))
+            file.writelines(content.arrays)
+        return Written([path], image_bytes)
+    names, arrays = content.names(path.stem), path.with_name(f"{path.stem}.bin")
+    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
+    parts = [(path.with_name(name), [data]) for name, (data, _) in zip(names, content.images, strict=True)]
+    for place, blocks in [*parts, (arrays, content.arrays), (path, [words])]:
+        with replacing(place) as file:
+            file.writelines(blocks)
+    return Written([path, arrays, *map(path.with_name, names)], image_bytes)
 
 
 class _Content:
@@ -176,7 +183,7 @@ class _Content:
         for name, given in inputs.items():
             lanes = _LANES.get(name, given.lanes)
             if any(given.offset) or (given.texture is not None and given.lanes[: len(lanes)] != lanes):
-                raise ModelError(f"glTF cannot say what the channel {name!r} is made of; bake it first")
+                raise ModelError(f"glTF cannot hold the source of channel {name!r}; bake it first")
         color, alpha = inputs.get("base_color", Input((1.0,) * 3)), inputs.get("alpha", Input((1.0,)))
         pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
         for name, factor in (("metallic", "metallicFactor"), ("roughness", "roughnessFactor")):
@@ -243,10 +250,7 @@ class _Content:
 
 
 def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input | None:
-    """Return an input of two channels that has the image of both; None if both are numbers.
-
-    Where one of them is a number, the image must be 1 there. Raises ModelError for what glTF cannot say.
-    """
+    """Return an input with the image of two channels, in which a number is 1; None if both are numbers."""
     plain = {"base_color": Input((1.0,) * 3)}
     given = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
     read = [each for each in given.values() if each.texture is not None]
@@ -263,34 +267,6 @@ _LANES = {
     "base_color": (0, 1, 2), "alpha": (3,), "occlusion": (0,), "roughness": (1,), "metallic": (2,),
     "emissive": (0, 1, 2), "specular": (0, 1, 2), "normal": (0, 1, 2),
 }  # fmt: skip
-
-
-def _write_glb(content: _Content, path: Path) -> list[Path]:
-    words = content.finish({}, content.embed)
-    words += b" " * (-len(words) % 4)
-    size = sum(map(len, content.arrays))
-    total = 12 + 8 + len(words) + 8 + size
-    if total >= 2**32:
-        raise ModelError(f"{path.name}: {total:,} bytes are more than a .glb holds; write a .gltf")
-    with replacing(path) as file:
-        file.write(struct.pack("<4sII", b"glTF", 2, total))
-        file.write(struct.pack("<II", len(words), _JSON) + words)
-        file.write(struct.pack("<II", size, _BIN))
-        file.writelines(content.arrays)
-    return [path]
-
-
-def _write_files(content: _Content, path: Path) -> list[Path]:
-    names, arrays = content.names(path.stem), path.with_name(f"{path.stem}.bin")
-    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
-    for name, (data, _) in zip(names, content.images, strict=True):
-        with replacing(path.with_name(name)) as file:
-            file.write(data)
-    with replacing(arrays) as file:
-        file.writelines(content.arrays)
-    with replacing(path) as file:
-        file.write(words)
-    return [path, arrays, *map(path.with_name, names)]
 
 
 def _named(file: str) -> dict[str, Any]:

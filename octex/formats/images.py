@@ -7,21 +7,18 @@ import re
 import struct
 import zlib
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import PIL.Image
 
 from octex.arrays import Array, Float32s, Uint8s, Uint16s
-from octex.channels import CHANNELS, encode
+from octex.channels import CHANNELS
 from octex.errors import ModelError
-from octex.formats.units import Unit
 from octex.jit import kernel
 from octex.parallel import ordered_map, workers
-from octex.source.images.png import SIGNATURE
-from octex.source.materials import Material, MaterialSource
-from octex.source.surface import Surface
+from octex.source.images.decode import PNG_SIGNATURE
+from octex.source.materials import Material
 
 FileFormat = Literal["png", "jpeg", "webp", "exr"]
 #: How a model's images are stored; with "jpeg" its colours, with "jpeg-all" numbers and directions too.
@@ -42,76 +39,10 @@ _TILE = re.compile(r"[1-9]\d{3}")
 _EXR_ROWS = 16
 
 
-class Target(NamedTuple):
-    """Where a model is written to, and how."""
-
-    path: Path
-    images: ImageFormat
-    unit: Unit  # the length that 1 stands for
-
-
-class Written(NamedTuple):
-    """The files of a model."""
-
-    files: list[Path]  # the model's own first
-    image_bytes: int  # how many bytes its images take, inside the model's file or beside it
-
-
-def materials_of(surface: Surface) -> MaterialSource:
-    """Return the materials that a surface's values come from; raises ModelError if they do not."""
-    if not isinstance(surface.source, MaterialSource):
-        raise ModelError(f"{surface.name}: its values do not come from materials; bake it first")
-    return surface.source
-
-
-def normals_of_vertices(surface: Surface) -> Float32s | None:
-    """Return shading normals of posed vertices (n, 3), the mean of their corners'; None if there are none."""
-    frames = surface.posed_frames()
-    if frames is None:
-        return None
-    sums = np.zeros(surface.vertices.shape)
-    for corner in range(3):
-        np.add.at(sums, surface.triangles[:, corner], frames.normals.values[frames.normals.rows[:, corner]])
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.asarray(sums / np.where(lengths > 0.0, lengths, 1.0), np.float32)
-
-
-def colors_of_vertices(surface: Surface) -> Float32s | None:
-    """Return colours of vertices (n, 4), linear light and alpha; None where a surface has none.
-
-    Raises ModelError for colours that differ between the corners of a vertex.
-    """
-    colors = materials_of(surface).colors
-    if colors is None:
-        return None
-    if colors.rows is not surface.triangles and not np.array_equal(colors.rows, surface.triangles):
-        raise ModelError(f"{surface.name}: its colours belong to corners, not to vertices; bake it first")
-    return colors.values
-
-
-def needed_colors(surface: Surface, ending: str) -> Float32s:
-    """Return colours of vertices, or raise ModelError: files of this ending hold nothing else."""
-    colors = colors_of_vertices(surface)
-    if colors is None:
-        raise ModelError(
-            f"{surface.name}: {ending} files hold colours at vertices; bake these, or write a .glb"
-        )
-    return colors
-
-
-def codes_of(colors: Float32s) -> Uint8s:
-    """Return colours (n, 4), linear light and alpha, as codes of 8 bits: sRGB and coverage."""
-    codes = [encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")]
-    return np.concatenate(codes, axis=1)
-
-
 def encoded_images(
     materials: Sequence[Material], form: ImageFormat
 ) -> tuple[list[tuple[bytes, FileFormat]], dict[int, int]]:
-    """Return the files of all images that materials read, each once, and their numbers by the ids of texels.
-
-    Alpha is in a file if a material that is not opaque reads it.
-    """
+    """Return the files of materials' images, and their numbers by ids of texels; alpha if it is used."""
     texels: dict[int, Array] = {}
     channels: dict[int, set[str]] = {}
     for material in materials:
@@ -149,9 +80,7 @@ def image_file(
     in anything but "exr", and for that of anything but floats.
     """
     if (texels.dtype == np.float32) != (form == "exr"):
-        raise ModelError(
-            "images of floats are written as exr, and no others; bake with 32 bits for that, else with fewer"
-        )
+        raise ModelError("only exr holds images of floats; bake with 32 bits for exr, else with fewer")
     chosen = texels[..., lanes]
     if form == "exr":
         return _exr_file(chosen), form
@@ -190,17 +119,14 @@ def _png16_file(texels: Uint16s) -> bytes:
     filtered[1:, 1:] = rows[1:] - rows[:-1]
     header = struct.pack(">IIBBBBB", width, height, 16, {1: 0, 3: 2, 4: 6}[lanes], 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), _LEVEL)), (b"IEND", b"")
-    parts = [SIGNATURE]
+    parts = [PNG_SIGNATURE]
     for kind, body in chunks:
         parts += [struct.pack(">I", len(body)), kind, body, struct.pack(">I", zlib.crc32(kind + body))]
     return b"".join(parts)
 
 
 def _exr_file(texels: Float32s) -> bytes:
-    """Return an OpenEXR image of floats (height, width, 1, 3 or 4), colours times alpha.
-
-    One part of scan lines, packed by zlib 16 at a time (OpenEXR File Layout; Technical Introduction).
-    """
+    """Return an OpenEXR image (height, width, 1, 3 or 4) of scan lines, zlib, colours times alpha."""
     height, width, lanes = texels.shape
     if lanes == 4:
         texels = np.concatenate([texels[..., :3] * texels[..., 3:], texels[..., 3:]], axis=2)
@@ -247,10 +173,7 @@ def image_names(materials: Sequence[Material], stem: str, files: Sequence[tuple[
 
 
 def image_name(stem: str, material: Material, channel: str, otherwise: str) -> str:
-    """Return the name of the file of a material's image, without an ending.
-
-    The image of a UDIM tile, after which ``bake`` names materials, is named by its channel and that.
-    """
+    """Return an image's file name without its ending: of a UDIM tile, its channel and number."""
     name, _, tile = material.name.rpartition(".")
     if not _TILE.fullmatch(tile):
         return f"{stem}-{otherwise}"

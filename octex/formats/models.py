@@ -9,8 +9,8 @@ from pathlib import Path
 
 from octex.checks import as_choice, as_path
 from octex.errors import ArgumentError, MissingExtraError
-from octex.formats.images import IMAGE_FORMATS, ImageFormat, Target, Written
-from octex.formats.units import METERS, Unit
+from octex.formats.images import IMAGE_FORMATS, ImageFormat
+from octex.formats.shared import METERS, Target, Unit, Written
 from octex.source.surface import Surface, as_surface
 
 #: The modules that write models, by the endings of the files. Those of USD and 3MF import optional packages.

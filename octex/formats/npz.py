@@ -32,10 +32,8 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     size        () float64       its edge
     NAME        (n, components) float32   for each channel what ``sample`` gives at the centre; linear light
 
-    ``octex.PointCloud.load`` reads such a file. What stood at ``path`` before is replaced when everything is
-    written, or not at all: raises OutputError if it cannot be written, ArgumentError for a channel that has
-    the name of another array, and TextureFileError if the tree is damaged so that it holds fewer leaves than
-    it says.
+    ``octex.PointCloud.load`` reads such a file. Raises OutputError if it cannot be written, ArgumentError for
+    a channel that has the name of another array, and TextureFileError if the tree is damaged.
     """
     none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
     nothing = LeafPoints(none, np.empty((0, 3)), np.empty((0, 3), np.float32))
@@ -57,7 +55,7 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are words of numpy's
     if taken:
         raise ArgumentError(
-            f"{path}: a .npz file has something else of the name {min(taken)!r}; leave that channel out "
+            f"{path}: a .npz file uses the name {min(taken)!r} itself; leave that channel out "
             "(octex edit --channels)"
         )
     arrays |= texture.sample(points, list(texture.channels))

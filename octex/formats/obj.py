@@ -11,16 +11,8 @@ import numpy as np
 from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
-from octex.formats.images import (
-    ImageFormat,
-    Target,
-    Written,
-    colors_of_vertices,
-    file_format,
-    image_file,
-    image_name,
-    materials_of,
-)
+from octex.formats.images import ImageFormat, file_format, image_file, image_name
+from octex.formats.shared import Target, Written, colors_of_vertices, materials_of
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
@@ -38,10 +30,7 @@ _MAPS = {
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface whose values come from images, as ``bake`` makes it, as OBJ with a .mtl file.
-
-    Raises ModelError for values above 1, and for materials that read several sets of texture coordinates.
-    """
+    """Write a surface with images as OBJ and .mtl; refuse values above 1, and several sets of coordinates."""
     path, images, _ = target
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
@@ -101,7 +90,7 @@ def _described(
         if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
             continue
         if any(given.offset) or max(given.factor) > 1.0:
-            raise ModelError(f"an .mtl file cannot say what {channel!r} is made of; write a .glb")
+            raise ModelError(f"an .mtl file cannot scale {channel!r} above 1, or add to it; write a .glb")
         word, factor = _MAPS[channel]
         if given.texture is not None:
             if given.texture.slot != 0:

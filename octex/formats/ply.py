@@ -13,7 +13,7 @@ from octex.arrays import Float32s, Float64s
 from octex.channels import ColorSpace, encode
 from octex.errors import TextureFileError
 from octex.files import replacing
-from octex.formats.images import Target, Written, codes_of, needed_colors, normals_of_vertices
+from octex.formats.shared import Target, Written, codes_of, needed_colors
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
@@ -35,12 +35,9 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
 
     ``x y z``: the leaf's centre, in rest units; float, or double where float would move it by more than 1/64
     of a finest cell. ``nx ny nz``: the surface's normal, float, estimated from the tree (octex.tree.normals).
-    ``red green blue``: the base colour there, as ``sample`` gives it, in sRGB, 0 … 255; ``alpha``: the
-    coverage, 0 … 255; each left out if the texture has no such channel.
+    ``red green blue``, ``alpha``: base colour as ``sample`` gives it, in sRGB, and coverage, 0 … 255.
 
-    Leaves are written in blocks, so that memory does not grow with their number. What stood at ``path``
-    before is replaced when everything is written, or not at all: raises OutputError if it cannot be written,
-    and TextureFileError if the tree is damaged so that it holds fewer leaves than it says.
+    Raises OutputError if the file cannot be written, and TextureFileError if the tree is damaged.
     """
     vertex = _vertex_type(texture)
     lines = [
@@ -62,10 +59,7 @@ class LeafPoints(NamedTuple):
 
 
 def leaf_points(texture: OctreeTexture, path: str | Path, progress: Progress) -> Iterator[LeafPoints]:
-    """Yield the leaves of a texture that is written to a path, in blocks, in Morton order.
-
-    Raises TextureFileError at the end if there are fewer than the tree says.
-    """
+    """Yield a texture's leaves in Morton order; raises TextureFileError if some are missing."""
     tree, done = texture.tree, 0
     progress("write", 0, tree.n_leaves)
     for leaves in walk_leaves(tree.arrays):
@@ -81,18 +75,22 @@ def leaf_points(texture: OctreeTexture, path: str | Path, progress: Progress) ->
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a binary PLY mesh.
+    """Write a surface with vertex colours as a binary PLY mesh; raises ModelError for one with images.
 
     ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
-    blue alpha`` are sRGB and coverage, 0 … 255. Raises ModelError for a surface whose values come from
-    images.
+    blue alpha`` are sRGB and coverage, 0 … 255.
     """
     colors = needed_colors(surface, ".ply")
-    normals = normals_of_vertices(surface)
+    frames = surface.posed_frames()
     columns = [*surface.vertices.T]
     fields = [(axis, "<f8") for axis in "xyz"]
-    if normals is not None:
-        columns += [*normals.T]
+    if frames is not None:  # those of vertices are the means of their corners'
+        sums = np.zeros(surface.vertices.shape)
+        for corner in range(3):
+            shading = frames.normals.values[frames.normals.rows[:, corner]]
+            np.add.at(sums, surface.triangles[:, corner], shading)
+        lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+        columns += [*(sums / np.where(lengths > 0.0, lengths, 1.0)).T]
         fields += [(f"n{axis}", "<f4") for axis in "xyz"]
     columns += [*codes_of(colors).T]
     fields += [(name, "u1") for names in _SHOWN.values() for name in names]

@@ -13,9 +13,7 @@ import numpy as np
 from octex.arrays import Array
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import Target, Written, codes_of, needed_colors
-from octex.formats.origins import origin_of
-from octex.formats.units import Unit
+from octex.formats.shared import Target, Unit, Written, codes_of, needed_colors, origin_of
 from octex.source.surface import Surface
 from octex.source.welding import welded
 
@@ -26,13 +24,11 @@ _UNITS: dict[Unit, str] = {
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface with vertex colours, as ``bake_vertices`` makes it, as a 3MF mesh with a colour group.
+    """Write a surface with vertex colours as a 3MF mesh; raises ModelError for one with images.
 
-    Positions are the posed ones, in float32, of a model far from the origin by the item's transform. Vertices
-    at one place are one, so that what is closed is closed for slicers too; triangles that this leaves without
-    area are left out. Each corner has a colour of the group, sRGB with alpha, of 8 bits.
-
-    Raises ModelError for a surface whose values come from images.
+    A model far from the origin is moved by the item's transform. Vertices at one position are welded, so that
+    slicers find closed surfaces closed; triangles that lose their area are left out. Each corner has a colour
+    of the mesh's group, sRGB with alpha.
     """
     colors = needed_colors(surface, ".3mf")
     origin = origin_of(surface.vertices)

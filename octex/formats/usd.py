@@ -15,9 +15,8 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.images import Target, Written, encoded_images, image_names, materials_of
-from octex.formats.origins import origin_of
-from octex.formats.units import METERS
+from octex.formats.images import encoded_images, image_names
+from octex.formats.shared import METERS, Target, Written, materials_of, origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
 from octex.source.surface import Surface
@@ -38,21 +37,16 @@ _INPUTS = {
 #: The primvars of vertex colours, and the shaders that read them.
 _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpacity", "float")}
 
-
 #: The path of the scope that holds the materials.
 _MATERIALS = "/model/materials"
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface with images, as ``bake`` makes it, or vertex colours, as one mesh below ``/model``.
+    """Write a surface with images or vertex colours as one mesh below ``/model``, with y up.
 
-    The stage's up axis is y, as in glTF, A model far from the origin is
-    translated. Texture coordinates are the primvar ``st``, normals stand at corners, and triangles are seen
-    from both sides if a material says so.
-    Vertex colours are ``displayColor`` and ``displayOpacity``, which the material reads.
-
-    UsdPreviewSurface has either metals or specular colours: these are written where nothing is metallic.
-    Raises ModelError for values that it cannot say.
+    A model far from the origin is translated. Texture coordinates are the primvar ``st``, vertex colours
+    ``displayColor`` and ``displayOpacity``. UsdPreviewSurface has either metals or specular colours: these
+    are written where nothing is metallic. Raises ModelError for values that it cannot hold.
     """
     path, images, unit = target
     if images == "webp":

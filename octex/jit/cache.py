@@ -99,10 +99,7 @@ def _user_folder() -> Path:
 
 
 def _check(folder: Path, path: Path) -> None:
-    """Remove files from ``path``, numba's folder in a module's ``folder``, that are not as they were written.
-
-    A wheel's own, and those of octex when it lay elsewhere, are taken over.
-    """
+    """Remove damaged files from numba's folder ``path``; take over a wheel's, or those of a moved octex."""
     if path in _checked:
         return
     _checked.add(path)

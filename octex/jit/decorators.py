@@ -35,10 +35,7 @@ class Part:
 
 
 class Kernel(Part):
-    """A compiled function that Python calls, too. It takes read-only arrays like any others.
-
-    numba has types of their own for those: it would compile another version for each mix of them.
-    """
+    """A compiled function that Python calls, too; all arrays pass as writable, for one version."""
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function. It must not write to what Python may not write to."""
@@ -61,10 +58,7 @@ class _Memory:
 
 
 def unlocked(argument: Any) -> Any:
-    """Return an argument whose arrays, those in tuples too, numba types as writable, for kernels to read.
-
-    To write to what was read-only, a file's memory or a user's, can end the process.
-    """
+    """Return an argument whose arrays, in tuples too, numba types as writable; kernels only read them."""
     if isinstance(argument, np.ndarray):
         return argument if DISABLED or argument.flags.writeable else np.asarray(_Memory(argument))
     if not isinstance(argument, tuple):
@@ -99,10 +93,7 @@ def fused_kernel(function: Function) -> Function:
 
 
 def part(function: Function) -> Function:
-    """Compile ``function`` for kernels to call. It may create arrays, as ``kernel`` lets it.
-
-    Without the wrapper that Python would call, each part compiles a seventh faster.
-    """
+    """Compile ``function`` for kernels alone, a seventh faster; it may create arrays."""
     return _compiled(function)
 
 
@@ -112,19 +103,12 @@ def fused_part(function: Function) -> Function:
 
 
 def step(function: Function) -> Function:
-    """Compile like ``part`` a function that creates no arrays.
-
-    Without numba's runtime it counts no references, which otherwise costs 100 to 200 ns a call with a tuple
-    of arrays.
-    """
+    """Compile like ``part`` a function that creates no arrays; a call takes 100 to 200 ns less."""
     return _compiled(function, _nrt=False)
 
 
 def inlined(function: Function) -> Function:
-    """Compile like ``step``, into each kernel that calls it.
-
-    For the small steps of a hot loop, where a call costs as much as the work.
-    """
+    """Compile like ``step``, into each kernel that calls it: for the small steps of a hot loop."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 

@@ -26,10 +26,7 @@ def _type_text(kind: Any) -> str:
 
 
 def read_types(text: str) -> tuple[Any, ...]:
-    """Return the types that a text of ``types_text`` names.
-
-    Raises AttributeError, ImportError or ValueError for what names no type.
-    """
+    """Return the types that a text of ``types_text`` names; raises an error for unknown ones."""
     found, start, depth = [], 0, 0
     for end, letter in enumerate(f"{text}," if text else ""):
         depth += (letter == "(") - (letter == ")")

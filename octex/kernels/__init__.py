@@ -15,15 +15,15 @@ A renderer looks a texture up at every hit, inside its own compiled loop:
 filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
 that can be indexed, and return four, linear light for colours: those beyond a channel's components are
 zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
-no lock; a position that is no number is taken for the root cell's corner. These four are called in kernels
+no lock; a position that is not a number is taken for the root cell's corner. These four are called in kernels
 only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
 """
 
 from octex.kernels.arrays import arrays_of as arrays_of
-from octex.kernels.layout import LookupArrays as LookupArrays
-from octex.kernels.layout import Scratch as Scratch
-from octex.kernels.layout import new_scratch as new_scratch
+from octex.kernels.lookups import LookupArrays as LookupArrays
+from octex.kernels.lookups import Scratch as Scratch
 from octex.kernels.lookups import footprint as footprint
 from octex.kernels.lookups import linear as linear
 from octex.kernels.lookups import nearest as nearest
+from octex.kernels.lookups import new_scratch as new_scratch
 from octex.kernels.lookups import quadratic as quadratic

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from octex.arrays import Array, Int32s, Int64s, Uint32s, Uint64s
 from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
 from octex.field.tiles import Tiles
-from octex.kernels.layout import LookupArrays
-from octex.texture.blend import NO_TABLE, mixed_cells, stored
-from octex.texture.channel import Channel
+from octex.kernels.lookups import LookupArrays
+from octex.texture.channel import NO_TABLE, Channel, mixed_cells, stored
 from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import MAX_DEPTH
@@ -56,40 +53,20 @@ def arrays_of(
     )
 
 
-class _Values(NamedTuple):
-    """Values of cells, of kept nodes and of split cells' facings, flattened; and their table."""
-
-    cells: Array
-    kept: Array
-    split: Array
-    table: Array
-
-
 _NONE = locked(np.empty(0, np.uint8))
-_NO_VALUES = _Values(_NONE, _NONE, _NONE, locked(np.empty(0, np.float64)))
+_NO_VALUES: tuple[Array, Array, Array, Array] = _NONE, _NONE, _NONE, locked(np.empty(0, np.float64))
 
 
-def _values(channel: Channel) -> _Values:
-    """Return a channel's values."""
-    codes, space, _ = stored(channel)
-    cells, kept, split, table = codes
+def _values(channel: Channel) -> tuple[Array, Array, Array, Array]:
+    """Return a channel's values, flattened: of cells, of kept nodes, of facings; and their table."""
+    (*arrays, table), space, _ = stored(channel)
     if space is not None:
-        cells, kept, split, table = *(decode(array, space) for array in codes[:3]), NO_TABLE
-    return _Values(
-        locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
-    )
+        arrays, table = [decode(array, space) for array in arrays], NO_TABLE
+    cells, kept, split = (locked(array.reshape(-1)) for array in arrays)
+    return cells, kept, split, locked(table)
 
 
-class _JoinedTiles(NamedTuple):
-    levels: Int64s
-    tops: Int32s
-    masks: Uint64s
-    firsts: Uint32s
-
-
-def _joined_tiles(
-    levels: list[Tiles | None],
-) -> _JoinedTiles:
+def _joined_tiles(levels: list[Tiles | None]) -> tuple[Int64s, Int32s, Uint64s, Uint32s]:
     """Join the tiles of levels; those without have a top level of −1."""
     found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
     tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
@@ -99,4 +76,4 @@ def _joined_tiles(
             tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
             found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
             top, row = top + tiles.top.size, row + tiles.masks.size
-    return _JoinedTiles(found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts))
+    return found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)

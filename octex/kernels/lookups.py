@@ -1,23 +1,25 @@
-"""Lookups of one point at a time: its taps at a level, weighed, and their blend."""
+"""Lookups of one point at a time: its taps at a level, weighed, and their blend; and what they take."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.field.footprints import ROUND_FINER, WHOLE
+from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
+from octex.field.footprints import ROUND_FINER, WIDEST, level_of
 from octex.field.neighborhood import Way, taps_around
-from octex.field.sources import look_in
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
-from octex.field.taps import LEAST, OFF
-from octex.field.tiles import Tiles, code_in_tile, tile_row
+from octex.field.taps import LEAST, OFF, Taps, new_taps
+from octex.field.tiles import Tiles, code_in_tile, look_in, tile_row
 from octex.field.values import Flat, value_of
-from octex.field.weights import Facings, Weighing, view_along, weigh
-from octex.jit import inlined, step
-from octex.kernels.layout import LookupArrays, Scratch
+from octex.field.weights import MOST_ROWS, Facings, Sight, Weighing, new_sight, view_along, weigh
+from octex.field.windows import MOST_TAPS, Walk, new_walk
+from octex.jit import inlined, kernel, step
 from octex.tree.layout import MAX_DEPTH, TreeArrays
+from octex.tree.search import Scratch as Search
 from octex.tree.search import fixed, nearest_cell, placed
+from octex.tree.search import new_scratch as new_search
 
 #: What can be indexed by 0, 1 and 2: an array, or a tuple.
 Vector = Any
@@ -25,6 +27,72 @@ Color = tuple[float, float, float, float]
 
 #: What is no more than this of a weight is rounding.
 _ROUNDED = 1e-6
+
+
+class LookupArrays(NamedTuple):
+    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others.
+
+    They are arrays and numbers alone, as numba's parallel loops want them.
+    """
+
+    place: Float64s  # (4,)   the root cell's lowest corner, and the length of its edge
+    groups: Uint64s  # what is in the tree, see `TreeArrays`; areas are those of nodes alone
+    level_cells: Int64s
+    level_nodes: Int64s
+    flags: Uint8s
+    areas: Uint8s
+    kept: Uint32s  # (kept nodes,)
+    facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
+    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
+    tops: Int32s
+    masks: Uint64s
+    firsts: Uint32s
+    values: Array  # (cells · components,)
+    kept_values: Array
+    split_values: Array
+    table: Array  # what codes stand for; empty for float32
+    alpha: Array  # (cells,), likewise; (0,) without it
+    kept_alpha: Array
+    split_alpha: Array
+    alpha_table: Array
+    components: int
+    mixed: Uint8s  # (cells,)   which mix opposite facings, as averages; (0,) without any
+
+
+class Scratch(NamedTuple):
+    """Where lookups work, and what they remember from one point to the next. One serves one thread."""
+
+    walk: Walk
+    search: Search
+    taps: Taps  # of one look, and these as they face a normal
+    sight: Sight
+    tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
+    codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
+    along: Float32s  # (3, 3)   and their weights
+    sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
+
+
+@inlined
+def _tree_of(arrays: LookupArrays, level_cells: Int64s) -> TreeArrays:
+    """Return the tree down to some level."""
+    return TreeArrays(arrays.groups, level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
+
+
+@kernel
+def new_scratch(arrays: LookupArrays) -> Scratch:
+    """Return room for lookups in one texture: make one for each thread, outside the loop."""
+    # Not by `_tree_of`: what counts no references must not return arrays to what does.
+    tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
+    return Scratch(
+        new_walk(),
+        new_search(tree),
+        new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
+        new_sight(),
+        np.empty(8, np.int64),
+        np.empty((3, 3), np.int32),
+        np.empty((3, 3), np.float32),
+        np.empty(10, np.float64),
+    )
 
 
 @inlined
@@ -126,8 +194,7 @@ def _walked(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    cells, walk, taps = arrays.level_cells[: level + 2], scratch.walk, scratch.taps
-    tree = TreeArrays(arrays.groups, cells, arrays.level_nodes, arrays.flags, arrays.areas)
+    tree, walk, taps = _tree_of(arrays, arrays.level_cells[: level + 2]), scratch.walk, scratch.taps
     walk.previous[3] = min(walk.previous[3], level)
     way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
     return taps_around(way, x, y, z, True, taps.rows, taps.weights, taps.slopes, 0)
@@ -142,25 +209,14 @@ def _find(
     while here >= 0 and arrays.tile_levels[here, 0] >= 0:
         n, total = _tiled(arrays, here, x, y, z, filter_code, scratch)
         if total >= LEAST:
-            if here < level:
-                _scale(scratch, n, OFF / total)
+            for tap in range(n if here < level else 0):
+                scratch.taps.weights[tap] *= np.float32(OFF / total)
             return n, here < level
         if n > 0:
             break  # at the rim of the spline's support
         here -= 1
     n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
-
-
-@inlined
-def _scale(scratch: Scratch, n: int, factor: float | np.floating[Any]) -> None:
-    for tap in range(n):
-        scratch.taps.weights[tap] *= np.float32(factor)
-
-
-@inlined
-def _tree_of(arrays: LookupArrays) -> TreeArrays:
-    return TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
 
 
 @inlined
@@ -172,16 +228,11 @@ def _flat(arrays: LookupArrays) -> Flat:
 
 
 @inlined
-def _alpha(arrays: LookupArrays) -> Flat:
-    first_kept = arrays.flags.size
-    values = arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table
-    return Flat(*values, first_kept, first_kept + arrays.kept.size)
-
-
-@inlined
 def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scratch) -> None:
     """Add the blend of some taps to the sums."""
-    sums, flat, alpha = scratch.sums, _flat(arrays), _alpha(arrays)
+    sums, flat = scratch.sums, _flat(arrays)
+    values = arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table
+    alpha = Flat(*values, flat.first_kept, flat.first_row)
     for tap in range(begin, end):
         weight, row = share * np.float64(scratch.taps.weights[tap]), int(scratch.taps.rows[tap])
         a, b, c, d = value_of(flat, row, arrays.components)
@@ -205,15 +256,9 @@ def _mean(scratch: Scratch) -> Color:
 
 
 @inlined
-def _clear(scratch: Scratch) -> None:
-    for n in range(10):
-        scratch.sums[n] = 0.0
-
-
-@inlined
 def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch) -> Color:
     """Look at the leaves."""
-    _clear(scratch)
+    scratch.sums[:] = 0.0
     n, _ = _find(arrays, arrays.level_cells.size - 2, x, y, z, filter_code, scratch)
     _add(arrays, 0, n, 1.0, scratch)
     return _mean(scratch)
@@ -234,7 +279,7 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         cell, is_stored = look_in(tiles, 8 * row + int(code >> 8), int(code))
         if is_stored:
             return value_of(flat, min(cell, arrays.flags.size - 1), arrays.components)
-    cell, _ = nearest_cell(_tree_of(arrays), x, y, z, scratch.search)
+    cell, _ = nearest_cell(_tree_of(arrays, arrays.level_cells), x, y, z, scratch.search)
     return value_of(flat, cell, arrays.components)
 
 
@@ -259,13 +304,16 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     ``width`` is in the model's units, 0 for the leaves alone; ``normal`` of any length, in rest space. With
     zeros for it nothing is known of where one looks from: then it is as without ``normals``.
     """
-    _clear(scratch)
+    scratch.sums[:] = 0.0
     x, y, z = _placed(arrays, point)
     view = view_along(np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2]))
     is_facing = bool(max(view[0], max(view[1], view[2])) > np.float32(0.0))
     flat, facings = _flat(arrays), Facings(arrays.flags, arrays.facings, arrays.kept)
     depth = arrays.level_cells.size - 2
-    level, upper = _level_of(width, arrays.place[3], depth)
+    size = arrays.place[3]
+    between = level_of(_clamped(np.float64(width), size * WIDEST), size, depth, ROUND_FINER[QUADRATIC])
+    level = min(int(between), depth)  # the coarser of two, and the share of the other
+    upper: float = np.float64(between) - level
     share, passed = 1.0 - upper, 0.0
     while level <= depth and (share > 0.0 or upper > 0.0):
         left = 0.0
@@ -289,15 +337,3 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
         share, upper = upper + passed, 0.0
         level += 1
     return _mean(scratch)
-
-
-@inlined
-def _level_of(width: float, size: float, depth: int) -> tuple[int, float]:
-    """Return the coarser of the two levels that a width is looked up at, and the share of the other."""
-    cells = size / max(_clamped(np.float64(width), size * 4.0**MAX_DEPTH), size * 0.25**MAX_DEPTH)
-    level = np.float64(np.float32(np.log2(np.float32(cells))) + np.float32(ROUND_FINER[QUADRATIC]))
-    whole = np.floor(level)
-    part = (level - whole - WHOLE) / (1.0 - 2.0 * WHOLE)
-    level = min(max(whole + min(max(part, 0.0), 1.0), 0.0), float(depth))
-    lower = min(int(level), depth)
-    return lower, level - lower

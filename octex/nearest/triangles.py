@@ -62,7 +62,7 @@ class Triangles(NamedTuple):
         normals[has_area] = crosses[has_area] / lengths[has_area, None]
         numbers = np.flatnonzero(has_area)
         if not numbers.size:
-            raise ModelError("all triangles are degenerate; there is nothing to be near to")
+            raise ModelError("all triangles are degenerate; there is no surface to search")
         order = numbers[morton_order((low + high)[numbers])]
         width = float(np.median((high - low)[order].max(axis=1)))
         rows = corners[order]

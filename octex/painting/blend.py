@@ -123,11 +123,7 @@ def mixed(
     coverage: Float32s,
     is_fresh: Bools,
 ) -> dict[str, tuple[Float32s, Float32s]]:
-    """Return what paint (n, components) makes of the values of channels, and how much of each is paint (n,).
-
-    ``old`` are the channel that is painted, ``target``, and alpha if there is one; where the texture had
-    nothing, ``is_fresh``, there is paint alone.
-    """
+    """Return what paint makes of channels' ``old`` values (n, components), and its part of each (n,)."""
     ones = np.ones((len(paint), 1), np.float32)
     if blend == "erase":
         paint = 0 * ones
@@ -152,8 +148,7 @@ def facings_of_paint(
 ) -> tuple[Float32s, Float32s]:
     """Return the paint on facings (n,) of cells (n,), and its coverage.
 
-    A facing that the paint octree's cell lacks, as those of skirts may be, has the paint of the cell as a
-    whole; it is bare if the paint has other facings alone.
+    A facing that the paint octree's cell lacks has the paint of the whole cell, if that tells none apart.
     """
     values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
     coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
@@ -187,11 +182,7 @@ def writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channe
 
 
 def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
-    """Return cells, ascending, in which paint may make a difference between facings.
-
-    These are painted leaves that tell facings apart, or whose paint does, and nodes above that show both
-    ways along an axis. ``painted`` (n,) are the flags of the paint on the leaves.
-    """
+    """Return cells, ascending, whose facings paint, of flags (n,) ``painted`` on leaves, may make differ."""
     flags = tree.arrays.flags
     facings = flags & np.uint8(FACING_FLAGS)
     leaves = cells[((flags[cells] | painted) & SPLIT != 0) & (facings[cells] != 0)]
@@ -202,46 +193,33 @@ def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> In
 
 
 def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
-    """Find the nodes above leaves, given by their Morton codes level by level.
-
-    So are split nodes, old ones, above new cells (cells,): these may face other ways than what they divide.
-    """
+    """Find the nodes above leaves, given by level, and split old nodes above new cells."""
     above = [distinct(own >> 3) for own in with_all_above(codes)[1:]]
-    for level, turned in enumerate(_split_above(tree, is_new, before)[: len(above)]):
-        above[level] = distinct(np.concatenate([above[level], turned]))
-    return Above(*(nodes_at(each, above) for each in (tree, before, layer)))
-
-
-def _split_above(tree: Octree, is_new: Bools, before: Octree) -> list[Int64s]:
-    """Return the codes of split nodes above new cells that were nodes before, by level."""
-    if not (is_new.any() and before.split.cells.size):
-        return []
-    found: list[Int64s] = []
-    above = np.empty(0, np.int64)
-    for level, (codes, is_node) in reversed(list(enumerate(tree.walk()))):
+    has_turned = bool(is_new.any() and before.split.cells.size)
+    over_new = np.empty(0, np.int64)
+    for level, (own, is_node) in reversed(list(enumerate(tree.walk())) if has_turned else []):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        own = codes[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
-        own = own[among(own, above)]
-        where = locate(before, own, level)
-        found.insert(0, own[(where.levels == level) & ~where.is_leaf])
-        above = distinct(np.concatenate([above, codes[is_new[here]]]) >> 3)
-    return found
+        split = own[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
+        split = split[among(split, over_new)]
+        where = locate(before, split, level)
+        if level < len(above):
+            was_node = (where.levels == level) & ~where.is_leaf
+            above[level] = distinct(np.concatenate([above[level], split[was_node]]))
+        over_new = distinct(np.concatenate([over_new, own[is_new[here]]]) >> 3)
+    return Above(*(nodes_at(each, above) for each in (tree, before, layer)))
 
 
 def averaged(
     task: Merge, draft: OctreeTexture, raised: Raised, made: Blended, painted: list[Int64s]
 ) -> Merged:
-    """Average anew, in place, above paint that has been blended; keep cells split that need it.
-
-    ``draft`` is the texture before it was raised.
-    """
+    """Average anew, in place, above paint that has been blended; keep cells split that need it."""
     base, channels, parts, above, may_split, averages_rows = made
     is_new, is_fresh = raised.old < 0, raised.is_fresh
     after = base.with_cells(base.tree, channels)
     names = channels if ALPHA.name in parts or is_new.any() else parts
     rows = rows_of(base.tree.split, above.nodes.cells)
     left = {}
-    for name in _alpha_first(names):
+    for name in sorted(names, key=_after_alpha):
         left[name] = _residuals_before(draft, raised, name, above, rows)
         if name in parts:
             takes_on = name == task.target and task.blend in ("over", "replace")
@@ -266,22 +244,18 @@ def averaged(
         if has_rows:
             for name in copies.keys() - left.keys():
                 rows_left[name] = _residuals_before(draft, raised, name, above, rows).rows
-        for name in _alpha_first(rows_left):
+        for name in sorted(rows_left, key=_after_alpha):
             average_rows(texture, copies[name], rows_left[name], above.nodes)
     parts_left = without_split(base.with_cells(base.tree, parts), excess)
     return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
 
 
-def _alpha_first(names: Iterable[str]) -> list[str]:
-    """Sort channels: the others weigh by alpha's averages."""
-    return sorted(names, key=lambda name: name != ALPHA.name)
+def _after_alpha(name: str) -> bool:
+    return name != ALPHA.name  # whose averages weigh the others
 
 
 def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:
-    """Return the residuals that nodes, and ``rows`` of them, had; none where the texture had nothing.
-
-    Those that were no nodes have the residuals of leaves that were raised.
-    """
+    """Return the residuals that nodes, and ``rows`` of them, had; none where the texture had nothing."""
     nodes, was = above.nodes, above.before.numbers >= 0
     owners = np.searchsorted(nodes.cells, rows.cells)
     numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
@@ -299,10 +273,7 @@ def _with_paint(
     before: Residuals,
     layer: OctreeTexture | None,
 ) -> Residuals:
-    """Return the residuals of nodes of which ``part`` is paint, and those of the layer's paint, if given.
-
-    ``part`` is that of leaves, and of their rows, 0 … 1; that of nodes is filled in.
-    """
+    """Return the residuals of nodes of which ``part`` is paint, and those of the layer's paint, if given."""
     own = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
     average(texture, own, nodes=above.nodes)
     covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
@@ -315,10 +286,7 @@ def _with_paint(
 
 
 def averaged_above(task: Merge, draft: OctreeTexture, made: Merged) -> Merged:
-    """Average anew above painted cells without children, into which paint has been merged already.
-
-    Neither ``draft``, the texture as it was, nor the layer have children there.
-    """
+    """Average anew above painted cells without children; neither ``draft`` nor the layer has any there."""
     texture = made.texture
     old = np.where(made.is_new, -1, 0)
     raised = Raised(texture, old, made.is_fresh, np.zeros(old.size, np.bool_), [])

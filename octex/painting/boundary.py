@@ -34,19 +34,11 @@ class Finer(NamedTuple):
     absent: list[Int64s]  # beside paint in leaves, where the texture has nothing
     leaves: list[tuple[int, Int64s]]  # the leaves that paint or the boundary is in: levels and codes
 
-    @property
-    def is_any(self) -> bool:
-        """Whether there is any."""
-        return bool(self.leaves) or any(codes.size for codes in (*self.added, *self.refined))
-
 
 def find_finer(
     tree: Octree, paint: Sequence[Paint], is_skirt: Bools, shallowest: int, is_all_painted: bool
 ) -> Finer:
-    """Find where paint, or the boundary around it, is finer than a tree.
-
-    ``shallowest`` is the level of the largest leaves of the whole.
-    """
+    """Find where paint, or the boundary around it, is finer than a tree, of largest leaves ``shallowest``."""
     found = Finer([], [], [], [], [], [])
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
@@ -85,10 +77,9 @@ def _leaves_above(codes: Int64s, where: Located, level: int) -> list[tuple[int, 
 
 
 def doubted_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[tuple[int, Int64s]]:
-    """Return the leaves near paint, by level, that ``resize`` may have made where no surface is.
+    """Return the leaves near paint, by level, that ``resize`` may have made off the surface.
 
-    Those are in nodes of more than four cells, of which all leaves are alike. Near is what is in or beside
-    nodes that paint is in and that keep a coefficient; see `on_kept`.
+    They are in nodes of more than four like leaves, in or beside kept nodes with paint; see `on_kept`.
     """
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
@@ -136,9 +127,7 @@ def skirt_on_nothing(
 ) -> Int64s:
     """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
 
-    A spline reaches half a cell beyond leaves, so that what was a leaf is refined to cells beside it too. A
-    single stored cell there makes all others below the same cell of level ``top`` count for nothing, also
-    to what is beside it of ``unraised`` leaves, given by level.
+    Splines reach half a cell beyond leaves: one stored cell makes all others in that cell count for nothing.
     """
     shift = 3 * (level - top)
     tops = distinct(absent >> shift)
@@ -150,10 +139,7 @@ def skirt_on_nothing(
 
 
 def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells (n,) of a level, in no leaf of a tree, are beside leaves that are larger.
-
-    Those do not count that are among ``tops``, given by level.
-    """
+    """Say which cells (n,) of a level are beside larger leaves of a tree, not counting ``tops``, by level."""
     around = boundary(codes, level)
     where = locate(tree, around, level)
     around = around[where.is_leaf & (where.levels < level)]
@@ -164,10 +150,7 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
 def is_beside_old(
     codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
 ) -> Bools:
-    """Say which cells (n,) of a level are in or beside nodes that paint is in and whose coefficient stays.
-
-    See `on_kept`: unpainted surface is in or beside them. They are of the coarsest level near paint.
-    """
+    """Say which cells (n,) are in or beside painted nodes whose coefficient stays; see `on_kept`."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     cells = codes >> 3 * (level - coarsest)
@@ -184,10 +167,7 @@ def bare_surface(
     tops: Sequence[Int64s],
     met: SurfaceCells,
 ) -> tuple[list[Int64s], list[Int64s]]:
-    """Return where the surface is not painted, by level: leaves that are not raised, and all there will be.
-
-    ``above`` are painted cells and all above them, ``tops`` the leaves that are raised.
-    """
+    """Return the unpainted surface, by level: leaves not among the raised ``tops``, and all cells."""
     painted = [each.codes for each in paint]
     unraised = [own[~among(own, tops[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
@@ -210,11 +190,10 @@ def free_leaves(
     coarsest: int,
     hiding: float,
 ) -> list[Int64s]:
-    """Return those of the leaves that are raised, ``tops``, that need keep nothing, by level.
+    """Return those of the raised leaves, ``tops`` by level, that keep no coefficient as nodes.
 
-    Two of their own size around them there is no ``bare`` surface and no paint through which something shows,
-    so that no cell off the surface below them is refined from what was there. Nor is there around any cell
-    above them that leaves or kept nodes of its size are beside; these are of level ``coarsest`` or deeper.
+    Two cells around them, and around larger cells above them that the field reads, all surface is hidden by
+    paint. The largest are of level ``coarsest``.
     """
     none = np.empty(0, np.int64)
     shown = [[none, *bare[level : level + 1]] for level in range(len(tops))]
@@ -237,10 +216,7 @@ def free_leaves(
 
 
 def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return leaves that the surface is in and not all of it painted, by level.
-
-    What lies in larger cells of paint is painted with them.
-    """
+    """Return leaves that the surface is in and not all of it painted, by level."""
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
@@ -258,10 +234,7 @@ def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
 def with_old_skirts(
     tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
 ) -> list[Paint]:
-    """Add the skirts of a tree, ``is_skirt`` (cells,), that are beside paint, which lies on leaves.
-
-    Beside them are no ``bare`` leaves, given by level, but such as are beside paint too, or do not see it.
-    """
+    """Add the skirts of a tree (cells,) that are beside paint, and beside ``bare`` leaves only near paint."""
     found = list(paint)
     if not is_skirt.any():
         return found
@@ -285,7 +258,7 @@ def with_old_skirts(
 def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
     """Return a skirt's paint without what changes bare leaves ``far`` from paint, given by level.
 
-    Beside leaves that all face one way, paint that faces the opposite way stays, on that facing alone.
+    Beside leaves that all face one way, paint of the opposite facing stays.
     """
     is_beside = are_beside(skirt.codes, far, level)
     chosen = ~is_beside
@@ -301,24 +274,14 @@ def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Pa
     return some(skirt, chosen)
 
 
-class OnKept(NamedTuple):
-    """Paint on kept coefficients."""
-
-    rows: Int64s  # (n,)   of the kept table, ascending
-    values: Float32s  # (n, components)   decoded
-    coverage: Float32s  # (n,)   0 … 1
-
-
 def on_kept(
     tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
-) -> OnKept:
-    """Return the paint on kept nodes around which there are no ``bare`` leaves, given by level.
+) -> tuple[Int64s, Float32s, Float32s]:
+    """Return the rows of kept nodes without ``bare`` leaves around, and the paint in, or beside them.
 
-    It is the mean of the paint in them, or else, where they are refined to beside paint, of that beside them.
-    The field reads their coefficients in cells off the surface, and from the cells beside them at most:
-    nothing that is not painted depends on them.
+    The field reads their coefficients only off the surface, and from the cells beside them at most.
     """
-    found: list[OnKept] = []
+    found = [(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])]
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
     leaves = _on_surface(tree, paint, is_skirt) if above else []
     for level, painted in enumerate(above):
@@ -333,10 +296,9 @@ def on_kept(
         off = codes[chosen & ~among(codes, painted)]
         beside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
         inside = joined(inside, beside)
-        found.append(OnKept(np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
-    if not found:
-        return OnKept(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])
-    return OnKept(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        found.append((np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
+    rows, values, coverage = (np.concatenate(column) for column in zip(*found, strict=True))
+    return rows, values, coverage
 
 
 def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
@@ -355,10 +317,7 @@ def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
-    """Say which cells (n,) of a level are in or beside some of leaves, given by level.
-
-    With ``refined`` also those that cells in or beside some are refined from.
-    """
+    """Say which cells (n,) of a level are in or beside leaves, or ``refined`` to cells that are."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
@@ -390,10 +349,7 @@ def skirt_paint(skirt: Int64s, level: int, executor: Executor, beside: Paint) ->
 
 @kernel
 def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
-    """Fill in the mean of the paint beside cells.
-
-    The paint in and around a block of 8³ cells is looked up for all that are in it.
-    """
+    """Fill in the mean of the paint beside cells."""
     components = paint.values.shape[1]
     sums = np.empty(components, np.float64)
     nearest = np.zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before

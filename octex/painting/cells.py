@@ -51,7 +51,7 @@ def joined(*parts: Paint) -> Paint:
 def channel_of(layer: OctreeTexture) -> ChannelFormat:
     """Return the channel that a layer paints; raise ArgumentError for a texture that is no layer."""
     if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
-        raise ArgumentError("a layer has one channel, and alpha: what paint covers")
+        raise ArgumentError("a layer must have one channel and alpha, its coverage")
     return layer.channels[painted_channel(layer)].format
 
 
@@ -63,7 +63,10 @@ def painted_channel(layer: OctreeTexture) -> str:
 def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     """Return the paint on a layer's leaves, level by level."""
     values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
-    flags = _painted_flags(layer)
+    flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)  # without SPLIT all of a cell is painted
+    rows = rows_of(layer.tree.split)
+    flags[rows.cells] = SPLIT
+    np.bitwise_or.at(flags, rows.cells, rows.bits * (coverage.split_values[:, 0] > 0))
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
         cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
@@ -75,20 +78,8 @@ def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     return found
 
 
-def _painted_flags(layer: OctreeTexture) -> Uint8s:
-    """Return the flags of paint on a layer's cells (cells,); without SPLIT all of a cell is painted."""
-    flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)
-    rows = rows_of(layer.tree.split)
-    flags[rows.cells] = SPLIT
-    np.bitwise_or.at(flags, rows.cells, rows.bits * (layer.channels[ALPHA.name].split_values[:, 0] > 0))
-    return flags
-
-
 def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
-    """Say which cells (n,) have some of their facings left bare by the paint on them, of flags (n,).
-
-    Paint that tells no facings apart is on the cell as a whole.
-    """
+    """Say which cells (n,) have facings left bare by paint of flags (n,), which without SPLIT covers all."""
     bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)
     return bare
 
@@ -161,5 +152,5 @@ def paint_on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint
     columns = zip(*found, strict=True)
     cells, *paint_on = (own[0] if len(own) == 1 else np.concatenate(own) for own in columns)
     if (np.diff(cells) <= 0).any():
-        raise DefectError("paint lies twice on a cell, or out of order")
+        raise DefectError("paint has a cell twice, or its cells are out of order")
     return cells, Paint(*paint_on)

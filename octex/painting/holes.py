@@ -17,10 +17,10 @@ from octex.editing.split import rows_facing
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
 from octex.painting.layer import COVERAGE, empty_texture
+from octex.painting.merge import paint_by_tiles
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Holes
 from octex.painting.sheets import Region, Sheets, sheets_of
-from octex.painting.tiles import paint_by_tiles
 from octex.parallel import Progress
 from octex.source.base import Source
 from octex.source.surface import Surface
@@ -71,11 +71,10 @@ class SheetValues(Source):
 def begun(
     layer: OctreeTexture, surface: Surface, holes: Holes, executor: Executor, progress: Progress
 ) -> OctreeTexture:
-    """Return what a layer of paint is merged into as the first one: ``smooth`` where it has no paint.
+    """Return what the first layer of paint is merged into: ``smooth`` where it has no paint.
 
-    What the layer covers by half or more is known there, in cells as large as most of its leaves. The rest is
-    harmonic: each sheet of the surface has the mean of those beside it, the nearer ones counting for more. A
-    part of which nothing is known has the mean of all that is.
+    What the layer covers by half or more is known, in cells as large as most of its leaves. The rest is
+    harmonic; a part of which nothing is known has the mean.
     """
     name = painted_channel(layer)
     form = layer.channels[name].format
@@ -87,7 +86,11 @@ def begun(
     if not region.codes.size:
         return nothing
     sheets = sheets_of(surface, layer.placement, level, executor, region)
-    values, coverage = _paint_on(layer, name, sheets)
+    where = locate(layer.tree, sheets.codes, level)
+    values = rows_facing(layer, layer.channels[name], where.cells, sheets.bits).astype(np.float64)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], where.cells, sheets.bits)[:, 0]
+    is_there = where.is_leaf | (where.levels == level)
+    coverage[~is_there | (layer.tree.arrays.flags[where.cells] & sheets.bits == 0)] = 0.0
     mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
     source = SheetValues(form, sheets, values.astype(np.float32))
@@ -99,10 +102,7 @@ def begun(
 
 
 def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
-    """Return where a surface is not wholly covered by a layer, and beside that; and the level of its cells.
-
-    That is the level of most of the layer's leaves by area, or a coarser one that has not too many cells.
-    """
+    """Return the level of most of a layer's leaves, or a coarser one with few cells, and the open region."""
     areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(layer.tree.walk())]
     level = int(np.argmax(areas))
     found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
@@ -114,10 +114,7 @@ def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
 
 
 def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
-    """Return the cells of a level in which a layer does not cover the surface wholly, and those beside them.
-
-    A node tells of what lies below it: its coverage is that of the surface in it.
-    """
+    """Return the cells of a level in or beside which a layer does not cover the surface wholly."""
     blocks = bin_triangles(on_grid(surface.rest, layer.placement), surface.triangles, above + BLOCK_BITS)
     alpha = layer.channels[ALPHA.name]
     full = np.iinfo(alpha.format.dtype).max
@@ -135,10 +132,7 @@ def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
 
 
 def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Float64s:
-    """Return values (n, components) of sheets, harmonic where they are not ``known`` (n,).
-
-    What hangs together without anything known gets the ``mean`` (components,).
-    """
+    """Return values (n, components) of sheets, harmonic where not ``known``; ``mean`` in unknown parts."""
     free = np.flatnonzero(~known)
     numbers = np.full(known.size, -1, np.int64)
     numbers[free] = np.arange(free.size)
@@ -157,22 +151,8 @@ def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Fl
     return found
 
 
-def _paint_on(layer: OctreeTexture, name: str, sheets: Sheets) -> tuple[Float64s, Float64s]:
-    """Return what a layer paints on sheets (n, components), and its coverage (n,)."""
-    where = locate(layer.tree, sheets.codes, sheets.level)
-    there = where.is_leaf | (where.levels == sheets.level)
-    cells = where.cells
-    values = rows_facing(layer, layer.channels[name], cells, sheets.bits).astype(np.float64)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], cells, sheets.bits)[:, 0].astype(np.float64)
-    coverage[~there | (layer.tree.arrays.flags[cells] & sheets.bits == 0)] = 0.0
-    return values, coverage
-
-
 def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> OctreeTexture:
-    """Return a texture whose channel ``coverage`` says how much of its cells layers, merged into it, cover.
-
-    What it had of that channel is covered already: c and d together cover 1 − (1 − c)(1 − d).
-    """
+    """Return a texture with the channel ``coverage``: 1 − (1 − c)(1 − d) for layers that cover c and d."""
     tree = texture.tree
     form = COVERAGE._replace(name=COVERED)
     rows = rows_of(tree.split)
@@ -182,7 +162,7 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     if COVERED in texture.channels:
         had = texture.channels[COVERED]
         if had.format.components != 1 or had.format.space != "data":
-            raise ArgumentError(f"the texture's channel {COVERED!r} does not say what is covered")
+            raise ArgumentError(f"the texture's channel {COVERED!r} is not a coverage channel")
         form, kept = had.format, had.kept_values
         clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (had.values, had.split_values))
     else:

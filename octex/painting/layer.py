@@ -13,7 +13,7 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
 from octex.source.base import Source
-from octex.source.separation import SEPARATION
+from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
@@ -107,9 +107,8 @@ def wanted_depths(
 ) -> Depths:
     """Return how deep paint goes whose details are ``widths`` (n,) wide on so much of the surface (n,).
 
-    ``size`` is the root cell's edge; most of the surface has ``cells`` in the width of details, or more; if
-    the paint ``is_single``, of one picture, all but the finest hundredth has. None goes deeper than
-    ``depth``.
+    Most of the surface, or of one picture all but the finest hundredth, has ``cells`` or more in that width,
+    in a root cell of ``size``; none is deeper than ``depth``.
     """
     own = np.isfinite(widths) & (widths > 0.0) & (areas > 0.0)
     if not own.all():

@@ -1,21 +1,63 @@
-"""Paint merged into a texture: each cell blended once, averages and facings with it (paper 4.1, step 5)."""
+"""A layer merged into a texture: in one draft, or piece by piece (paper 4.1, steps 2 to 7; see `steps`).
+
+A piece is some tiles in Morton order. The paint in and beside them is merged into a draft of the texture, as
+if there were no other; of that draft the tiles are kept. What is above the tiles is averaged at the end.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from itertools import islice
+from typing import NamedTuple
 
+import numpy as np
+
+from octex.arrays import Int64s
 from octex.channels import ALPHA
 from octex.checks import as_choice, as_number
-from octex.editing.draft import Change, with_alpha, with_channels_of
-from octex.errors import ArgumentError
-from octex.painting.blend import Merge
-from octex.painting.cells import channel_of
+from octex.conversion import large
+from octex.editing.averages import with_summed_areas
+from octex.editing.carried import carried
+from octex.editing.draft import (
+    STEPS,
+    Change,
+    Tiles,
+    brightest_tiles,
+    cells_in,
+    change_in,
+    coarsest_near,
+    cut_out,
+    put_together,
+    tiles_around,
+    with_alpha,
+    with_channels_of,
+)
+from octex.editing.nodes import nodes_at
+from octex.editing.split import refaced
+from octex.errors import ArgumentError, own_making
+from octex.painting.blend import Merge, Merged, averaged_above, no_parts
+from octex.painting.cells import Paint, channel_of, paint_of, some
 from octex.painting.picture import BLENDS, Blend
+from octex.painting.steps import delete_paint, merge_draft, refine_paint
 from octex.painting.surface import PaintedSurface
-from octex.painting.tiles import merge_layer
-from octex.parallel import Progress, as_progress, workers
+from octex.parallel import Progress, as_progress, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
-from octex.texture import OctreeTexture, as_texture
+from octex.texture import Channel, OctreeTexture, as_texture
+from octex.tree.areas import SKIRT
+from octex.tree.beside import with_boundary
+from octex.tree.edit import among, locate, rebuilt, with_all_above
+from octex.tree.octree import distinct
+
+#: Cells of layer and texture that a piece has, about, without those beside it.
+PIECE = 1 << 20
+#: Pieces that are merged side by side at most, and where memory is scarce.
+_AT_ONCE, _LEAST_AT_ONCE = 4, 2
+#: If all pieces with what is beside them have more than so many times the cells that there are, they are no
+#: gain.
+MOST = 3.0
+#: Begins the names under which a piece's top has how much of its channels is paint; no other name does.
+_PART = "\0part of "
 
 
 def merge(
@@ -81,7 +123,7 @@ def merged(
         )
     if opacity == 0.0 or not layer.tree.n_leaves:
         return None
-    given = texture
+    before = texture
     if target == ALPHA.name and target not in texture.channels:
         texture = with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
@@ -91,5 +133,178 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    change = merge_layer(Merge(texture, layer, surface, target, blend, opacity, executor, progress))
-    return change and change._replace(before=with_channels_of(change.before, given))
+    task = Merge(texture, layer, surface, target, blend, opacity, executor, progress)
+    pieces = pieces_of(texture, layer)
+    change = _merge_at_once(task) if pieces is None else _merge_pieces(task, pieces)
+    return change and change._replace(before=with_channels_of(change.before, before))
+
+
+def _merge_at_once(task: Merge) -> Change | None:
+    """Merge a layer in one draft."""
+    texture, paint = task.texture, paint_of(task.layer, task.opacity)
+    if not any(each.codes.size for each in paint):
+        return None
+    around = tiles_around(texture, [each.codes for each in paint])
+    draft = texture if around is None else cut_out(texture, around)
+    made = merge_draft(task, draft, paint)
+    task.progress("merge", 1, 1)
+    return None if made is None else Change(around, draft, delete_paint(made))
+
+
+class Pieces(NamedTuple):
+    """How a layer is divided."""
+
+    level: int  # of the tiles
+    coarsest: int  # the level of the largest leaf or kept node that the layer is in or beside
+    tiles: list[Int64s]  # of each piece, Morton codes, ascending
+
+
+class _Piece(NamedTuple):
+    tiles: Tiles
+    whole: OctreeTexture  # its tiles, and all above them
+    top: OctreeTexture  # the tiles as leaves, with the parts that are paint
+    averages_rows: bool  # see Merged
+    #: The tiles with paint; with new cells; with cells where the texture had nothing, all and the layer's.
+    lists: list[Int64s]
+
+
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
+    """Divide a layer for a texture; return None for one that is merged in one draft."""
+    tree, painted = texture.tree, layer.tree
+    if painted.n_leaves + tree.n_leaves <= PIECE or not tree.n_leaves or not painted.n_leaves:
+        return None
+    finest = next(level for level, (leaves, _) in enumerate(painted.cells_by_depth()) if leaves)
+    codes = painted.level_codes(finest)
+    coarsest = coarsest_near(tree, [codes[:0]] * finest + [codes], finest)
+    level = coarsest - STEPS
+    if not 0 < level < tree.max_depth:
+        return None
+    tiles = Tiles(level, with_boundary(distinct(codes >> 3 * (finest - level)), level))
+    counts = cells_in(painted, tiles) + cells_in(tree, tiles)
+    numbers = (np.cumsum(counts) - counts) // PIECE
+    found = [tiles.codes[numbers == number] for number in distinct(numbers)]
+    around = (Tiles(level, with_boundary(own, level)) for own in found)
+    total = sum(int(cells_in(painted, own).sum() + cells_in(tree, own).sum()) for own in around)
+    if len(found) < 2 or total > MOST * counts.sum():
+        return None
+    return Pieces(level, coarsest, found)
+
+
+def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
+    """Merge a layer piece by piece."""
+    texture, level = task.texture, pieces.level
+    bright = brightest_tiles(texture, level)
+
+    def merge_piece(codes: Int64s) -> _Piece | None:
+        near = with_boundary(codes, level)
+        opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
+        layer = cut_out(task.layer, Tiles(level, near))
+        paint = _inside(paint_of(layer, task.opacity), near, level)
+        with workers(1) as one_worker:
+            own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
+            made = merge_draft(own, cut_out(texture, opened), paint)
+        if made is None:
+            return None
+        tree, tiles = made.texture.tree, Tiles(level, codes)
+        parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
+        top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
+        ends, walk = tree.arrays.level_cells, list(tree.walk())
+        new, fresh = (
+            [cells[chosen[ends[at] : ends[at + 1]]] for at, (cells, _) in enumerate(walk)]
+            for chosen in (made.is_new, made.is_fresh)
+        )
+        lists = []
+        for each in (made.painted, new, fresh, made.added):
+            inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
+            inside_tiles = distinct(np.concatenate([codes[:0], *inside]))
+            lists.append(inside_tiles[among(inside_tiles, codes)])
+        whole, top = cut_out(made.texture, tiles), cut_out(top, Tiles(level, codes[:0]))
+        return _Piece(tiles, whole, top, made.averages_rows, lists)
+
+    window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
+    with own_making():
+        with sharing(task.executor) as pool:
+            all_merged = ordered_map(
+                pool, merge_piece, pieces.tiles, stage="merge", progress=task.progress, window=window
+            )
+            found = [large.moved(each) for each in all_merged if each is not None]
+        if not any(each.lists[0].size for each in found):
+            return None
+        closed = Tiles(level, np.empty(0, np.int64))
+        before, task = cut_out(texture, closed), task._replace(layer=cut_out(task.layer, closed))
+        top = averaged_above(task, before, _top(before, task.layer, found))
+        made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in found])
+    return change_in(Tiles(level, np.concatenate(pieces.tiles)), texture, made)
+
+
+def paint_by_tiles(
+    texture: OctreeTexture, layer: OctreeTexture
+) -> Iterator[tuple[OctreeTexture, list[Paint]]]:
+    """Yield piece by piece what of a layer is around it, and its paint as it lies on a texture's leaves."""
+    pieces = pieces_of(texture, layer)
+    if pieces is None:
+        yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
+        return
+    level = pieces.level
+    for tiles in pieces.tiles:
+        own = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
+        yield own, refine_paint(_inside(paint_of(own, 1.0), tiles, level), own, texture.tree, 1.0)
+
+
+def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
+    """Return the paint on smaller cells in tiles."""
+    return [
+        some(each, among(each.codes >> 3 * (at - level), tiles) if at > level else slice(0))
+        for at, each in enumerate(paint)
+    ]
+
+
+def _named(channel: Channel, name: str) -> Channel:
+    return channel._replace(format=channel.format._replace(name=name))
+
+
+def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
+    """Return the texture down to the tiles, with the values of pieces; nodes are still to be averaged."""
+    level, none = pieces[0].tiles.level, np.empty(0, np.int64)
+    leaves = [codes[~is_node] for codes, is_node in before.tree.walk()]
+    own = [next(islice(each.top.tree.walk(), level, None))[0] for each in pieces]
+    own = [codes[among(codes, each.tiles.codes)] for codes, each in zip(own, pieces, strict=True)]
+    leaves[level] = distinct(np.concatenate([leaves[level], *own]))
+    edited = rebuilt(before.tree, leaves)
+    names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
+    tree = edited.tree
+    areas = np.where(edited.old < 0, SKIRT, tree.arrays.areas)
+    for at, (codes, _) in enumerate(tree.walk()):
+        here = slice(*tree.arrays.level_cells[at : at + 2].tolist())
+        where = locate(layer.tree, codes, at)
+        is_own = (edited.old[here] < 0) & (where.levels == at)
+        areas[here][is_own] = layer.tree.arrays.areas[where.cells[is_own]]
+    tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
+    base = before.with_cells(tree, {**carried(before, edited), **no_parts(tree, names)})
+    tops = [
+        (tiles, top.with_cells(top.tree, {**no_parts(top.tree, names), **top.channels}))
+        for tiles, _, top, *_ in pieces
+    ]
+    made = refaced(put_together(base, base, tops))
+    tree = made.tree
+    columns = zip(*(each.lists for each in pieces), strict=True)
+    painted, new, fresh, added = (distinct(np.concatenate(column)) for column in columns)
+    if added.size:
+        tree = with_summed_areas(tree, nodes_at(tree, with_all_above([none] * level + [added])[:-1]))
+    codes, first = tree.level_codes(level), int(tree.arrays.level_cells[level])
+    is_new, is_fresh = edited.old < 0, edited.old < 0
+    is_new[first:] |= among(codes, new)
+    is_fresh[first:] |= among(codes, fresh)
+    channels = {name: own for name, own in made.channels.items() if name not in names}
+    parts = {
+        name.removeprefix(_PART): _named(made.channels[name], name.removeprefix(_PART)) for name in names
+    }
+    return Merged(
+        made.with_cells(tree, channels),
+        made.with_cells(tree, parts),
+        is_fresh,
+        is_new,
+        [none] * level + [painted],
+        any(each.averages_rows for each in pieces),
+        [],
+    )

@@ -52,19 +52,11 @@ def added(numbers: Int64s, values: Float64s, count: int) -> Float64s:
     return np.bincount(numbers, values, count).astype(np.float64, copy=False)
 
 
-def pairs_of(graph: Graph) -> tuple[Int64s, Float64s]:
-    """Return the edges of a graph, the smaller node first, and their weights."""
-    rows = np.repeat(np.arange(graph.starts.size - 1), np.diff(graph.starts))
-    own = rows < graph.others
-    return np.column_stack([rows[own], graph.others[own]]), graph.weights[own]
-
-
 def coarser(graph: Graph, codes: Int64s) -> tuple[Graph, Int64s, Int64s]:
-    """Return the graph one level up, its nodes' codes, and which of them each node (n,) is part of.
-
-    ``codes`` (n,) are the Morton codes of the nodes' cells.
-    """
-    pairs, weights = pairs_of(graph)
+    """Return the graph one level up, its nodes' codes, and which of them each node (n,) is part of."""
+    rows = np.repeat(np.arange(graph.starts.size - 1), np.diff(graph.starts))
+    own = rows < graph.others  # each edge once
+    pairs, weights = np.column_stack([rows[own], graph.others[own]]), graph.weights[own]
     parents = np.arange(codes.size)
     inside = codes[pairs[:, 0]] >> 3 == codes[pairs[:, 1]] >> 3
     join(parents, *np.ascontiguousarray(pairs[inside].T))
@@ -76,8 +68,7 @@ def coarser(graph: Graph, codes: Int64s) -> tuple[Graph, Int64s, Int64s]:
 def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float64s) -> Float64s:
     """Return x (n, components) with hold · x + Σ weight · (x − x of the neighbour) = right.
 
-    ``codes`` (n,) are the Morton codes of the nodes' cells, of a level; ``hold`` (n,), above 0 somewhere in
-    all that hangs together, is how strongly a node is held at right / hold.
+    ``codes`` (n,) are the Morton codes of the nodes' cells; each part needs a ``hold`` (n,) above 0.
     """
     levels = []
     own, cells = graph, codes
@@ -105,10 +96,7 @@ def conjugate_gradients(
     less: float,
     steps: int,
 ) -> Values:
-    """Return x with apply(x) = right, each column by itself, ``eased`` being nearly the inverse of ``apply``.
-
-    It ends where the error is so much ``less`` in the norm of the energy, or after so many steps.
-    """
+    """Return x with apply(x) = right, each column by itself; ``eased`` is nearly the inverse of ``apply``."""
     x, residual = np.zeros_like(right), right.copy()
     z = eased(residual)
     direction, energy = z.copy(), _products(residual, z)

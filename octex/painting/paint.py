@@ -77,8 +77,8 @@ def paint(
     projections   pictures with cameras. Consecutive ones with the same blend mode form one layer: each cell
                   averages them, weighted by the fourth power of their resolution, and is blended once
     channel       the channel to paint
-    max_depth     the deepest level of paint; cells above it are a quarter to half a pixel wide. Default: half
-                  a pixel to one pixel, at most level 14
+    max_depth     cells are a quarter to half a pixel wide, and no finer than this level: paint may come out
+                  finer than without. Default: half a pixel to one pixel, no finer than level 14
     max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
                   painted; paint fades over the last 10. Default: 75; 85 if every picture was drawn on a view
     edge_feather  pixels over which paint fades toward the picture's border and toward edges in depth
@@ -131,10 +131,7 @@ def painted(
     holes: Holes = "smooth",
     layers: list[OctreeTexture] | None = None,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
-    """Paint as `paint` does; yield what has become of the texture with each layer, and what has changed.
-
-    The layers are appended to ``layers`` if that is given.
-    """
+    """Paint; yield the texture with each layer, and the change. Layers are appended to ``layers``."""
     surface, projections = laid_flat(job.surface, projections, texture)
     job = job._replace(surface=surface)
     for blend, group in groupby(projections, key=lambda projection: projection.blend):
@@ -191,25 +188,23 @@ def project(
 
 
 def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:
-    """Project pictures of one layer as `project` does."""
-    options = job.options.of(pictures)
-    job = job._replace(options=options)
-    form = format_of(like, options.channel)
+    """Project pictures of one layer as `project` does, or return the layer that the stages hold."""
+    job = job._replace(options=job.options.of(pictures))
+    form = format_of(like, job.options.channel)
 
     def parts() -> list[Any]:
         shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in pictures]
-        return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
+        return [job.surface.content, like and like.placement, form, shown, *astuple(job.options)]
 
-    own = job.stages.of(parts)
-    return own.texture("layer", lambda: _layer_of(job, pictures, like, own))
+    stages = job.stages.of(parts)
+    return stages.texture("layer", lambda: _layer_of(job, pictures, like, form, stages))
 
 
 def _layer_of(
-    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, stages: Stages
+    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
 ) -> OctreeTexture:
-    """Return the layer of pictures; ``stages`` are those of what was made from all of them."""
+    """Project pictures; ``stages`` are those of what was made from all of them."""
     (painted, options, executor, progress, _), surface = job, job.surface.surface
-    form = format_of(like, options.channel)
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
     shots = _look(job, form, pictures, around)
@@ -251,9 +246,10 @@ def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around:
     sights = job.surface.sights(cameras, job.options.edge_feather, job.executor, job.stages)
     largest = max(each.opacity for each in pictures) or 1.0
     scales = [each.opacity / largest for each in pictures]
-    job.progress("look", 0, len(pictures))
     shots = []
-    for shot in take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages):
+    taken = take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages)
+    job.progress("look", 0, len(pictures))
+    for shot in taken:
         shots.append(shot)
         job.progress("look", len(shots), len(pictures))
     return shots

@@ -27,9 +27,9 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
-from octex.source.images.cubic import catmull_rom
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
+from octex.source.images.taps import catmull_rom
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 
@@ -92,29 +92,22 @@ class Projection:
 def room_for(
     projections: Sequence[Projection], memory: int | str | None, folder: str | os.PathLike[str] | None
 ) -> AbstractContextManager[object]:
-    """Have what pictures hold lie in files of a folder, until the end of the block, beyond some memory.
-
-    By default that is the folder of temporary files. Raises ArgumentError for what is no size, and for a
-    folder without one.
-    """
+    """Have what pictures hold beyond some memory lie in files of a folder, until the end of the block."""
     if memory is None:
         if folder is not None:
-            raise ArgumentError("folder has no meaning without memory, beyond which it is used")
+            raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")
         return nullcontext()
     pixels = sum(each.camera.width * each.camera.height for each in projections)
     if as_bytes(memory, "memory") >= _PIXEL_MEMORY * pixels:
         return nullcontext()
     place = Path(tempfile.gettempdir()) if folder is None else as_path(folder, "folder")
     if not place.is_dir():
-        raise ArgumentError(f"folder: {place} is no folder; name one that is there")
+        raise ArgumentError(f"folder: {place} is not a folder; name an existing one")
     return scratch(place)
 
 
 class Mips(NamedTuple):
-    """A picture and smaller ones, each half as wide and high.
-
-    A row is a pixel: up to three components, decoded, multiplied by alpha; and alpha.
-    """
+    """A picture and smaller ones, each half as wide and high; colours are multiplied by alpha."""
 
     pixels: Float32s  # (pixels of all mips, 4)
     sizes: Int64s  # (mips, 3)   first row, width, height
@@ -137,11 +130,7 @@ class Window(NamedTuple):
 def mips_of(
     projection: Projection, form: ChannelFormat, scale: float = 1.0, stages: Stages = NOT_STORED
 ) -> Mips:
-    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
-
-    Raises ImageError for files and arrays that cannot be used, ArgumentError for sizes that are not the
-    camera's.
-    """
+    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``."""
     return window_of(projection, form, scale, None, stages)[0]
 
 
@@ -192,22 +181,25 @@ def _window_of(
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
         factor = window.of(shown) * factor
     if projection.key is not None:
-        factor = factor * ~_is_key(texels, projection.key)
+        if texels.dtype == np.uint16:
+            colors = texels[:, :, :3].astype(np.float32) / 257.0
+        else:
+            colors = (255.0 * linear_to_srgb(np.clip(texels[:, :, :3], 0, 1))).astype(np.float32)
+        key = np.asarray(projection.key, np.float32)
+        factor = factor * ~(np.abs(colors - key) <= _KEY_CODES).all(axis=2)
+        del colors
     del texels  # as large as what follows
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
     for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
-    pixels[:] = sharpened(pixels, _is_light(form))
+    pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
     return Mips(rows, sizes, limits), window
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:
-    """Return the part of a picture that is so near to some pixels, to whole multiples of that.
-
-    So the pixels of smaller mips are those of the whole picture's.
-    """
+    """Return the part within ``around`` pixels of paint, in multiples of it: mips keep their pixels."""
     ends = []
     for axis in (1, 0):  # of columns, and of rows
         size = has_paint.shape[axis]
@@ -269,26 +261,10 @@ def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[
     return texels
 
 
-def _is_key(texels: npt.NDArray[np.uint16 | np.float32], key: Sequence[int]) -> Bools:
-    """Say which texels (height, width) are within _KEY_CODES of a colour of 8-bit codes."""
-    colors = texels[:, :, :3]
-    if texels.dtype == np.uint16:
-        codes = colors.astype(np.float32) / 257.0
-    else:
-        codes = (255.0 * linear_to_srgb(np.clip(colors, 0, 1))).astype(np.float32)
-    near: Bools = (np.abs(codes - np.asarray(key, np.float32)) <= _KEY_CODES).all(axis=2)
-    return near
-
-
 def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
     scale = np.float32(1.0 / _MOST_CODE if alpha.dtype == np.uint16 else 1.0)
     fractions: Float32s = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
     return fractions
-
-
-def _is_light(form: ChannelFormat) -> bool:
-    """Say whether a channel is of colours."""
-    return form.space in ("srgb", "linear")
 
 
 def _decoded(
@@ -297,7 +273,7 @@ def _decoded(
     """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
     pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
-        table = decode_table("uint16", "srgb" if _is_light(form) else form.space)
+        table = decode_table("uint16", "srgb" if form.space in ("srgb", "linear") else form.space)
         _decode(np.ascontiguousarray(texels, np.uint16), table, pixels)
     else:
         pixels[:, :, :3] = texels[:, :, :3]
@@ -343,9 +319,8 @@ def read_paint(
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return paint at pixel coordinates as a box of ``width`` pixels sees it: times alpha, and alpha.
 
-    Read by the spline of Catmull and Rom, which keeps what bilinear reading would blur (5 dB where cells are
-    as large as pixels): at the point if the box is a pixel or less; else at four points about it, in the
-    level whose pixels are next smaller, so that the variance is the box's.
+    Read by Catmull and Rom's spline (bilinear reading loses 5 dB): at the point if the box is a pixel or
+    less; else at four points of the next finer level, so that the variance is the box's.
     """
     if not width > 1.0:
         return _bicubic(mips, 0, x, y)

@@ -26,10 +26,7 @@ Shading = Callable[[Int32s], Float32s]
 
 @dataclass(eq=False)
 class Projected(PaintSource):
-    """Paint from shots of a posed surface.
-
-    What is hidden or faces away is so by the triangles; angles to cameras are those of ``shading``.
-    """
+    """Paint from shots of a posed surface."""
 
     shots: list[Shot]
     form: ChannelFormat
@@ -137,15 +134,19 @@ class Projected(PaintSource):
         return at_corners(self.vertices, self.triangles[triangles], barycentric)
 
     def footprints(self) -> tuple[Float32s, Float64s]:
-        """Return the edge of the finest pixel at points of triangles that own one, and the area for each.
-
-        The points are the triangles' corners and middles, the area what is seen of the triangles. The finest
-        come first.
-        """
+        """Return the finest pixels' edges, ascending, at corners and middles of triangles, and seen areas."""
         touched = self.touched()
         places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
         _, areas = face_normals(self.vertices, self.triangles[touched])
-        areas = np.minimum(areas, self._seen_areas(touched))
+        seen_areas = np.zeros(len(touched))  # by the pixels in the triangles' middles
+        flat = replace(self, stretches=np.ones(len(self.triangles), np.float32))
+        for shot in self.shots:
+            seen = shot.seen.triangle
+            counts = np.bincount(seen[seen >= 0], minlength=len(self.triangles))[touched]
+            edges = flat.with_shots([shot]).texel_edges(touched)
+            edges[counts == 0] = 0.0
+            seen_areas += counts * edges.astype(np.float64) ** 2
+        areas = np.minimum(areas, seen_areas)
         widths = np.concatenate([self.widths(touched, np.tile(place, (len(touched), 1))) for place in places])
         # Numbers that are not negative are in the order of their bits: a fifth of the time of an argsort.
         keys = widths.view(np.uint32).astype(np.uint64) << np.uint64(32)
@@ -154,26 +155,12 @@ class Projected(PaintSource):
         order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
         return widths[order], np.tile(areas / len(places), len(places))[order]
 
-    def _seen_areas(self, chosen: Int32s) -> Float64s:
-        """Return how much of triangles (n,) pixels see, by the pixels in their middles."""
-        areas, flat = np.zeros(len(chosen)), replace(self, stretches=np.ones(len(self.triangles), np.float32))
-        for shot in self.shots:
-            seen = shot.seen.triangle
-            counts = np.bincount(seen[seen >= 0], minlength=len(self.triangles))[chosen]
-            edges = flat.with_shots([shot]).texel_edges(chosen)
-            edges[counts == 0] = 0.0
-            areas += counts * edges.astype(np.float64) ** 2
-        return areas
-
     def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of the finest pixel on triangles (n,), in rest units; infinity where none is."""
+        """Return the edge of the finest pixel on triangles (n,), at rest; infinity where none is."""
         return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
 
     def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
-        """Return how wide the finest pixel that looks toward points is there, in rest units: its area's root.
-
-        Infinity for points that no camera has before it.
-        """
+        """Return the edge of the finest pixel at points (n,), at rest; infinity where no camera looks."""
         widths = np.full(len(triangles), np.inf, np.float32)
         mesh = self.vertices, self.triangles, self.stretches
         for shot in self.shots:

@@ -11,7 +11,7 @@ from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
 from octex.painting.picture import clipped, read_paint
 from octex.painting.sight import TRUSTED, Shot
-from octex.source.images.cubic import catmull_rom
+from octex.source.images.taps import catmull_rom
 from octex.view.visibility import (
     View,
     nearness,
@@ -135,10 +135,7 @@ def _shaded(
     far: float,
     cosine: float,
 ) -> float:
-    """Return the cosine between the normal that a point shades by and the way to the camera, ``far`` long.
-
-    The normal is on the side of the triangle's own, whose ``cosine`` it has where there is none.
-    """
+    """Return the cosine between the normal that a point shades by and the way to the camera, ``far`` long."""
     (u, v, w), (x, y, z) = normal, point
     length = np.sqrt(u * u + v * v + w * w)
     if not length > 0.0:
@@ -157,12 +154,11 @@ def _read_beside(
     plane: tuple[float, float, float],
     slack: float,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint at a place as `read_paint` does, of pixels that see the same surface, and nothing else.
+    """Return paint at a place as `read_paint` does, but only of pixels that see the same surface.
 
-    In place of what others hold stands the mean of these, the nearer the more. ``pixel`` is where the camera
-    without distortion sees the place.
+    Their mean, the nearer the more, replaces others. ``pixel`` is the place before distortion.
     """
-    (u, v), (x, y), (near, right, down) = place, pixel, plane
+    (u, v), (x, y) = place, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.triangle.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
@@ -179,7 +175,7 @@ def _read_beside(
         if not (0 <= i < height and 0 <= j < width):
             continue
         other = shot.seen.triangle[i, j]
-        if other < 0 or (other != triangle and parts(shot.seen, i, j, x, y, near, right, down, slack)):
+        if other < 0 or (other != triangle and parts(shot.seen, i, j, pixel, plane, slack)):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
         own = np.float32(1.0) / (far * far)
@@ -278,7 +274,7 @@ def add_paint(
         fine = _pixels(view, z)
         near = base + right * px + down * py
         slack = tolerance(view, near, right, down, 0.5 * area * cosine * fine * fine)
-        part = visible_part(shot.seen, triangle, px, py, near, right, down, slack)
+        part = visible_part(shot.seen, triangle, (px, py), (near, right, down), slack)
         coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))
@@ -323,8 +319,7 @@ def mark_seen_blocks(
 ) -> None:
     """Mark the blocks with triangles that may be seen.
 
-    ``counts`` (height + 1, width + 1) are those of the pixels above and to the left that see anything. What
-    lies of a triangle in a block lies, seen along an axis, in a rectangle: that is looked for in the picture.
+    ``counts`` (height + 1, width + 1) are summed seen pixels: a triangle's part in a block is in a rectangle.
     """
     height, width = counts.shape[0] - 1, counts.shape[1] - 1
     for block in range(found.size):

@@ -75,7 +75,7 @@ class Box(NamedTuple):
             for corner, name in ((self.low, "low"), (self.high, "high"))
         )
         if (low > high).any():
-            raise ArgumentError(f"{self!r} is no region: its corners must be in order")
+            raise ArgumentError(f"{self!r} is not a box: low must not exceed high")
         (x, y, z), (u, v, w) = low.tolist(), high.tolist()
         return Box((x, y, z), (u, v, w), as_number(self.soft, "soft", 0.0, np.inf))
 
@@ -157,14 +157,14 @@ def filled(
     executor: Executor,
     progress: Progress,
 ) -> tuple[OctreeTexture, Change | None]:
-    """Return the texture to fill, a new one for None, and the change that filling makes; see `fill`.
-
-    ``surface`` is the one whose rest positions the region is of, ``painted`` where the texture has it.
-    """
+    """Return the texture, a new one for None, and the change of a fill of a region of ``surface``."""
     opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
     as_choice(wanted.blend, BLENDS, "blend")
     form = format_of(texture, wanted.channel)
-    value = _value(form, wanted.color)
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    color = as_reals(wanted.color, f"color of {form.name!r}", *shapes, most=most)
+    value = np.atleast_1d(color).astype(np.float32)
     if wanted.max_depth is not None:
         depth = as_depth(wanted.max_depth, "max_depth")
     else:
@@ -219,12 +219,6 @@ class RegionSource(PaintSource):
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
         return found
-
-
-def _value(form: ChannelFormat, color: npt.ArrayLike) -> Float32s:
-    shapes = [(form.components,), *([()] if form.components == 1 else [])]
-    most = float(np.finfo(np.float32).max)
-    return np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most)).astype(np.float32)
 
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:

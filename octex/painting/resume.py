@@ -44,10 +44,7 @@ class Stages(NamedTuple):
         make: Callable[[], Mapping[str, Array]],
         is_sound: Callable[[Mapping[str, Array]], bool] = lambda _: True,
     ) -> Mapping[str, Array]:
-        """Return the arrays of a stage, mapped; make them if they are not there, or not sound.
-
-        Raises OutputError for a folder that does not store what is written there.
-        """
+        """Return the arrays of a stage, made if missing or unsound; OutputError if they do not stay."""
         if self.folder is None:
             return make()
         name = f"{stage}-{self.key.hex()}"
@@ -62,7 +59,7 @@ class Stages(NamedTuple):
             if contents.metadata.get("stage") == name and is_sound(contents.tensors):
                 container.read_ahead(contents.mapping)
                 return contents.tensors
-        raise OutputError(f"{path}: does not keep what is written there; choose another folder")
+        raise OutputError(f"{path}: lost a file that was written there; choose another folder")
 
     def placed(self, arrays: Rows) -> Rows:
         """Return arrays of a stage where they stay: in its file, or as `large.moved` puts them."""
@@ -92,7 +89,9 @@ def stages_in(folder: str | os.PathLike[str] | None) -> Stages:
     try:
         path.mkdir(exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{path}: cannot keep what was done: {error.strerror}; choose a folder") from error
+        raise OutputError(
+            f"{path}: cannot store intermediate results: {error.strerror}; choose a folder"
+        ) from error
     return Stages(path, digest_of(octex.__version__, _VERSION))
 
 

@@ -34,10 +34,8 @@ _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
 def sharpened(pixels: Float32s, is_light: bool = True) -> Float32s:
     """Return pixels (height, width, 4), colours times alpha, as values at their centres.
 
-    Pixels of another alpha say nothing: where paint ends, or fades, nothing is sharpened across. No pixel is
-    changed by more than four times what it differs from the more alike of those beside it: what is of one
-    colour stays so up to its edge, as in drawings. Nor is noise sharpened, which is as strong as it is in the
-    quietest tenth of the picture, to 5 of 255: of light in its square roots, of data in their values.
+    Nothing is sharpened across another alpha, by more than four times the difference to a neighbour, or by
+    less than noise: as strong as in the picture's quietest tenth, 5 of 255 at most.
     """
     noise = np.float32(min(noise_of(pixels, is_light), _MOST))
     return _sharpened(_sharpened(pixels, 0, 1, noise, is_light), 1, 0, noise, is_light)
@@ -54,10 +52,7 @@ def noise_of(pixels: Float32s, is_light: bool = True) -> float:
 
 @kernel
 def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
-    """Return what sharpening along rows adds to patches (rows, columns, 3), the mean of its squares.
-
-    −1 for a component of a patch that a pixel without alpha, or that may be cut off, lies in.
-    """
+    """Return the mean square of what sharpening adds to patches (rows, columns, 3); −1 if clipped."""
     rows, columns = pixels.shape[0] // _PATCH, pixels.shape[1] // _PATCH
     found = np.full((rows, columns, 3), np.float32(-1.0))
     for i in range(rows):

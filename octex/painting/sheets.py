@@ -21,11 +21,10 @@ from octex.source.surface import Surface
 from octex.source.welding import welded
 from octex.tree import morton
 from octex.tree.edit import among, first_not_below
-from octex.tree.layout import GRID_BITS, MAX_DEPTH
+from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
-from octex.view.shading import face_normals
 from octex.voxelize.fragments import (
     Blocks,
     Run,
@@ -138,12 +137,6 @@ def sheets_of(
         grid,
         faces,
     )
-
-
-def level_within(surface: Surface, placement: Placement, most: int) -> int:
-    """Return the deepest level at which a surface is expected to meet no more than ``most`` cells."""
-    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
-    return int(np.clip(np.log(most / max(area, 1e-30)) / np.log(4.0), 0, MAX_DEPTH))
 
 
 def _columns_of(

@@ -117,11 +117,7 @@ def take_shots(
     around: int | None = None,
     stages: Stages = NOT_STORED,
 ) -> Iterator[Shot]:
-    """Decode pictures, their alpha times ``scales``, some ahead, and put them before what cameras see.
-
-    What is not within ``around`` pixels of their paint is left out, but for pictures through lenses. Raises
-    as `mips_of` does.
-    """
+    """Decode pictures, some ahead, alpha times ``scales``; ``around`` their paint if no lens bends them."""
     decoded = (
         start(executor, _decoded, each, form, scale, around, stages)
         for each, scale in zip(projections, scales, strict=True)
@@ -141,10 +137,7 @@ def _decoded(
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
-    """Sort shots by what they hold: sums over them are then the same to the bit, in whatever order they came.
-
-    Samples are taken in that order too, and the fit counts no more than a few of each leaf.
-    """
+    """Sort shots by content: sums and fits are then the same to the bit, in whatever order they came."""
     if len(shots) < 2:
         return list(shots)
     return sorted(shots, key=lambda shot: order_key(shot.camera, shot.K, shot.lens, shot.mips))

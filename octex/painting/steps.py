@@ -108,10 +108,8 @@ def rasterize_surface(
 ) -> OctreeTexture:
     """1. Rasterize the surface into a paint octree: a texture of the painted channel and its coverage.
 
-    Its leaves lie at rest positions, ``cells`` or more in the width of the paint's detail, but as even as
-    ``depths`` say, and hold the mean of the paint on the surface inside, weighted by area and coverage. What
-    no paint is on has no cells. With ``fit`` leaves hold what brings the field nearest to the paint, as in a
-    conversion; of paint of one colour these are the means.
+    Leaves have ``cells`` in the width of the paint's detail, as even as ``depths`` say, and hold means or,
+    with ``fit``, what brings the field nearest to the paint. What no paint is on has no cells.
     """
     surface, depth = painted.surface, depths.deepest
     fit = fit and not is_plain(source)
@@ -166,16 +164,25 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
     """Merge paint into a draft of the texture; return None if none of it is there."""
     tree = draft.tree
     if task.blend == "erase":
-        paint = [_on(tree, each, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+        found = [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+        paint = [
+            some(each, (where.levels == level) | where.is_leaf)
+            for level, (each, where) in enumerate(zip(paint, found, strict=False))
+        ]
     if not any(each.codes.size for each in paint):
         return None
     surface_cells: SurfaceCells | None = None
     if tree.n_leaves:
-        is_skirt = _skirts(task, tree, paint)
+        is_skirt = tree.arrays.areas == SKIRT  # leaves that no surface is in
+        doubted = doubted_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
+        if doubted:
+            met = cull_cells(task, doubted, doubted[-1][0])
+            for level, codes in doubted:
+                is_skirt[locate(tree, codes[~among(codes, met.codes[level])], level).cells] = True
         edited = unchanged(tree)
         shallowest = coarsest_of(task.texture.tree)
         finer = find_finer(tree, paint, is_skirt, shallowest, task.is_all_painted)
-        if finer.is_any:
+        if finer.leaves or any(codes.size for codes in (*finer.added, *finer.refined)):
             surface_cells = cull_cells(task, finer.leaves, _deepest(paint))
             task.progress("merge", 0, 1)
             paint, *levels = form_boundary(task, tree, paint, is_skirt, finer, surface_cells)
@@ -196,23 +203,6 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
 
 def _deepest(paint: Sequence[Paint]) -> int:
     return max(level for level, each in enumerate(paint) if each.codes.size)
-
-
-def _on(tree: Octree, paint: Paint, level: int) -> Paint:
-    """Return the paint that lies on cells of a tree."""
-    where = locate(tree, paint.codes, level)
-    return some(paint, (where.levels == level) | where.is_leaf)
-
-
-def _skirts(task: Merge, tree: Octree, paint: Sequence[Paint]) -> Bools:
-    """Say which leaves (cells,) no surface is in: skirts, and, near paint, cells that ``resize`` has made."""
-    is_skirt: Bools = tree.arrays.areas == SKIRT
-    doubted = doubted_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
-    if doubted:
-        met = cull_cells(task, doubted, doubted[-1][0])
-        for level, codes in doubted:
-            is_skirt[locate(tree, codes[~among(codes, met.codes[level])], level).cells] = True
-    return is_skirt
 
 
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
@@ -247,11 +237,8 @@ def form_boundary(
 ) -> Boundary:
     """3. Form the boundary around paint: cells beside it on the surface, and skirts off the surface.
 
-    Paint below what was a leaf gets a skirt, which would else be refined from the coefficients kept, and
-    show through. Leaves that have nothing but paint around them, all of which hides what was there, keep
-    none: they need no skirt. A skirt where nothing was counts for more than what the field refines to there,
-    in every channel. So there is none in textures with channels that are not painted: their field would
-    move.
+    Without a skirt, what kept coefficients refine to would show through. Leaves surrounded by hiding paint
+    keep none. Skirts where nothing was would move other channels, so textures with those have none.
     """
     depth = _deepest(paint)
     leaves = [
@@ -330,8 +317,7 @@ def raise_texture(
 ) -> Raised:
     """4. Raise the texture to where the paint is finer: new cells have what the field refines to.
 
-    Leaves above become nodes that keep their coefficients, so that the field does not move. Cells that are
-    added where nothing was take other channels from the coarser averages there.
+    Leaves above become nodes that keep their coefficients, so the field does not move.
     """
     tree = edited.tree
     is_fresh = np.zeros(tree.n_cells, np.bool_)
@@ -398,8 +384,7 @@ def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: In
 def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
     """2. Bring paint to the resolution of a tree that is deeper, by the field's refinement.
 
-    The paper does so where paint is translucent. Here opaque paint goes down too: a texture of even depth is
-    looked up four times as fast as one of many.
+    The paper does so for translucent paint; here for all, as trees of even depth are looked up faster.
     """
     found = list(paint)
     while len(found) <= tree.max_depth:
@@ -432,10 +417,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
 
 
 def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[Paint]) -> Merged:
-    """5. Merge the paint: blend each leaf that it is on once, and average anew above them.
-
-    Skirts are blended with the paint beside them, and so are the coefficients kept that only paint is near.
-    """
+    """5. Merge the paint: blend each leaf, skirt and kept coefficient under it once, and average above."""
     tree, is_skirt, is_fresh, is_new = raised.texture.tree, raised.is_skirt, raised.is_fresh, raised.old < 0
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, task.executor)
@@ -472,8 +454,8 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         here = slice(begin, begin + _BLOCK)
         blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
     kept = on_kept(tree, paint, bare, is_skirt, task.executor)
-    if kept.rows.size:
-        blend("kept_values", *kept, np.zeros(kept.rows.size, np.bool_))
+    if kept[0].size:
+        blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
     rows = rows_of(base.tree.split, cells)
     owners = some(on_leaves, np.searchsorted(cells, rows.cells))
     facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)

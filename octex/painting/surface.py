@@ -33,11 +33,7 @@ _COARSE = 7
 
 
 class PaintedSurface:
-    """A surface, and what painting reads of it: where its triangles lie, how it shades, what cameras see.
-
-    In a session that is kept for the next stroke: the normals of all triangles, and what the cameras of the
-    last call see.
-    """
+    """A surface, and what painting reads of it; in a session normals and last sights are cached."""
 
     def __init__(self, surface: Surface, *, in_session: bool = False) -> None:
         self.surface = surface
@@ -104,15 +100,12 @@ class PaintedSurface:
 def laid_flat(
     surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
 ) -> tuple[PaintedSurface, list[Projection]]:
-    """Return the surface, and pictures with cameras; of pictures through a patch the surface lies flat.
-
-    Raises ArgumentError for a patch beside another one or a camera, and for one of another surface.
-    """
+    """Return the surface, laid flat if pictures are through a patch, and the pictures with cameras."""
     patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
         return surface, projections
     if any(each.camera is not patch for each in projections):
-        raise ArgumentError("pictures through a patch are painted by themselves, those of each in a call")
+        raise ArgumentError("paint the pictures of each patch in a call of their own")
     if len(patch.surface.triangles) != len(surface.surface.triangles):
         raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
     flat = patch.surface if texture is None else patch.surface.placed_in(texture)
@@ -139,17 +132,19 @@ class TriangleGrid:
         self._boxes = _boxes(on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE)
 
     def around(self, chosen: Int32s, reach: int) -> Int32s:
-        """Return the triangles that share coarse cells, or cells beside them, with ``chosen`` ones.
-
-        ``reach`` is the level of the coarsest cells that must be found beside them.
-        """
+        """Return the triangles in or beside coarse cells, of level ``reach``, of ``chosen`` ones."""
         shift = max(_COARSE - reach, 0)
         return self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
 
     def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
         """Return the triangles that may meet cells, given as levels and Morton codes."""
-        boxes = [_coarse_boxes(codes, level) for level, codes in cells if codes.size]
-        return self._sharing(np.concatenate(boxes), 0, 0) if boxes else np.empty(0, np.int32)
+        boxes = []
+        for level, codes in cells:
+            first = last = decode_cells(codes) >> max(level - _COARSE, 0)
+            if level < _COARSE:
+                first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
+            boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
+        return self._sharing(np.concatenate(boxes), 0, 0) if any(map(len, boxes)) else np.empty(0, np.int32)
 
     def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
         """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""
@@ -164,26 +159,12 @@ class TriangleGrid:
             wide[after] |= marked[before]
             wide[before] |= marked[after]
             marked = wide
-        return _reaching(self._boxes, shift, first, _counts(marked))
-
-
-def _coarse_boxes(codes: Int64s, level: int) -> Uint8s:
-    """Return the first and the last coarse cell that cells of a level reach along each axis (n, 6)."""
-    cells = decode_cells(codes)
-    if level >= _COARSE:
-        first = last = cells >> (level - _COARSE)
-    else:
-        first, last = cells << (_COARSE - level), ((cells + 1) << (_COARSE - level)) - 1
-    return np.concatenate([first, last], axis=1).astype(np.uint8)
-
-
-def _counts(marked: Bools) -> Int32s:
-    """Count the marked cells before each along all axes: a box then has a sum of eight of them."""
-    counts = np.zeros(tuple(n + 1 for n in marked.shape), np.int32)
-    inner = marked.cumsum(0, np.int32)
-    np.cumsum(inner, 1, out=inner)
-    np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
-    return counts
+        # Of marked cells before each along all axes a box has a sum of eight.
+        counts = np.zeros(np.add(marked.shape, 1), np.int32)
+        inner = marked.cumsum(0, np.int32)
+        np.cumsum(inner, 1, out=inner)
+        np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
+        return _reaching(self._boxes, shift, first, counts)
 
 
 @kernel

@@ -14,13 +14,13 @@ from heapq import heappop, heappush
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Bools, Complex128s, Float64s, Int32s, Int64s, Integers
 from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
 from octex.nearest.triangles import Triangles
-from octex.painting.conformal import conformal
+from octex.painting.multigrid import conjugate_gradients
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
 
@@ -31,6 +31,11 @@ _BEYOND = 1.5
 METHODS = ("exponential", "conformal")
 #: Triangles that fold lie so much of the radius behind the others.
 _BEHIND = 1e-3
+#: The solver ends where what is left of the gradient is so much of the first.
+_LEFT = 1e-7
+_MOST_STEPS = 5000
+#: Triangles of less than this part of the mean area say nothing about angles.
+_SLIVER = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +129,8 @@ def unwrap(
             f"the centre {middle.tolist()} is farther than the radius {radius:g} from {surface.name}; its "
             f"nearest point is {at.round(6).tolist()}"
         )
-    weld = _welded(surface)
-    faces = weld[surface.triangles]
+    rest = [] if surface.rest is surface.vertices else [surface.rest]
+    faces = first_equal(np.concatenate([surface.vertices, *rest], axis=1))[surface.triangles]
     flat, border = _spread(surface.vertices, faces, start, found.barycentric[0], at, radius, wanted)
     reach = np.linalg.norm(flat, axis=1)
     inside = (reach < radius)[faces].any(axis=1) & np.isfinite(reach)[faces].all(axis=1)
@@ -136,7 +141,7 @@ def unwrap(
         used = np.unique(faces[triangles])
         inner = np.searchsorted(used, faces[triangles])
         first = int(np.searchsorted(triangles, start))
-        flat[used] = conformal(surface.vertices[used], inner, flat[used], first)
+        flat[used] = _conformal(surface.vertices[used], inner, flat[used], first)
         half = float(np.abs(flat[used]).max())
     a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
     e, f = b - a, c - a
@@ -150,13 +155,6 @@ def unwrap(
     ends = border & (reach < radius)
     meets = bool(ends[faces[triangles]].any())
     return Patch(camera, posed, at, radius, coordinates, triangles, folded.astype(np.int32), meets)
-
-
-def _welded(surface: Surface) -> Int64s:
-    """Return for each vertex the first at its place, posed and at rest."""
-    if surface.rest is surface.vertices:
-        return first_equal(surface.vertices)
-    return first_equal(np.concatenate([surface.vertices, surface.rest], axis=1))
 
 
 def _spread(
@@ -205,7 +203,12 @@ def _spread(
     _propagate(vertices, faces, first, order // 3, known, reach, distances, angles)
     there = np.isfinite(distances)
     flat[there] = distances[there, None] * np.stack([np.cos(angles[there]), np.sin(angles[there])], axis=1)
-    return flat, _border_vertices(faces, len(vertices))
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
+    alone = keys[counts == 1]  # edges of one triangle
+    border = np.zeros(len(vertices), np.bool_)
+    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
+    return flat, border
 
 
 @kernel
@@ -219,10 +222,7 @@ def _propagate(
     distances: Float64s,
     angles: Float64s,
 ) -> None:
-    """Fill in distances and angles from those of ``known`` vertices on, the nearest vertex first.
-
-    Where triangles are not acute, a vertex may be nearer than one that its ray passes: it is corrected later.
-    """
+    """Fill in distances and angles from ``known`` vertices on, nearest first; obtuse ones are corrected."""
     is_given = np.zeros(distances.size, np.bool_)
     waiting = [(distances[known[0]], known[0])]
     for k in range(known.size):
@@ -286,24 +286,10 @@ def _stepped(
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
 
 
-def _border_vertices(faces: Int64s, count: int) -> Bools:
-    """Say which vertices are on edges of one triangle alone."""
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
-    alone = keys[counts == 1]
-    border = np.zeros(count, np.bool_)
-    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
-    return border
-
-
 def _flat_surface(
     surface: Surface, faces: Int64s, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
 ) -> tuple[Surface, Float64s]:
-    """Return the surface with its triangles of a disc posed flat, and others shrunk; and where vertices lie.
-
-    Triangles of the disc have vertices of their own, so that the others are shrunk whole; and those that fold
-    have theirs, so far ``behind`` that they hide nothing.
-    """
+    """Return the surface with a disc posed flat, folds ``behind``, others shrunk; and where vertices lie."""
     count = len(surface.vertices)
     made = surface.triangles.copy()
     every: list[Integers] = [np.arange(count)]
@@ -325,3 +311,51 @@ def _flat_surface(
         name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
     return posed, coordinates
+
+
+def _conformal(vertices: Float64s, faces: Int64s, flat: Float64s, start: int) -> Float64s:
+    """Return where vertices (n, 2) of triangles (m, 3) lie in the map that changes angles least.
+
+    It begins with the map ``flat`` (n, 2), keeps the surface's area, and lies like ``flat`` around triangle
+    ``start``. Two far vertices are held, which chooses one of all conformal maps.
+    """
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    lengths = np.linalg.norm(b - a, axis=1)
+    along = (b - a) / np.maximum(lengths, 1e-300)[:, None]
+    x = np.einsum("nc,nc->n", c - a, along)
+    y = np.linalg.norm(c - a - x[:, None] * along, axis=1)
+    doubled = lengths * y
+    scale = np.where(doubled > _SLIVER * doubled.mean(), 1 / np.sqrt(np.maximum(doubled, 1e-300)), 0.0)
+    # A map is conformal on a triangle whose corners z it takes to w if these sum up to 0.
+    weights = np.stack([x - lengths + 1j * y, -x - 1j * y, lengths + 0j], axis=1) * scale[:, None]
+    first = int(np.argmax((flat * flat).sum(axis=1)))
+    away = flat - flat[first]
+    held = np.array([first, np.argmax((away * away).sum(axis=1))])
+    found = _solved(weights, faces, flat[:, 0] + 1j * flat[:, 1], held)
+    one, two, three = found[faces].T
+    spread = np.abs(np.imag(np.conj(two - one) * (three - one))).sum()
+    own = flat[faces[start], 0] + 1j * flat[faces[start], 1]
+    here = found[faces[start]]
+    turn = np.vdot(here - here.mean(), own - own.mean())
+    turn /= max(abs(turn), 1e-300)
+    found = (found - here.mean()) * turn * np.sqrt(doubled.sum() / max(spread, 1e-300)) + own.mean()
+    return np.stack([found.real, found.imag], axis=1)
+
+
+def _solved(weights: Complex128s, faces: Int64s, begun: Complex128s, held: Int64s) -> Complex128s:
+    """Return the vertices (n,) that make the sums of weighted corners least, but for those that are held."""
+    count, rows = len(begun), faces.ravel()
+
+    def gradient(values: Complex128s) -> Complex128s:
+        sums = (weights * values[faces]).sum(axis=1)
+        parts = (np.conj(weights) * sums[:, None]).ravel()
+        made = np.bincount(rows, parts.real, count) + 1j * np.bincount(rows, parts.imag, count)
+        made[held] = 0.0
+        return made
+
+    diagonal = np.bincount(rows, (np.abs(weights) ** 2).ravel(), count)
+    inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
+    found: Complex128s = begun + conjugate_gradients(
+        gradient, -gradient(begun), lambda left: inverse * left, _LEFT, _MOST_STEPS
+    )
+    return found

@@ -42,10 +42,7 @@ _CERTAIN = 8
 
 
 def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED) -> Projected:
-    """Return the same paint, its pictures masked where they do not agree with the others.
-
-    ``stages`` are those of what was made from all that the source is.
-    """
+    """Return the same paint, its pictures masked where they do not agree with the others."""
     numbers = range(len(source.shots))
     with sharing(executor) as pool:
         found = list(ordered_map(pool, partial(_stored_differences, source, stages), numbers))
@@ -90,11 +87,7 @@ def as_codes(colors: Float32s) -> Float32s:
 
 @kernel
 def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
-    """Return how far codes are from what lies between a patch's mode and one next to it, by components.
-
-    Both are (rows, columns, 3). The nearest points of lines are sought, and the least of their differences'
-    worst components. NaN where a patch has no mode itself.
-    """
+    """Return how far codes are from the lines between a patch's mode and its neighbours' (rows, columns)."""
     rows, columns = modes.shape[:2]
     found = np.full((rows, columns), np.float32(np.nan))
     for row in range(rows):
@@ -133,10 +126,7 @@ def nearness_of(codes: float) -> float:
 
 @kernel
 def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
-    """Write the codes (n, 3) of the mode of pictures (pictures, n) where one sees; NaN where none is known.
-
-    The mode is the picture's colour which the others support most, each by its vote.
-    """
+    """Write the codes (n, 3) of each point's mode, the colour that most votes support; NaN if unknown."""
     count = len(weights)
     codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
@@ -191,10 +181,7 @@ def _mask(differences: Float32s, far: float) -> Float32s:
 
 
 def _filled(values: Float32s, known: Bools) -> Float32s:
-    """Fill what is not known from what is around it: means of ever larger patches, from the large ones down.
-
-    (Gortler et al., "The Lumigraph", 1996: push and pull.)
-    """
+    """Fill what is not known by push and pull (Gortler et al., "The Lumigraph", 1996)."""
     if known.all() or min(values.shape) < 2:
         return values if known.all() else np.where(known, values, values[known].mean() if known.any() else 0)
     rows, columns = values.shape

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from functools import partial
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.cameras.lens import distort
 from octex.jit import kernel
 from octex.painting.options import Balance
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.sight import Shot
-from octex.photos.consensus import agreed_step, robust_weights
+from octex.photos.agreement import as_codes
+from octex.photos.consensus import agreed_step, medians, robust_weights
+from octex.photos.patches import PATCH, batches, beside, masked, patches_of, seen_at, widths_of
 from octex.source.surface import Surface
 
 #: Points of the surface that pictures are compared at.
@@ -28,16 +31,20 @@ _ROUNDS, _FAR = 10, 0.02
 _MOST = np.log(8.0)
 #: How strongly, for each point, vignetting is held at none, and gains at one.
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
+#: From this light on a picture may be cut off: 250 of 255 codes.
+_CUT = 0.955
+#: By how many codes others must be lighter.
+_LIGHTER = 2.0
+#: Patches are pixels of this level.
+_LEVEL = PATCH.bit_length() - 1
 
 
 def balanced(
     source: Projected, surface: Surface, balance: Balance, reference: int | None, executor: Executor
 ) -> Projected:
-    """Return the same paint with pictures that agree best where more than one sees the surface.
+    """Return the same paint with gains by which pictures agree: robust least squares of logarithms of light.
 
-    Robust least squares of logarithms of light, on top of the gains that there are already. The shot
-    ``reference`` keeps its gain; without one the median of the gains is 1. Pictures that overlap no other
-    keep theirs.
+    The shot ``reference``, and pictures that overlap no other, keep theirs; else the median gain is 1.
     """
     numbers = exposures(source, surface, balance, reference)
     gains = np.stack([shot.gains for shot in source.shots]) * np.exp(numbers[:, :3]).astype(np.float32)
@@ -51,10 +58,7 @@ def balanced(
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
-    """Return what to add to the logarithms of pictures (pictures, 5): three components; times r², and r⁴.
-
-    r is the distance from the picture's middle, 1 in its corners.
-    """
+    """Return what to add to logarithms of light (pictures, 5): components; by r², r⁴, r = 1 in corners."""
     samples = surface.scatter(_POINTS)
     where = samples.triangles, samples.barycentric
     widths = source.widths(*where)
@@ -63,7 +67,13 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
     paint, weights = paint[:, seen], weights[:, seen]
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
-    squares = np.stack([_radii(shot.mips, _pixels_of(shot, points)) for shot in source.shots]) ** 2
+    radii = []  # from pictures' middles, 1 in their corners
+    for shot in source.shots:
+        half = shot.mips.sizes[0, 1:] / 2
+        radii.append(
+            np.linalg.norm(np.nan_to_num(_pixels_of(shot, points)) - half, axis=1) / np.linalg.norm(half)
+        )
+    squares = np.minimum(np.stack(radii), 1.0) ** 2
     usable = (weights > 0)[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
     logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
     counted = usable.reshape(logs.shape).astype(np.float64)
@@ -71,7 +81,9 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     hold = np.full((len(paint), slopes.shape[2]), _HOLD_GAIN)
     hold[:, 3:] = _HOLD
     found = _agreed(logs, counted, slopes, hold)
-    while balance == "full" and (no_lens := _strongest(found[:, 3:]) > _MOST).any():
+    places = np.linspace(0, 1, 33)
+    powers = np.stack([places, places**2])
+    while balance == "full" and (no_lens := np.abs(found[:, 3:] @ powers).max(axis=1) > _MOST).any():
         hold[no_lens, 3:] = np.inf
         found = _agreed(logs, counted, slopes, hold)
     if balance == "gain":
@@ -92,13 +104,6 @@ def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s)
         values = logs + (slopes @ found[:, :, None])[..., 0]
         counts, _ = robust_weights(values, counted, _FAR)
         found += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
-    return found
-
-
-def _strongest(vignetting: Float64s) -> Float64s:
-    """Return the most by which vignetting (n, 2) changes logarithms of light anywhere in a picture."""
-    squares = np.linspace(0, 1, 33)
-    found: Float64s = np.abs(vignetting @ np.stack([squares, squares**2])).max(axis=1)
     return found
 
 
@@ -124,13 +129,6 @@ def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
     else:
         places = np.column_stack([x, y])
     return places @ shot.K[:2, :2].T + shot.K[:2, 2]
-
-
-def _radii(mips: Mips, pixels: Float64s) -> Float64s:
-    """Return how far pixel coordinates (n, 2) are from a picture's middle, 1 in its corners."""
-    half = mips.sizes[0, 1:] / 2
-    found: Float64s = np.linalg.norm(np.nan_to_num(pixels) - half, axis=1) / np.linalg.norm(half)
-    return np.minimum(found, 1.0)
 
 
 def evened(mips: Mips, vignetting: Float64s) -> Mips:
@@ -162,3 +160,64 @@ def _even(given: Float32s, sizes: Int64s, a: float, b: float, found: Float32s) -
                 found[at, 3] = given[at, 3]
                 ends[0], ends[1] = min(ends[0], factor), max(ends[1], factor)
     return ends
+
+
+def without_overexposed(given: Projected, evened: Projected, executor: Executor) -> Projected:
+    """Return ``evened`` paint, its pictures masked where clipped in ``given`` and lighter in others."""
+    return evened.with_mips(partial(_masked, given, evened), executor)
+
+
+def _masked(given: Projected, evened: Projected, number: int) -> Mips:
+    """Return a picture that is evened out, masked where it is cut off and next to that, if others see it."""
+    shot, mips = given.shots[number], evened.shots[number].mips
+    if not _is_limited(shot.mips):
+        return mips
+    rows, columns = patches_of(shot)
+    patches, triangles, barycentric = seen_at(given, shot, beside(_cut_off(shot)))
+    widths = widths_of(given.with_shots([shot]), triangles, barycentric)
+    is_wrong = np.zeros(rows * columns, np.bool_)
+    others_see = np.ones(rows * columns, np.bool_)  # where no middle sees the surface, too
+    for some in batches(len(patches), len(given.shots)):
+        where = triangles[some], barycentric[some], widths[some]
+        is_wrong[patches[some]], others_see[patches[some]] = _compared(given, evened, number, *where)
+    mask = ~beside(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
+    return mips if mask.all() else masked(mips, mask.astype(np.float32))
+
+
+def _cut_off(shot: Shot) -> Bools:
+    """Say which patches (rows, columns) of a picture are cut off, as a level of it shows them."""
+    first, width, height = shot.mips.sizes[min(_LEVEL, len(shot.mips.sizes) - 1)].tolist()
+    pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
+    light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
+    rows, columns = patches_of(shot)
+    found: Bools = np.pad(light, ((0, max(rows - height, 0)), (0, max(columns - width, 0))), mode="edge")
+    return found[:rows, :columns]
+
+
+def _compared(
+    given: Projected,
+    evened: Projected,
+    number: int,
+    triangles: Int32s,
+    barycentric: Float64s,
+    widths: Float32s,
+) -> tuple[Bools, Bools]:
+    """Say at which points (n,) a picture is cut off and others are lighter; and at which others are not."""
+    where = triangles, barycentric, widths
+    before, (after, weights) = given.each(*where)[0], evened.each(*where)
+    limited = np.array([_is_limited(shot.mips) for shot in given.shots])
+    is_cut = limited[:, None, None] & (before > _CUT)
+    tells = (weights > 0)[..., None] & ~is_cut
+    tells[number] = False
+    codes = as_codes(after).astype(np.float64)
+    rows = len(codes), codes[0].size
+    others = medians(codes.reshape(rows), tells.reshape(rows).astype(np.float64)).reshape(codes[0].shape)
+    tell = tells.any(axis=0)
+    is_lighter = tell & (others > codes[number] + _LIGHTER)
+    wrong: Bools = (is_lighter & is_cut[number]).any(axis=1)
+    return wrong, np.all(tell, axis=1)
+
+
+def _is_limited(mips: Mips) -> bool:
+    """Say whether a picture may be cut off: one that holds light beyond 1 is not."""
+    return bool((mips.range[1] <= 1.0).all() and (mips.range[1] > _CUT).any())

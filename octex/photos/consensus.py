@@ -19,11 +19,7 @@ def consensus(values: Float64s, weights: Float64s) -> Float64s:
 
 
 def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[Float64s, float]:
-    """Return weights (pictures, n) that are less where a value is far from most at its point; and the scale.
-
-    The middle is the weighted median, the scale the median distance from it, ``least`` or more, and weights
-    fall as Geman & McClure's (1985): a tenth at 1.5 scales of two.
-    """
+    """Return weights (pictures, n), less far from the median (Geman & McClure 1985), and their scale."""
     middle = medians(values, weights)
     several = (weights > 0).sum(axis=0) > 1
     far = np.abs(values - middle)
@@ -66,12 +62,10 @@ def medians(values: Float64s, weights: Float64s) -> Float64s:
 def agreed_step(
     slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s, pull: Float64s | None = None
 ) -> Float64s:
-    """Return the changes (pictures, numbers) by which values agree best with what all say of each point.
+    """Return the changes (pictures, numbers) by which values agree best with each point's consensus.
 
-    Least squares of weights · (values + slopes · changes − consensus)², the consensus of each point being
-    free: slopes (pictures, n, numbers), values and weights (pictures, n). ``ridge`` (pictures, numbers) is
-    how strongly each change is held at 0; that of a picture that stays is infinite. ``pull`` (pictures,
-    numbers) is half the slope of what else is to be least.
+    Least squares of weights · (values + slopes · changes − consensus)²: slopes (pictures, n, numbers). A
+    change is held at 0 by ``ridge``, infinite for one that stays; ``pull`` is half the slope of other costs.
     """
     pictures, _, numbers = slopes.shape
     size = pictures * numbers

@@ -40,10 +40,7 @@ class LabelCosts(NamedTuple):
 
 
 def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
-    """Return what pictures say of sheets of some areas (n,): paint (pictures, n, 3), weights (pictures, n).
-
-    The weights rise with the fourth power of the quality; what has none is not seen.
-    """
+    """Return the costs of labels of paint (pictures, n, 3); weights rise with the quality's 4th power."""
     seen = weights > 0
     most = np.maximum(weights.max(axis=0), np.float32(1e-30))
     costs = areas * _QUALITY * (1 - (weights / most) ** 0.25)
@@ -74,8 +71,7 @@ def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int
 def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) -> Int32s:
     """Return the picture (n,) of each sheet, −1 for what none sees.
 
-    Found some levels above by sequential tree-reweighted message passing (Kolmogorov 2006), then moved at the
-    borders from level to level. ``codes`` (n,) are the Morton codes of the sheets' cells.
+    Some levels above by sequential tree-reweighted message passing (Kolmogorov 2006), then moved at borders.
     """
     levels = [(graph, views)]
     steps = []
@@ -151,10 +147,7 @@ def _pass(
     backward: int,
     labels: Int32s,
 ) -> None:
-    """Send messages from sheets to those after them; ``messages`` (rows, candidates) are to the row's sheet.
-
-    Forward, choose labels too, given those of the sheets before.
-    """
+    """Send ``messages`` (rows, candidates), to the rows' sheets, onward; forward, choose labels too."""
     count, most = candidates.shape
     sums, costs = np.empty(most, np.float64), np.empty(most, np.float64)
     for step in range(count):
@@ -214,10 +207,7 @@ def _pass(
 
 @kernel
 def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
-    """Give each sheet the cheapest label of its own and its neighbours' (Besag 1986); return how many change.
-
-    A sheet that its picture does not see has the cheapest of all.
-    """
+    """Give sheets the cheapest label of neighbours, or of all if unseen (Besag 1986); count changes."""
     changed = 0
     pictures = views.costs.shape[1]
     tried = np.empty(pictures, np.int64)
@@ -251,9 +241,8 @@ def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
 def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s) -> Float64s:
     """Return the exposures (n, 3) of sheets, for `exposed`, by which pictures meet at their borders.
 
-    Their steps across borders undo what the two pictures differ by there; else they change as little as may
-    be from sheet to sheet, and are little themselves (least squares). The farther pictures differ, the less
-    that tells: something is out of place. Nothing is asked for where neither of two sheets is seen by both.
+    Least squares of steps across borders and of changes from sheet to sheet; the farther two pictures differ
+    at a border that one of the sheets shows in both, the less that counts.
     """
     pairs, (one, other), codes = sheets.pairs, sheets.pairs.T, sheets.codes
     p, q = labels[one], labels[other]
@@ -279,12 +268,7 @@ def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s
 def feathered(
     graph: Graph, labels: Int32s, exposures: Float64s, weights: Float32s
 ) -> tuple[Float32s, Float32s]:
-    """Return how much of each sheet comes from each picture (n, pictures), and its exposure (n, pictures, 3).
-
-    Labels fade over a few sheets into those beside them: each time a sheet takes half of the mean of its
-    neighbours. A picture has the exposures that it has where it comes from. What a picture does not see, of
-    ``weights`` (pictures, n), it has no share of.
-    """
+    """Return sheets' shares of pictures (n, pictures), and exposures (n, pictures, 3), faded into others."""
     count, pictures = labels.size, len(weights)
     rows = np.repeat(np.arange(count), np.diff(graph.starts))
     totals = np.maximum(added(rows, graph.weights, count), 1e-12)

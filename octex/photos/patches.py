@@ -93,10 +93,7 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
 
 
 def masked(mips: Mips, mask: Float32s) -> Mips:
-    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, between whose pixels it fades.
-
-    A mask's pixels cover the picture, the last ones perhaps more than that.
-    """
+    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, read linearly."""
     pixels = np.empty_like(mips.pixels)
     _mask_mips(mips.pixels, mips.sizes, mask, pixels)
     return mips._replace(pixels=pixels)

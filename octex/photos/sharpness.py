@@ -47,11 +47,7 @@ class Details(NamedTuple):
 
 
 def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
-    """Return the same paint, in which blurred pictures count for less.
-
-    A pixel has the variance 1/12; one that is blurred counts as one of as much more, as paint of coarser
-    pictures does: by the eighth power of its width.
-    """
+    """Return the same paint, blurred pictures counting by their variance; a sharp pixel's is 1/12."""
     if len(source.shots) <= _OTHERS:
         return source
     shown = shown_of(details_of(source, surface), len(source.shots))
@@ -63,10 +59,7 @@ def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
 
 
 def shown_of(details: Details, count: int) -> Float64s:
-    """Return how much of the detail that sharp pictures show each of ``count`` shows, at most so much.
-
-    1 for pictures of which that is not known.
-    """
+    """Return how much of the sharp pictures' detail each of ``count`` shows; 1 where that is not known."""
     details = _within_others(details)
     is_sharp = np.ones(count, np.bool_)
     for _ in range(_ROUNDS):
@@ -88,10 +81,7 @@ def _within_others(details: Details) -> Details:
 
 
 def _beside(details: Details, is_sharp: Bools) -> Float64s:
-    """Return how much of the detail that the sharp others show each picture shows (shots,).
-
-    What a picture shows is the product with the mean of the sharp others, what these show likewise.
-    """
+    """Return how much of the detail that the sharp others show each picture shows (shots,)."""
     shots, points, values = details
     weights = is_sharp[shots].astype(np.float64)
     others = np.bincount(points, weights)[points] - weights

@@ -3,18 +3,101 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.painting.layer import PaintSource
+from octex.painting.multigrid import graph_of
 from octex.painting.options import PaintOptions
 from octex.painting.project import Projected
 from octex.painting.resume import Stages
+from octex.painting.sheets import Sheets, sheets_of
 from octex.photos.agreement import agreeing
-from octex.photos.balance import balanced
-from octex.photos.best import best
-from octex.photos.overexposed import without_overexposed
+from octex.photos.balance import balanced, without_overexposed
+from octex.photos.labels import costs_of, exposed, feathered, labelled, levelling
 from octex.photos.sharpness import weighed_by_sharpness
 from octex.source.surface import Surface
+from octex.tree.layout import MAX_DEPTH
 from octex.tree.placement import Placement
+from octex.view.shading import face_normals
+from octex.voxelize.fragments import Blocks
+
+#: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
+_ABOVE, _MOST_VIEWS = 1, 1 << 22
+
+
+@dataclass(eq=False)
+class BestPaint(PaintSource):
+    """Paint from the pictures that sheets have shares of, levelled; from all where these see nothing."""
+
+    source: Projected
+    sheets: Sheets
+    shares: Float32s  # (sheets, shots)   of 1
+    exposures: Float32s  # (sheets, shots, 3)   see `exposed`
+    chosen: Int32s  # (m,)   the numbers of the triangles that are painted in the whole surface
+
+    def __post_init__(self) -> None:
+        """Take the channel that is painted."""
+        super().__init__(self.source.form)
+
+    def touched(self) -> Int32s:
+        """Return the triangles that own a pixel of a shot."""
+        return self.source.touched()
+
+    def on(self, chosen: Int32s) -> BestPaint:
+        """Return the same paint for some of the triangles, among them all that own a pixel."""
+        return replace(self, source=self.source.on(chosen), chosen=self.chosen[chosen])
+
+    def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
+        """Say of which blocks a shot may see something."""
+        return self.source.reaches(blocks, corners, edge, rest)
+
+    def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
+        """Return how wide the finest pixel is at points."""
+        return self.source.widths(triangles, barycentric)
+
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
+        sheets = self.sheets.at(self.chosen[triangles], barycentric)
+        found = self.source.evaluate(triangles, barycentric, widths)
+        components = found.shape[1] - 1
+        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # no sheet: from all pictures
+        shares = np.where(is_seen[:, None], self.shares[sheets], np.float32(0))
+        sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
+        for number, shot in enumerate(self.source.shots):
+            own = np.flatnonzero(shares[:, number] > 0)
+            if not own.size:
+                continue
+            where = triangles[own], barycentric[own], widths[own]
+            paint, weights = self.source.with_shots([shot]).each(*where)
+            share = np.where(weights[0] > 0, shares[own, number], np.float32(0))
+            light = exposed(paint[0], self.exposures[sheets[own], number])
+            sums[own] += share[:, None] * light[:, :components]
+            totals[own] += share
+        some = totals > 0
+        found[some, :components] = sums[some] / totals[some, None]
+        return found
+
+
+def best(
+    source: Projected, surface: Surface, placement: Placement, depth: int, executor: Executor
+) -> BestPaint:
+    """Return the same paint, from one picture for each patch of the surface."""
+    most = _MOST_VIEWS // len(source.shots)
+    area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
+    expected = np.log(most / max(area, 1e-30)) / np.log(4.0)  # the level that has so many cells
+    level = min(max(depth - _ABOVE, 0), int(np.clip(expected, 0, MAX_DEPTH)))
+    sheets = sheets_of(surface, placement, level, executor)
+    where = sheets.triangles, sheets.barycentric
+    widths = (np.sqrt(np.minimum(sheets.areas, 1.0)) * placement.size / 2**level).astype(np.float32)
+    paint, weights = source.each(*where, widths)
+    graph = graph_of(sheets.pairs, sheets.ties, sheets.codes.size)
+    labels = labelled(graph, sheets.codes, sheets.areas, costs_of(paint, weights, sheets.areas))
+    exposures = levelling(sheets, labels, paint, weights)
+    shares, feathers = feathered(graph, labels, exposures, weights)
+    return BestPaint(source, sheets, shares, feathers, np.arange(len(surface.triangles), dtype=np.int32))
 
 
 def weighed(
@@ -27,10 +110,7 @@ def weighed(
     executor: Executor,
     stages: Stages,
 ) -> PaintSource:
-    """Return the paint of several shots as ``octex.paint`` is told to combine them.
-
-    The shot ``reference`` keeps its gain; ``stages`` are those of what was made from all that the source is.
-    """
+    """Return the paint of several shots as ``octex.paint`` is told to combine them."""
     balance, pictures = options.balance, options.pictures
     if balance is not None:
         evened = balanced(source, surface, balance, reference, executor)

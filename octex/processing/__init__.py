@@ -4,10 +4,8 @@ Every operation takes textures and returns a new one. Averages are made anew whe
 the area-weighted means of children, and what the node differed by from that before (see editing.averages).
 
 edit        other values: what they are above leaves, and what provenance says
-mapping     every value through a function
-tone        levels and curves, through tables
+mapping     every value through a function, levels or curves; other types, fewer channels
 blur        means over the surface around each leaf
-cast        other types, fewer channels
 resize      another depth, or a part of space
 combine     one texture on another, and anything between the two, without what is hidden
 mixing      two textures mixed, cell by cell of their union

@@ -13,10 +13,10 @@ from octex.editing.carried import carried
 from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
 from octex.parallel import workers
-from octex.processing.cast import in_format
 from octex.processing.edit import noted
+from octex.processing.mapping import in_format
 from octex.processing.mixing import Amount, Mixing
-from octex.source.separation import SEPARATION
+from octex.source.parts import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import are_beside
@@ -102,7 +102,6 @@ def _united(
     threads: int | None,
     executor: Executor | None,
 ) -> OctreeTexture:
-    """Mix two textures by an amount, or lay the second over the first."""
     first, second = _alike(first, second)
     bounds = np.array(
         [np.minimum(first.bounds[0], second.bounds[0]), np.maximum(first.bounds[1], second.bounds[1])]
@@ -121,10 +120,7 @@ def _united(
 
 
 def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, OctreeTexture]:
-    """Return two textures with the channels that both have, as the first stores them, or raise ArgumentError.
-
-    If only one has an alpha, the other becomes opaque.
-    """
+    """Return two textures with the channels of both, as the first stores them; without alpha opaque."""
     if first.metadata.get(SEPARATION) != second.metadata.get(SEPARATION):
         raise ArgumentError(
             "parts of these textures' surfaces were moved apart, and not by the same; separate both or "
@@ -136,8 +132,8 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
             for origin, size in (first.placement, second.placement)
         )
         raise ArgumentError(
-            f"the textures' root cells differ, {cells}, and so do their cells, which are not resampled; "
-            "convert both models with the same bounds and depth or cell"
+            f"the textures' root cells differ, {cells}, and so do their cells, and octex does not resample "
+            "them; convert both models with the same bounds and depth or cell"
         )
     one, other = {}, {}
     for name, channel in first.channels.items():
@@ -168,7 +164,6 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
 
 
 def _opaque(tree: Octree, form: ChannelFormat) -> Channel:
-    """Return an alpha of 1 for a tree."""
     rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
     return Channel(form, *(np.full((count, 1), ONE[form.dtype], form.dtype) for count in rows))
 
@@ -197,8 +192,8 @@ def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTextur
 def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
     """Return the codes of the leaves that another tree does not hide, by level.
 
-    Nodes become leaves where the other has leaves. A skirt that the other lacks goes, unless it is beside
-    surface that the other lacks: it would move the other's field.
+    Nodes become leaves where the other has leaves. A skirt goes, unless it is beside surface that the other
+    lacks.
     """
     leaves: list[Int64s] = []
     skirts: list[Int64s] = []

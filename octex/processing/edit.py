@@ -102,10 +102,8 @@ def with_values(
 ) -> OctreeTexture:
     """Return a texture with other values in some of its channels, and averages that suit them.
 
-    Leaves, their rows and kept coefficients stay as ``made`` has them, whose arrays are written to; nodes and
-    rows of split nodes are made anew, residuals by the ``change`` of each channel. After a change of alpha,
-    the averages of all channels weigh by the new one; a node that gets more opaque keeps as much of its
-    residual as it was opaque before.
+    ``made`` is written to: nodes and rows of split nodes are made anew, residuals by the ``change`` of each
+    channel. After a change of alpha all channels weigh by the new one, and residuals stay as far as opaque.
     """
     others = {
         name: channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())

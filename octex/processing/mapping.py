@@ -1,19 +1,33 @@
-"""Every value of a texture through a function."""
+"""Every value of a texture changed: by functions, levels and curves, or to other types."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
+from typing import cast as typed
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s, Float64s, Int64s
-from octex.channels import ALPHA, decode, encode
+from octex.arrays import Array, ChannelCodes, Float32s, Float64s, Floats, Int64s
+from octex.channels import (
+    ALPHA,
+    ONE,
+    ChannelFormat,
+    check_range,
+    decode,
+    decode_table,
+    encode,
+    linear_to_srgb,
+    srgb_to_linear,
+)
+from octex.checks import as_choice, as_entries, as_names, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.functions import answer, name_of, takes_both
-from octex.processing.edit import Centres, edited, names_of
-from octex.texture import Channel, OctreeTexture
+from octex.jit import kernel
+from octex.processing.edit import Centres, edited, names_of, noted
+from octex.texture import Channel, OctreeTexture, as_texture
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
 BLOCK = 1 << 13
@@ -49,8 +63,6 @@ def map_values(
 
 
 class _Mapped:
-    """A function on the values of one channel."""
-
     def __init__(self, f: ValueFunction, channel: Channel, centres: Centres) -> None:
         self._f, self._form, self._centres = f, channel.format, centres
         self._what = f"channel {self._form.name!r}: {name_of(f)}"
@@ -86,3 +98,263 @@ def _blocks(count: int, cells: Int64s | None) -> Iterator[tuple[slice, Int64s | 
     for begin in range(0, count, BLOCK):
         here = slice(begin, min(begin + BLOCK, count))
         yield here, range(here.start, here.stop) if cells is None else cells[here]
+
+
+#: A number for all components, or one for each.
+PerComponent = float | Sequence[float]
+#: From encoded values (n, components) to others.
+Tone = Callable[[Float64s], Float64s]
+
+_MOST_GAMMA = 100.0
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def levels(
+    texture: OctreeTexture,
+    channel: str | Sequence[str] = "base_color",
+    black: PerComponent = 0.0,
+    white: PerComponent = 1.0,
+    gamma: PerComponent = 1.0,
+    out_black: PerComponent = 0.0,
+    out_white: PerComponent = 1.0,
+) -> OctreeTexture:
+    """Return a texture with other levels: ``black`` … ``white`` become ``out_black`` … ``out_white``.
+
+    All are encoded values, 0 … 1, as image editors show them (times 255): sRGB for light, in any stored type.
+    Each is one number, or one for each component. In between, values follow x^(1/gamma): a gamma above 1
+    makes the middle lighter. Values outside of black … white are clamped, except that floats may go on above
+    white. Averages follow as in ``octex.map``.
+
+    Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
+    below ``white``, ``gamma`` above zero.
+    """
+    every = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
+
+    def tone_of(form: ChannelFormat) -> Tone:
+        low, high, power, below, above = (
+            _per_component(form, name, value, _MOST_GAMMA if name == "gamma" else 1.0)
+            for name, value in every.items()
+        )
+        if (low >= high).any() or (power <= 0).any():
+            raise ArgumentError(
+                f"levels of {form.name!r} need black below white and gamma above zero, "
+                f"not {low.tolist()}, {high.tolist()} and {power.tolist()}"
+            )
+        top = _LARGEST if form.dtype.startswith("float") and form.name != ALPHA.name else 1.0
+
+        def tone(values: Float64s) -> Float64s:
+            with np.errstate(over="ignore"):  # where black is next to white, or gamma next to nothing
+                part = np.clip((values - low) / (high - low), 0, top) ** (1 / power)
+            return np.asarray(below + (above - below) * np.minimum(part, top))
+
+        return tone
+
+    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in every.items()}
+    return _edited(texture, channel, tone_of, "levels", how)
+
+
+def curves(
+    texture: OctreeTexture, channel: str | Sequence[str], points: npt.ArrayLike | Sequence[npt.ArrayLike]
+) -> OctreeTexture:
+    """Return a texture whose encoded values follow a curve through ``points``, as in image editors.
+
+    points    (k, 2): an encoded value, 0 … 1, and its result, ascending in the first column; one curve for
+              all components, or a list with one for each
+
+    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980); outside of them it is
+    constant. Encoded values are sRGB for light, in any stored type. Averages follow as in ``octex.map``.
+
+    Raises ArgumentError for unknown channels, for directions, and for points of another shape or order.
+    """
+
+    def tone_of(form: ChannelFormat) -> Tone:
+        of_components = _curves_of(form, points)
+        return lambda values: np.stack(
+            [_monotone(each, values[:, k]) for k, each in enumerate(of_components)], axis=1
+        )
+
+    listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
+    return _edited(texture, channel, tone_of, "curves", {"points": listed})
+
+
+def _edited(
+    texture: OctreeTexture,
+    channel: str | Sequence[str],
+    tone_of: Callable[[ChannelFormat], Tone],
+    operation: str,
+    how: dict[str, Any],
+) -> OctreeTexture:
+    names = names_of(texture, channel)
+    for name in names:
+        if texture.channels[name].format.space == "direction":
+            raise ArgumentError(f"channel {name!r} holds directions, which have no {operation}")
+    return edited(texture, names, lambda each: _Toned(each.format, tone_of(each.format)), operation, **how)
+
+
+class _Toned:
+    """A tone on the values of one channel; of integers by tables, between whose codes it is straight."""
+
+    def __init__(self, form: ChannelFormat, tone: Tone) -> None:
+        self._form, self._tone = form, tone
+        self._has_tables = form.dtype.startswith("u")
+        if self._has_tables:
+            one = ONE[form.dtype]
+            codes = np.repeat(np.arange(one + 1)[:, None] / one, form.components, axis=1)
+            self._codes = np.ascontiguousarray(np.rint(np.clip(tone(codes), 0, 1) * one).astype(form.dtype).T)
+            self._light = decode_table(form.dtype, form.space)
+            light = np.repeat(self._light[:, None], form.components, axis=1)
+            self._toned_light = self._of(light).astype(np.float32)
+
+    def stored(self, values: Array, _cells: Int64s | None) -> Array:
+        """Map values as stored."""
+        form = self._form
+        if not self._has_tables:
+            return encode(self._of(decode(values, form.space)), form.dtype, form.space)
+        toned = np.empty_like(values)
+        if (self._codes == self._codes[0]).all():
+            look_up_codes(values.reshape(-1, 1), self._codes[:1], toned.reshape(-1, 1))
+        else:
+            look_up_codes(values, self._codes, toned)
+        return toned
+
+    def changed(self, _cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+        """Return how far toned values are from toned means."""
+        if not self._has_tables:
+            return self._of(values) - self._of(means)
+        columns = [
+            np.interp(values[:, k], self._light, toned) - np.interp(means[:, k], self._light, toned)
+            for k, toned in enumerate(self._toned_light.T)
+        ]
+        return np.stack(columns, axis=1)
+
+    def _of(self, values: Floats) -> Float64s:
+        """Map decoded values: light by way of sRGB's curve."""
+        wide = values.astype(np.float64)
+        if self._form.space == "data":
+            return np.asarray(self._tone(wide))
+        return np.asarray(srgb_to_linear(self._tone(linear_to_srgb(wide))), np.float64)
+
+
+@kernel
+def look_up_codes(codes: ChannelCodes, tables: ChannelCodes, toned: ChannelCodes) -> None:
+    """Look up codes (n, components) in the tables of components."""
+    for n in range(codes.shape[0]):
+        for k in range(codes.shape[1]):
+            toned[n, k] = tables[k, codes[n, k]]
+
+
+def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
+    numbers = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
+    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(numbers, form.components)])
+
+
+def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:
+    """Return a curve for each component, or raise ArgumentError."""
+    try:
+        whole = as_reals(typed(npt.ArrayLike, points), "points", (-1, 2), (-1, -1, 2))
+        curves = [whole] * form.components if whole.ndim == 2 else list(whole)
+    except ArgumentError:  # curves of different lengths, or no numbers
+        curves = []
+        for each in points if isinstance(points, Sequence) else ():
+            with suppress(ArgumentError):
+                curves.append(as_reals(each, "points", (-1, 2)))
+    good = len(curves) == form.components and all(
+        each.ndim == 2
+        and each.shape[1] == 2
+        and len(each)
+        and ((each >= 0) & (each <= 1)).all()
+        and (np.diff(each[:, 0]) > 0).all()
+        for each in curves
+    )
+    if not good:
+        raise ArgumentError(
+            f"points of a curve for {form.name!r} must be pairs of encoded values, 0 to 1, in "
+            f"ascending order of the first, or a list of them for each of {form.components} components"
+        )
+    return curves
+
+
+def _monotone(points: Float64s, values: Float64s) -> Float64s:
+    """Evaluate the monotone cubic through points (k, 2) (Fritsch & Carlson 1980)."""
+    x, y = points.T
+    if len(x) == 1:
+        return np.full_like(values, y[0])
+    widths = np.diff(x)
+    secants = np.diff(y) / widths
+    slopes = np.concatenate([secants[:1], (secants[1:] + secants[:-1]) / 2, secants[-1:]])
+    slopes[1:-1][secants[1:] * secants[:-1] <= 0] = 0.0
+    for k, secant in enumerate(secants):
+        if secant == 0:
+            slopes[k : k + 2] = 0.0
+            continue
+        steep = float(np.hypot(*(slopes[k : k + 2] / secant)))
+        if steep > 3:
+            slopes[k : k + 2] *= 3 / steep
+    inside = np.clip(values, x[0], x[-1])
+    at = np.clip(np.searchsorted(x, inside, side="right") - 1, 0, len(widths) - 1)
+    t = (inside - x[at]) / widths[at]
+    rise = secants[at] * widths[at]
+    left, right = slopes[at] * widths[at], slopes[at + 1] * widths[at]
+    return np.asarray(y[at] + t * (left + t * (3 * rise - 2 * left - right + t * (left + right - 2 * rise))))
+
+
+#: Values that are recoded at once.
+_RECODED = 1 << 14
+
+
+def cast(
+    texture: OctreeTexture,
+    dtype: str | Mapping[str, str] | None = None,
+    channels: Sequence[str] | None = None,
+) -> OctreeTexture:
+    """Return a texture with other stored types, and optionally only some channels.
+
+    dtype      "uint8", "uint16", "float16" or "float32", for all channels or a dict by name. Floats store
+               linear light, integers sRGB
+    channels   names of the channels to keep, in this order (default: all)
+
+    Raises ArgumentError for unknown names, and for an integer type if light or data exceed 0 … 1.
+    """
+    as_texture(texture)
+    names = list(texture.channels) if channels is None else as_names(channels, "channels")
+    for name in names:
+        as_choice(name, texture.channels, "channel")
+    if len(set(names)) < len(names):
+        raise ArgumentError(f"channels are named twice: {', '.join(names)}")
+    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for name, each in wanted.items():
+        as_choice(name, names, "channel of dtype")
+        if each is not None:
+            as_choice(each, ONE, "dtype")
+    made = {name: channel_as(texture.channels[name], wanted.get(name)) for name in names}
+    metadata = noted(
+        texture.metadata, "cast", channels={name: each.format.dtype for name, each in made.items()}
+    )
+    return OctreeTexture(texture.tree, made, texture.placement, texture.bounds, metadata)
+
+
+def channel_as(channel: Channel, dtype: str | None) -> Channel:
+    """Return a channel as another type stores it."""
+    form = channel.format
+    if dtype is None or dtype == form.dtype:
+        return channel
+    space = form.space
+    if dtype.startswith("float") and space == "srgb":
+        space = "linear"
+    elif dtype.startswith("u") and space == "linear" and form.dtype.startswith("float"):
+        space = "srgb"
+    return in_format(channel, form._replace(dtype=dtype, space=space))
+
+
+def in_format(channel: Channel, form: ChannelFormat) -> Channel:
+    """Return a channel as another format of as many components stores it. Raises ArgumentError."""
+    before = channel.format
+    if form == before:
+        return channel
+    arrays = [np.empty(values.shape, form.dtype) for values in channel[1:]]
+    for values, recoded in zip(channel[1:], arrays, strict=True):
+        for begin in range(0, len(values), _RECODED):
+            block = decode(values[begin : begin + _RECODED], before.space)
+            check_range(block, before, form.dtype)
+            recoded[begin : begin + _RECODED] = encode(block, form.dtype, form.space)
+    return Channel(form, *arrays)

@@ -243,10 +243,7 @@ class Mixing:
     def _mix(
         self, cells: Int64s, values: Callable[[Side], dict[str, Float32s]], amounts: Float32s | None = None
     ) -> tuple[dict[str, Float32s], Float32s]:
-        """Mix what both have in cells (n,); return it by channel, and the part (n,) of the second in colours.
-
-        ``amounts`` (n,), if they are not what is asked for.
-        """
+        """Mix cells (n,), by ``amounts``; return values by channel, and the second's part (n,) in colours."""
         has = [(side.origins.cells[cells] != NOTHING).astype(np.float32) for side in self._sides]
         one, other = (values(side) for side in self._sides)
         alphas = [np.ones(cells.size, np.float32)] * 2

@@ -54,12 +54,11 @@ def resize(
 
 
 def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTexture:
-    """Divide all leaves above a level down to it."""
     tree = texture.tree
     counts = [leaves for leaves, _ in tree.cells_by_depth()[:depth]]
     n_new = sum(count * (8 ** (depth + 1 - level) // 7) for level, count in enumerate(counts))
     if tree.n_cells + n_new > MAX_CELLS:
-        raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can number")
+        raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can hold")
     leaves = [codes[~is_node] for codes, is_node in tree.walk()]
     met: list[Int64s] = [np.empty(0, np.int64)]
     for level in range(depth):

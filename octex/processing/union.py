@@ -40,11 +40,7 @@ class Union(NamedTuple):
 
 
 def unite(first: Octree, second: Octree) -> Union:
-    """Unite two trees: a cell is a node if it is one in either.
-
-    The facings of a leaf are those of the leaves that it is, of a node those of its children. Raises
-    ArgumentError for more cells than can be numbered.
-    """
+    """Unite two trees: a cell is a node if it is one in either. Facings are of leaves, or of children."""
     n_nodes = first.n_nodes + second.n_nodes
     n_cells = first.n_cells + second.n_cells
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
@@ -56,7 +52,7 @@ def unite(first: Octree, second: Octree) -> Union:
     level_cells, level_nodes = level_cells[: depth + 2].copy(), level_nodes[: depth + 2].copy()
     n_cells, n_nodes = int(level_cells[-1]), int(level_nodes[-1])
     if n_cells > MAX_CELLS:
-        raise ArgumentError(f"{n_cells:,} cells together are more than a tree can number")
+        raise ArgumentError(f"{n_cells:,} cells together are more than a tree can hold")
     groups = groups_of(masks[:, : -(-n_nodes // 8) * 8])
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))

@@ -2,7 +2,7 @@
 
 images/     image files decoded, their levels stored, footprints read by filters
 models/     glTF, USD, OBJ, PLY, OFF, STL and 3MF files read
-base        what a source is: combined ones, those by position, what is laid on surfaces
+base        what a source is: combined and joined ones, those by position, what is laid on surfaces
 materials   the source that model files have; evaluate: its kernels
 mesh        triangles and their polygons, posed and at rest; points on them
 corners     what is bound to the corners of triangles
@@ -10,11 +10,10 @@ tangents    frames of normals and tangents there; vectors: what kernels share
 overrides   channels of one's own: functions, images, numbers; mapped: images laid on by position
 transfer    another model's nearest surface; cloud: coloured points
 voxels      values in cells of a grid, a texture by themselves
-surface     triangles with a source; joined: several as one
+surface     triangles with a source
 implicit    where a function is zero, as triangles
 subdivided  limit surfaces of cages; subdivision: their rules
-parts       what hangs together, and what intersects or nearly touches
-separation  such parts, moved apart at rest
+parts       what hangs together, what intersects or nearly touches, and these moved apart at rest
 welding     vertices at one place, and rows of numbers, each once
 colors      colours as users and files give them, as linear light
 motion      how a model moves over time

@@ -7,24 +7,20 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Self
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
-from octex.channels import ALPHA, CHANNELS, ChannelFormat
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
+from octex.channels import ALPHA, CHANNELS, NORMAL, ChannelFormat
 from octex.jit import kernel
 from octex.source.mesh import Mesh
 from octex.source.vectors import between, cross_product, edges_from, length_of
 
 
 class Source(ABC):
-    """Anything that gives values to points of a surface.
-
-    It may read other sources, ``_inputs``: it has gaps where they have, and is prepared and filtered as they
-    are.
-    """
+    """Anything that gives values to points of a surface, with gaps where the ``_inputs`` have them."""
 
     _channels: tuple[ChannelFormat, ...]
     _inputs: tuple[Source, ...] = ()
@@ -36,10 +32,7 @@ class Source(ABC):
 
     @abstractmethod
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return values (n, components) at points of triangles, averaged over widths in rest units.
-
-        Colours are linear light. Called from any number of threads at once.
-        """
+        """Return values (n, components), averaged over widths in rest units; any thread may call it."""
 
     @property
     def has_gaps(self) -> bool:
@@ -52,10 +45,7 @@ class Source(ABC):
         return False
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of a texel on triangles (n,), in rest units: what lies closer varies smoothly.
-
-        0 where that is not known, infinity where nothing limits it but the triangles.
-        """
+        """Return the edge of a texel on triangles (n,), in rest units: 0 unknown, infinity none."""
         return np.zeros(len(triangles), np.float32)
 
     def prepare(self) -> None:
@@ -72,14 +62,10 @@ class Source(ABC):
         return self._reading([source.with_filter(name) for source in self._inputs]) if self._inputs else self
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return the same source with these of its channels alone, and ``alpha`` if they have gaps.
-
-        Without any name that is where there are none: ``alpha``, 0 or 1.
-        """
+        """Return the same source with these channels, and ``alpha`` if they have gaps; of none, gaps."""
         return Combined(dict.fromkeys(names, self), [self])
 
     def _reading(self, inputs: Sequence[Source]) -> Self:
-        """Return the same source with other inputs."""
         other = copy.copy(self)
         other._inputs = tuple(inputs)
         return other
@@ -107,11 +93,7 @@ class OfAnother(Source):
 
 
 class Picked(OfAnother):
-    """The source of a whole surface, for a surface of some of its triangles.
-
-    ``triangles`` (k,) and ``vertices`` (v,) are their numbers in the whole, ``rest`` (n, 3) the whole's rest
-    positions. What the source keeps ready is shared by all that is picked from it.
-    """
+    """The source of a surface with ``rest`` (n, 3), for some of its ``triangles`` and ``vertices``."""
 
     def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
         super().__init__(source)
@@ -149,8 +131,7 @@ def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str,
 class Combined(Source):
     """Channels from several sources; ``sources`` names the one of each channel.
 
-    Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is what its own source
-    gives, 1 if there is none. Without any source it has no channels.
+    Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is its own source's, or 1.
     """
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
@@ -197,7 +178,7 @@ class Combined(Source):
         return self._reading([source.with_rest(rest) for source in self._inputs])
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return these channels alone; sources that give none of them are dropped, and their gaps with them.
+        """Return these channels alone, without the sources, and their gaps, that give none of them.
 
         ``alpha`` without a source of its own, and no name at all, ask for the gaps of all.
         """
@@ -214,6 +195,91 @@ class Combined(Source):
         return Combined({name: inputs[place] for name, place in self._places.items()}, inputs)
 
 
+#: What a material that does not state a channel gives (glTF 2.0's defaults), if it is not 1.
+DEFAULTS = {"emissive": 0.0, "specular": 0.04}
+
+
+class Joined(Source):
+    """Sources of surfaces that follow each other: theirs begin at ``vertices`` and ``faces``.
+
+    Where a source lacks a channel of another, it is the default, or for ``normal`` the faces' at rest.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Source],
+        vertices: Sequence[int],
+        faces: Sequence[int],
+        rest: Float64s,
+        triangles: Int32s,
+    ) -> None:
+        self._inputs, self._vertices, self._faces = tuple(sources), vertices, faces
+        self._rest, self._triangles = rest, triangles
+        forms: dict[str, ChannelFormat] = {}
+        for form in (form for source in sources for form in source.channels):
+            known = forms.setdefault(form.name, form)
+            if form.dtype.startswith("float") and not known.dtype.startswith("float"):
+                forms[form.name] = form
+        self._channels = tuple(forms[name] for name in in_order(list(forms)))
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Whether the ``alpha`` of every source that has it says no more than where it knows something."""
+        with_alpha = [s for s in self._inputs if ALPHA.name in [form.name for form in s.channels]]
+        return self.has_gaps and all(source.alpha_is_coverage for source in with_alpha)
+
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return every channel's values (n, components), each point's from its own source."""
+        values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
+        for source, rows, within in self._by_source(triangles):
+            columns = by_channel(source.channels, source.evaluate(within, barycentric[rows], widths[rows]))
+            values[rows] = np.hstack(
+                [
+                    columns[form.name] if form.name in columns else self._default(form, triangles[rows])
+                    for form in self._channels
+                ]
+            )
+        return values
+
+    def _by_source(self, triangles: Int32s) -> Iterator[tuple[Source, Int64s, Int32s]]:
+        """Yield the sources that triangles (n,) are of, with their rows, and their numbers in its surface."""
+        owners = np.searchsorted(self._faces, triangles, side="right") - 1
+        for number in np.flatnonzero(np.bincount(owners)).tolist():
+            rows = np.flatnonzero(owners == number)
+            yield self._inputs[number], rows, np.asarray(triangles[rows] - self._faces[number], np.int32)
+
+    def _default(self, form: ChannelFormat, triangles: Int32s) -> Float32s:
+        if form.name == NORMAL.name:
+            middles = np.full((len(triangles), 3), 1 / 3)
+            return placed(self._rest, self._triangles, triangles, middles)[1].astype(np.float32)
+        return np.full((len(triangles), form.components), DEFAULTS.get(form.name, 1.0), np.float32)
+
+    def texel_edges(self, triangles: Int32s) -> Float32s:
+        """Return the edge of a texel on triangles (n,), in rest units."""
+        edges = np.full(len(triangles), np.inf, np.float32)
+        for source, rows, within in self._by_source(triangles):
+            edges[rows] = source.texel_edges(within)
+        return edges
+
+    def with_rest(self, rest: Float64s) -> Joined:
+        """Return the same sources with widths and directions measured on other rest positions (n, 3)."""
+        parts = [slice(*self._vertices[n : n + 2]) for n in range(len(self._inputs))]
+        sources = [source.with_rest(rest[part]) for source, part in zip(self._inputs, parts, strict=True)]
+        return Joined(sources, self._vertices, self._faces, rest, self._triangles)
+
+    def only(self, names: Sequence[str]) -> Joined:
+        """Return the same source with these of its channels alone."""
+
+        def restricted(source: Source) -> Source:
+            wanted = [form.name for form in source.channels if form.name in names]
+            return source.only(wanted) if wanted or (source.has_gaps and not names) else Combined({})
+
+        return self._reading([restricted(source) for source in self._inputs])
+
+    def _reading(self, inputs: Sequence[Source]) -> Joined:
+        return Joined(inputs, self._vertices, self._faces, self._rest, self._triangles)
+
+
 #: By how much a cosine of normals in single precision may seem less than it is.
 _COSINE_ROUNDING = 1e-6
 
@@ -227,8 +293,7 @@ class Placeable(ABC):
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
         """Return a source of one channel for a surface, and what provenance says of it.
 
-        ``filter``, one of filters.FILTERS, is how images are averaged over footprints. Raises ModelError,
-        ImageError or ArgumentError for what cannot be laid on that surface.
+        Raises ModelError, ImageError or ArgumentError for what cannot be laid on that surface.
         """
 
     def _shared(self, mesh: Mesh, make: Callable[[], Source]) -> Source:
@@ -245,10 +310,7 @@ def least_cosine(degrees: float) -> float:
 
 
 class SpatialSource(Source):
-    """Gives values to rest positions and face normals.
-
-    ``rest`` (n, 3) positions and ``triangles`` (m, 3) are those of the surface.
-    """
+    """Gives values to rest positions and face normals of a surface."""
 
     def __init__(self, channels: Sequence[ChannelFormat], rest: Float64s, triangles: Int32s) -> None:
         self._channels = tuple(channels)
@@ -259,7 +321,7 @@ class SpatialSource(Source):
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units.
 
-        ``normals`` (n, 3) are those of the faces at rest, of length 1; zeros on triangles without area.
+        ``normals`` (n, 3) are the faces' unit normals at rest; zeros on triangles without area.
         """
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
@@ -291,7 +353,6 @@ def _place(
     points: Float64s,
     normals: Float64s,
 ) -> None:
-    """Fill in the positions and unit normals of points of triangles."""
     last = -1
     x = y = z = 0.0
     for n in range(triangles.size):

@@ -21,7 +21,7 @@ from octex.nearest.points import Points
 from octex.source.base import Placeable, Source, SpatialSource, least_cosine
 from octex.source.colors import linear_colors, screen_colors
 from octex.source.mesh import Mesh
-from octex.source.models.ply import ply_points
+from octex.source.models.ply import Ply
 from octex.source.models.reading import npz_arrays, parse_numbers
 
 #: The endings of files of points; .ply too, if it has no faces.
@@ -70,7 +70,7 @@ class PointCloud(Placeable):
         self.name = as_text(name, "name")
         self.points = locked(_rows(points, f"{name}: points"))
         if len(self.points) < _LEAST_POINTS:
-            raise ModelError(f"{name} has {len(self.points)} points; a cloud needs three at least")
+            raise ModelError(f"{name} has {len(self.points)} points; a cloud needs at least three")
         light = linear_colors(colors, len(self.points), f"{name}: colors")
         if not np.isfinite(light).all():
             raise ModelError(f"{name}: colour {_first_bad(light)} is not finite")
@@ -116,7 +116,9 @@ class PointCloud(Placeable):
         path = as_path(path)
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
-            raise ModelError(f"{path.name} is no cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}")
+            raise ModelError(
+                f"{path.name} is not a point cloud that octex reads; it reads {', '.join(CLOUD_ENDINGS)}"
+            )
         with reading(path):
             arrays = reader(path)
         try:
@@ -159,12 +161,7 @@ class PointCloud(Placeable):
         thousands of points.
         """
         if form.name not in ("base_color", "alpha"):
-            raise ArgumentError(f"{self.name}: points have colours and alpha, and no {form.name}")
-        return self._shared(mesh, lambda: self._laid_on(mesh)), {
-            f"source_{form.name}": f"points of {self.name}"
-        }
-
-    def _laid_on(self, mesh: Mesh) -> _FromPoints:
+            raise ArgumentError(f"{self.name}: points have colours and alpha, but not {form.name}")
         if self.radius is not None and (spacing := self.spacing) > 0.0:
             around = min(np.pi * (self.radius / spacing) ** 2, len(self))
             if around > _MOST_AROUND:
@@ -173,12 +170,11 @@ class PointCloud(Placeable):
                     f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one "
                     f"below {least:.3g}"
                 )
-        return _FromPoints(self, self._ready, mesh.rest, mesh.triangles)
+        source = self._shared(mesh, lambda: _FromPoints(self, self._ready, mesh.rest, mesh.triangles))
+        return source, {f"source_{form.name}": f"points of {self.name}"}
 
 
 class _FromPoints(SpatialSource):
-    """Colours of a cloud on a surface."""
-
     def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
         self._ready = ready
         self._radius = cloud.radius or 0.0
@@ -245,7 +241,7 @@ _Arrays = tuple[Array, Array, Array | None]
 def _read_npz(path: Path) -> _Arrays:
     with open_file(path) as file:
         if not zipfile.is_zipfile(file):
-            raise ModelError(f"{path.name} is no .npz file; save it with np.savez(…, points=…, colors=…)")
+            raise ModelError(f"{path.name} is not an .npz file; save it with np.savez(…, points=…, colors=…)")
     arrays = npz_arrays(path, {name for names in _NAMES.values() for name in names})
     chosen = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
     for kind in ("points", "colors"):
@@ -274,4 +270,8 @@ def _read_xyz(path: Path) -> _Arrays:
     return rows[:, :3], screen_colors(colors / most), normals
 
 
-_READERS: dict[str, Callable[[Path], _Arrays]] = {".ply": ply_points, ".xyz": _read_xyz, ".npz": _read_npz}
+_READERS: dict[str, Callable[[Path], _Arrays]] = {
+    ".ply": lambda path: Ply(path).points(),
+    ".xyz": _read_xyz,
+    ".npz": _read_npz,
+}

@@ -12,11 +12,7 @@ from octex.errors import ArgumentError
 
 
 def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
-    """Return colours (rows, 3 or 4) as linear light and alpha (rows, 4).
-
-    Unsigned integers are sRGB codes, floats are linear light already.
-    Raises ArgumentError for another shape or type.
-    """
+    """Return sRGB codes, or light as floats, (rows, 3 or 4) as linear light and alpha (rows, 4)."""
     array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")

@@ -47,10 +47,7 @@ def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
 
 
 def area_vectors(corners: Float64s) -> Float64s:
-    """Return the normals of triangles (m, 3), counter-clockwise ones' up, each twice its area long.
-
-    ``corners`` (m, 3, 3) are their positions.
-    """
+    """Return the normals (m, 3) of triangles with corners (m, 3, 3), each twice the area long."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
@@ -81,10 +78,7 @@ class Polygons(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[tuple[Polygons | None, int]]) -> Polygons | None:
-        """Return the polygons, numbered on, of triangles that follow each other: of each part, and how many.
-
-        None where no part has any.
-        """
+        """Return the polygons, numbered on, of parts that follow each other; None where none has any."""
         if all(polygons is None for polygons, _ in parts):
             return None
         numbers, first = [], 0

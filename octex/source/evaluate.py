@@ -29,9 +29,8 @@ OPAQUE, MASK, BLEND = 0, 1, 2
 class Tables(NamedTuple):
     """Materials and what is bound to triangles.
 
-    A *stack* are images of one size that a material reads at the same coordinates with the same wraps: they
-    share footprints and taps. A material's images in the order of its stacks give its *lanes*: a 1, then four
-    for each image. Each column of the values is offset + gain × lane.
+    A *stack* are images of one size that a material reads at the same coordinates with the same wraps. A
+    material's images, stack by stack, give its *lanes*: a 1, then four for each image.
     """
 
     materials: Int32s  # (triangles,)
@@ -60,8 +59,7 @@ def measure(
 ) -> None:
     """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
 
-    It is JJᵀ / 12, as uu, uv, vv, with the Jacobian J of texture coordinates by rest positions. Triangles
-    without area have none.
+    It is JJᵀ / 12, as uu, uv, vv, J the Jacobian of coordinates by rest positions; 0 without area.
     """
     for triangle in range(triangles.shape[0]):
         e, f = edges_from(rest, triangles, triangle)
@@ -86,10 +84,7 @@ def measure(
 
 
 def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32s:
-    """Return the edge (triangles,) of a texel of the finest image on each triangle; infinity without images.
-
-    It is the root of a texel's area, in rest units; ``footprints`` are those of ``measure``.
-    """
+    """Return the root of a texel's area (triangles,), of the finest image, in rest units, or infinity."""
     finest = np.zeros((len(footprints), tables.first_stacks.size - 1))
     for material in range(finest.shape[1]):
         for stack in tables.stacks[tables.first_stacks[material] : tables.first_stacks[material + 1]]:

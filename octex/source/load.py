@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, as_text, is_path
-from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError
+from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError, damaged
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_stl
 from octex.source.models.obj import load_obj
-from octex.source.models.ply import load_ply
+from octex.source.models.ply import Ply
 from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.models.usd import load_usd
@@ -29,7 +29,7 @@ _GLTF = ".glb", ".gltf"
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     **dict.fromkeys(_GLTF, load_gltf),
     ".obj": load_obj,
-    ".ply": load_ply,
+    ".ply": lambda path, options: Ply(path).surface(options),
     ".off": load_off,
     ".stl": load_stl,
     ".3mf": load_3mf,
@@ -107,7 +107,7 @@ def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> S
     other = _read(as_path(rest, "rest"), Options(materials=False))
     if len(other.vertices) != len(surface.vertices) or not np.array_equal(other.triangles, surface.triangles):
         raise ModelError(
-            f"{other.name} is no rest mesh of {surface.name}: the topology differs "
+            f"{other.name} cannot be the rest mesh of {surface.name}: the topology differs "
             f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
             f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
         )
@@ -147,4 +147,4 @@ def _parsing(path: Path) -> Iterator[None]:
             reason = f"{error} is missing or unknown"
         elif isinstance(error, (AttributeError, TypeError)):
             reason = "a value has the wrong type"
-        raise ModelError(f"{path.name} is malformed ({reason}); export it again") from error
+        raise damaged(f"{path.name} is malformed ({reason})") from error

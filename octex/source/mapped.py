@@ -84,7 +84,9 @@ class MappedImage(Placeable):
         self._axis = as_choice(axis, FRAMES, "axis")
         self._center = None if center is None else _three(center, "center", -_FARTHEST)
         if size is not None and self._kind == SPHERICAL:
-            raise ArgumentError("a spherical picture goes once around and from pole to pole: no size")
+            raise ArgumentError(
+                "a spherical projection has no size: it goes once around and from pole to pole"
+            )
         self._size = None if size is None else _three(size, "size", 1.0 / _FARTHEST)
         self._wraps = as_wraps(wrap)
         self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
@@ -189,7 +191,6 @@ class MappedSource(SpatialSource):
 
 
 def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:
-    """Return a number for each direction."""
     numbers = np.broadcast_to(as_reals(values, name, (3,), *([()] if name == "size" else [])), 3)
     return np.array([as_number(number, name, least, _FARTHEST) for number in numbers])
 
@@ -326,8 +327,7 @@ def _turn(
 ) -> None:  # fmt: skip
     """Turn a direction of a normal map into one in rest space; at a point, a unit vector.
 
-    The tangent is where u grows and v stays on the surface, the bitangent at right angles to it; where v
-    does not change on the surface, the tangent is where u grows most.
+    The tangent is where u grows and v stays on the surface, or u grows most if v does not change there.
     """
     normal = _in_frame(mapping, shading)
     if dot_product(normal, normal) == 0.0:

@@ -15,7 +15,7 @@ from octex.channels import CHANNELS, ONE, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
-from octex.source.base import Source, in_order
+from octex.source.base import DEFAULTS, Source, in_order
 from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
@@ -50,8 +50,7 @@ class Input(NamedTuple):
 class Material(NamedTuple):
     """One material of a model file, with the inputs of the channels that it states.
 
-    Texels are decoded by their channel's space. Those of ``normal`` are directions in the tangent's frame,
-    which the factor scales and which are then made unit vectors, before anything is averaged.
+    Texels of ``normal`` are scaled by the factor, then made unit vectors, before anything is averaged.
     """
 
     inputs: Mapping[str, Input] = {}
@@ -90,10 +89,6 @@ class Material(NamedTuple):
 
 #: The largest number that a half-precision float holds.
 MOST_IN_FLOAT16 = 65504.0
-#: What a material that does not state a channel gives (glTF 2.0's defaults), if it is not 1.
-DEFAULTS = {"emissive": 0.0, "specular": 0.04}
-
-
 #: Lets one thread prepare what all read.
 _preparing = Lock()
 
@@ -102,16 +97,12 @@ class MaterialSource(Source):
     """The channels of a model with materials.
 
     ``triangle_materials`` (m,) says the material of each triangle. ``colors`` at corners, linear light and
-    alpha (rows, 4), multiply ``base_color`` and ``alpha``. Texture ``coordinates`` (rows, 2) at corners, by
-    slot, have v down. ``frames``, without which there is no ``normal``, are in the space of ``rest`` (n, 3),
-    on which, with ``triangles`` (m, 3), widths are measured. ``filter`` is one of filters.FILTERS.
+    alpha (rows, 4), multiply ``base_color`` and ``alpha``. ``coordinates`` (rows, 2), by slot, have v down.
+    Without ``frames``, in the space of ``rest``, there is no ``normal``. It has ``base_color``,
+    ``alpha`` if a material uses it, and what else materials in use state, of these ``channels``. Averages of
+    masks cut texels by the mean vertex alpha under their material, points by their own.
 
-    It has ``base_color``, ``alpha`` if a material uses it, and what else any of the materials in use states;
-    ``channels`` names those that are wanted. Light that can be above 1 is stored as such. Averages of masks
-    cut texels by the mean vertex alpha under their material, points by their own.
-
-    Raises ModelError, with ``name``, for colours, or texture coordinates in use, that are not finite, and for
-    channels that the materials lack.
+    Raises ModelError for colours, or texture coordinates in use, that are not finite, and unknown channels.
     """
 
     def __init__(
@@ -142,7 +133,10 @@ class MaterialSource(Source):
         self._footprints: Float64s | None = None
         self._texel_edges = np.empty(0, np.float32)
         self._check()
-        stated = self._stated()
+        names = {"base_color"}.union(*(material.inputs for material in self._used)) - {"alpha"}
+        if any(material.alpha_mode != "opaque" for material in self._used):
+            names.add("alpha")
+        stated = in_order(list(names))
         if channels is not None:
             lacking = [channel for channel in channels if channel not in stated]
             if lacking:
@@ -201,13 +195,6 @@ class MaterialSource(Source):
         other._prepared = other._footprints = None
         return other
 
-    def _stated(self) -> list[str]:
-        used = self._used
-        names = {"base_color"}.union(*(material.inputs for material in used)) - {"alpha"}
-        if any(material.alpha_mode != "opaque" for material in used):
-            names.add("alpha")
-        return in_order(list(names))
-
     def _format(self, name: str) -> ChannelFormat:
         """Return how a channel is stored: light that can be above 1 as floats."""
         form = CHANNELS[name]
@@ -233,7 +220,7 @@ class MaterialSource(Source):
         last = max((each.slot for material in self._used for each in material.textures), default=-1)
         if last >= len(self.coordinates):
             raise ModelError(
-                f"{self._name}: an image reads set {last} of texture coordinates, which is not there"
+                f"{self._name}: an image reads set {last} of texture coordinates, which is missing"
             )
         for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():
@@ -244,7 +231,6 @@ class MaterialSource(Source):
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
     def _ready(self) -> tuple[Tables, Images, Float64s]:
-        """Return what the kernels read, made on the first use."""
         prepared, footprints = self._prepared, self._footprints
         if prepared is not None and footprints is not None:
             return *prepared, footprints
@@ -372,7 +358,6 @@ def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
 
 
 def _brightest(entry: Input) -> float:
-    """Return the most that an input of light can give."""
     texel = 1.0
     if entry.texture is not None and entry.texture.texels.dtype == np.float32:
         texel = float(entry.texture.texels[..., list(entry.lanes)].max())

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_array, as_reals, as_whole, locked
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError, ModelError, damaged
 from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners, unit_normals
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
@@ -127,7 +127,7 @@ class Mesh:
                 f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
             )
         if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(self.triangles):
-            raise ArgumentError(f"{self.name} has triangles 0 to {len(self.triangles) - 1}, not all of these")
+            raise ArgumentError(f"{self.name} has only triangles 0 to {len(self.triangles) - 1}")
         chosen = chosen.astype(np.int32)
         faces = self.triangles[chosen]
         used = self._used(faces)
@@ -257,7 +257,7 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     low, high = int(triangles.min()), int(triangles.max())
     if low < 0 or high >= vertices:
         worst = low if low < 0 else high
-        raise ModelError(f"{name}: a triangle uses vertex {worst}, but there are {vertices}; export it again")
+        raise damaged(f"{name}: a triangle uses vertex {worst}, but there are {vertices}")
     return _owned(triangles, np.int32)
 
 

@@ -27,8 +27,7 @@ class Animation(NamedTuple):
 class Motion(NamedTuple):
     """The animations of a model, in the scene's coordinates.
 
-    At a frame, vertex v is at Σ share · bone · (position + Σ weight · what the target adds). Likewise its
-    normal, before the bones turn it.
+    At a frame, vertex v is at Σ share · bone · (position + Σ weight · what the target adds).
     """
 
     positions: Float64s  # (n, 3)   as modelled: without animations, skins and targets

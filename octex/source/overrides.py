@@ -27,14 +27,10 @@ _ROUNDING = 1e-6
 class FunctionSource(SpatialSource):
     """One channel that a function gives: ``function(points)`` or ``function(points, normals)``.
 
-    It is called with rest positions (n, 3), in the model's units, and unit normals (n, 3) of the faces at
-    rest if it requires a second positional argument, both float64 and its own to write to. It returns
-    (n, components), or (n,) for one component: linear light for colours, 0 … 1 (0 … 65504 for ``emissive``,
-    which is stored as floats), vectors in rest space for ``normal``, each component in −1 … 1, which are made
-    unit vectors. Conversion calls it with batches of points, from several threads at once.
-
-    A function is read at points, whatever the footprint: detail finer than the cells of a texture is only
-    averaged as far as conversion takes means over the pieces of surface in a cell.
+    It is called with rest positions (n, 3) and, if it requires a second argument, the faces' unit normals
+    (n, 3), in batches, from several threads at once. It returns (n, components), or (n,) for one component:
+    linear light, 0 … 1 (0 … 65504 for ``emissive``), or vectors in rest space for ``normal``, which are made
+    unit vectors. It is read at points, whatever the footprint.
 
     Raises ArgumentError for a function that takes other arguments; and when it is read, if it raises (the
     cause is kept), returns another shape, or anything that is not a finite number in the range.
@@ -66,16 +62,13 @@ class FunctionSource(SpatialSource):
             lengths = np.linalg.norm(values, axis=1, keepdims=True)
             if not lengths.all():
                 place = ", ".join(f"{x:.6g}" for x in points[int(np.argmin(lengths))])
-                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which point nowhere")
+                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which is not a direction")
             values = values / lengths
         return np.clip(values, self._least, self._most).astype(np.float32)
 
 
 def override_source(mesh: Mesh, channel: str, value: object, filter: str) -> tuple[Source, dict[str, str]]:
-    """Return a source of one channel, and what provenance says of it.
-
-    Raises as ``Surface.with_sources`` does.
-    """
+    """Return a source of one channel, and what provenance says of it; raises as ``Surface.with_sources``."""
     form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
     entry = f"source_{channel}"
     if isinstance(value, Placeable):

@@ -1,28 +1,36 @@
-"""The parts of a surface, and which of them intersect or nearly touch.
+"""The parts of a surface: which of them intersect or nearly touch, and these moved apart at rest.
 
-Such parts share cells of an octree texture, and their colours run together (Benson & Davis 2002, 4.3.1 and
-6.2).
+Near parts share cells of a texture, and their colours run together (Benson & Davis 2002, 4.3.1 and 6.2).
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
-from octex.checks import as_number
+from octex.checks import as_number, as_positive
+from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.nearest.distances import Mesh, gap, mesh_of
+from octex.nearest import distances
 from octex.source.welding import first_equal
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
+    from octex.source.mesh import Mesh
+
 Why = Literal["open", "not manifold", "without volume"]
 
+#: The entry of provenance that says which parts were moved, and how far.
+SEPARATION = "separation"
+#: So many parts find a place each for themselves; more are also moved as they lie.
+_SINGLY = 300
 #: Solids that share less than this part of the smaller one's volume only touch.
 _SHARED = 1e-9
 #: Pairs of boxes are looked for so many at a time.
@@ -91,20 +99,24 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
     solids = [_solid(rest, triangles[part], welded) for part in members]
-    surfaces: dict[int, Mesh] = {}
+    surfaces: dict[int, distances.Mesh] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
     for first, second in _near_boxes(low, high, margin):
         for a, b in zip(first.tolist(), second.tolist(), strict=True):
             for part in (a, b):
                 if part not in surfaces:
-                    surfaces[part] = mesh_of(rest[triangles[members[part]]])
-            distance = gap(surfaces[a], surfaces[b], margin)
+                    surfaces[part] = distances.mesh_of(rest[triangles[members[part]]])
+            distance = distances.gap(surfaces[a], surfaces[b], margin)
             within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
             around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
             # Apart and not one in the other: nothing is shared, and needs no boolean.
             is_clear = distance > 0.0 and not within and not around
-            volume = _shared_volume(solids[a], solids[b], is_clear)
+            one, other, volume = solids[a], solids[b], None
+            if not (isinstance(one, str) or isinstance(other, str)):
+                shared = 0.0 if is_clear else (one ^ other).volume()
+                only_touch = is_clear or shared <= _SHARED * min(one.volume(), other.volume())
+                volume = 0.0 if only_touch else shared
             if volume or distance < margin or (distance == 0.0 and volume is None):
                 pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
     unchecked = [
@@ -129,8 +141,7 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     """Return the part of each triangle (m,), numbered by their first triangles.
 
     Triangles are in one part if they share a vertex, or an edge (of the same positions, ``welded``) that no
-    third has: so seams do not cut, and boxes that stand on each other stay two. What is not closed then is
-    joined with what touches it at a vertex.
+    third has. What is not closed then is joined with what touches it at a vertex.
     """
     parents = np.arange(len(welded))
     join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
@@ -140,8 +151,15 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     pairs = starts[np.diff(starts, append=len(keys)) == 2]
     owners = np.tile(triangles[:, 0], 3).astype(np.int64)
     join(parents, owners[order[pairs]], owners[order[pairs + 1]])
+    # Parts with an edge that is not run through equally both ways are not closed.
     roots = parents[triangles[:, 0]]
-    loose = triangles[np.isin(roots, _unbalanced(triangles, welded, roots))].ravel().astype(np.int64)
+    keys, ways = edges_of(triangles, welded)
+    owners = np.tile(roots, 3)
+    order = np.lexsort((keys, owners))
+    keys, owners = keys[order], owners[order]
+    starts = np.flatnonzero((np.diff(keys, prepend=-1) != 0) | (np.diff(owners, prepend=-1) != 0))
+    is_open = np.isin(roots, owners[starts[np.add.reduceat(ways[order], starts) != 0]])
+    loose = triangles[is_open].ravel().astype(np.int64)
     _, first, places = np.unique(welded[loose], return_index=True, return_inverse=True)
     join(parents, loose, loose[first[places]])
     _, first, parts = np.unique(parents[triangles[:, 0]], return_index=True, return_inverse=True)
@@ -156,16 +174,6 @@ def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
     a = corners.T.ravel()
     b = corners[:, [1, 2, 0]].T.ravel()
     return np.minimum(a, b) * len(welded) + np.maximum(a, b), np.sign(b - a)
-
-
-def _unbalanced(triangles: Int32s, welded: Int64s, owners: Int64s) -> Int64s:
-    """Return those of the triangles' owners (m,) with an edge that is not run through equally both ways."""
-    keys, ways = edges_of(triangles, welded)
-    owners = np.tile(owners, 3)
-    order = np.lexsort((keys, owners))
-    keys, owners = keys[order], owners[order]
-    starts = np.flatnonzero((np.diff(keys, prepend=-1) != 0) | (np.diff(owners, prepend=-1) != 0))
-    return np.unique(owners[starts[np.add.reduceat(ways[order], starts) != 0]])
 
 
 @kernel
@@ -228,11 +236,107 @@ def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[
         first = last
 
 
-def _shared_volume(a: Manifold | Why, b: Manifold | Why, is_clear: bool) -> float | None:
-    """Return the volume that two solids share; 0 if they only touch, None if one is no solid."""
-    if isinstance(a, str) or isinstance(b, str):
+def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -> str | None:
+    """Return how parts nearer than ``margin`` are moved apart, as provenance says it; None if none are."""
+    margin = as_positive(margin, "margin")
+    overlaps = mesh.overlapping_parts(margin) if overlaps is None else overlaps
+    if not isinstance(overlaps, Overlaps):
+        raise ArgumentError(f"overlaps must be the result of overlapping_parts, not {overlaps!r}")
+    if overlaps.margin < margin or len(overlaps.parts) != len(mesh.triangles):
+        raise ArgumentError(
+            f"the overlaps were computed with a margin of {overlaps.margin:g}, or for another surface"
+        )
+    pairs = [(pair.a, pair.b) for pair in overlaps.pairs if pair.gap < margin or pair.gap == 0.0]
+    if not pairs:
         return None
-    if is_clear:
-        return 0.0
-    volume: float = (a ^ b).volume()
-    return volume if volume > _SHARED * min(a.volume(), b.volume()) else 0.0
+    offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, overlaps.parts), pairs, margin)
+    moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
+    return json.dumps({"parts": overlaps.n_parts, "digest": _digest(overlaps.parts), "moved": moved})
+
+
+def separated_rest(mesh: Mesh, separation: str) -> Float64s:
+    """Return the rest positions (n, 3) of a mesh whose parts are moved as an entry of provenance says."""
+    parts = mesh.parts
+    try:
+        content: dict[str, Any] = json.loads(separation)
+        count, digest = int(content["parts"]), str(content["digest"])
+        moved = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
+        is_sound = all(0 <= part < count and len(offset) == 3 for part, offset in moved.items())
+        if not is_sound or not np.isfinite(list(moved.values())).all():
+            raise ValueError
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise ArgumentError(
+            f"the texture's metadata about its separated parts cannot be read: {separation[:80]!r}"
+        ) from None
+    if digest != _digest(parts):
+        raise ArgumentError(
+            f"the texture's {count} parts were moved apart, and they are not the {int(parts.max()) + 1} of "
+            f"{mesh.name}: the texture belongs to another model, or to other rest positions"
+        )
+    offsets = np.zeros((count, 3))
+    offsets[list(moved)] = list(moved.values())
+    rest = mesh.rest.copy()
+    owners = np.full(len(rest), -1, np.int64)
+    owners[mesh.triangles] = parts[:, None]
+    used = owners >= 0
+    rest[used] += offsets[owners[used]]
+    return rest
+
+
+def _digest(parts: Int32s) -> str:
+    return hashlib.sha256(parts.astype("<i4").tobytes()).hexdigest()
+
+
+def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
+    """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
+    # Classes without near parts in one, the largest first: class 0 is what stays.
+    sizes = np.ptp([low, high], axis=0).max(axis=1)
+    neighbours: dict[int, set[int]] = {}
+    for a, b in pairs:
+        neighbours.setdefault(a, set()).add(b)
+        neighbours.setdefault(b, set()).add(a)
+    classes = np.zeros(len(low), np.int64)
+    done: dict[int, int] = {}
+    for part in sorted(neighbours, key=lambda part: (-sizes[part], part)):
+        taken = {done[other] for other in neighbours[part] if other in done}
+        classes[part] = done[part] = next(k for k in range(len(taken) + 1) if k not in taken)
+    groups = [np.flatnonzero(classes == k) for k in range(classes.max() + 1)]
+    base = low[groups[0]].min(axis=0), high[groups[0]].max(axis=0)
+    layouts = [_packed(low, high, base, groups[1:], margin)]
+    moving = np.flatnonzero(classes)
+    if len(moving) <= _SINGLY:
+        layouts.append(_packed(low, high, base, [moving[i : i + 1] for i in range(len(moving))], margin))
+
+    def size(offsets: Float64s) -> tuple[float, float]:
+        extent = np.ptp([(low + offsets).min(axis=0), (high + offsets).max(axis=0)], axis=0)
+        return float(extent.max()), float(extent.sum())
+
+    return min(layouts, key=size)
+
+
+def _packed(
+    low: Float64s, high: Float64s, base: tuple[Float64s, Float64s], groups: list[Int64s], margin: float
+) -> Float64s:
+    """Return offsets (parts, 3) that put groups of parts beside a base, where the whole grows least.
+
+    Places are beside what is there already (the extreme points of Crainic et al. 2008).
+    """
+    offsets = np.zeros_like(low)
+    boxes = [(low[group].min(axis=0), high[group].max(axis=0)) for group in groups]
+    sides = [high - low for low, high in boxes]
+    placed = [base]
+    beside = margin * np.eye(3)
+    points = base[0] + np.diag(base[1] - base[0]) + beside
+    for number in sorted(range(len(groups)), key=lambda number: -sides[number].max()):
+        side = sides[number]
+        lows, highs = (np.array(corners) for corners in zip(*placed, strict=True))
+        whole = np.maximum(points + side, highs.max(axis=0)) - lows.min(axis=0)
+        for place in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
+            point = points[place]
+            apart = np.maximum(lows - (point + side), point - highs).max(axis=1)
+            if (apart >= margin * (1.0 - 1e-9)).all():
+                break
+        offsets[groups[number]] = point - boxes[number][0]
+        placed.append((point, point + side))
+        points = np.concatenate([np.delete(points, place, axis=0), point + np.diag(side) + beside])
+    return offsets

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import cached_property
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -59,7 +58,9 @@ def subdivide(
     if scheme is None:
         scheme = "loop" if (cage.sizes == 3).all() else "catmull-clark"
     if scheme == "loop" and (cage.sizes != 3).any():
-        raise ModelError(f"{mesh.name} has polygons that are no triangles; Loop's scheme takes none")
+        raise ModelError(
+            f"{mesh.name} has polygons that are not triangles, which Loop's scheme does not support"
+        )
     first = len(cage.sizes) if scheme == "loop" else len(cage.corners) // 2
     if first * 4**levels > _MOST_TRIANGLES:
         raise ModelError(f"{mesh.name}: {levels} levels make more than {_MOST_TRIANGLES:,} triangles")
@@ -97,17 +98,13 @@ def subdivide(
 
 
 def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
-    """Cut faces into triangles: the face of each (m,), and its corners (m, 3).
-
-    Quads of a quad are cut along its own cut: no triangle lies on two of the cage's.
-    """
+    """Cut faces into triangles, none on two of the cage's: the face of each (m,), and its corners (m, 3)."""
     corners = np.arange(len(level.corners)).reshape(len(level.sizes), -1)
     if scheme == "loop":
         return np.arange(len(corners)), corners
     across, up = (level.domain[2::4] - level.domain[::4]).T
-    along = np.where(cage.cut_at_odd[level.faces], across * up < 0, across * up > 0) | (
-        cage.sizes[level.faces] != 4
-    )
+    is_quad = cage.sizes[level.faces] == 4
+    along = np.where(cage.is_cut_at_odd[level.faces], across * up < 0, across * up > 0) | ~is_quad
     first = np.where(along[:, None], [0, 1, 2], [1, 2, 3])
     second = np.where(along[:, None], [0, 2, 3], [1, 3, 0])
     within = np.stack([first, second], axis=1).reshape(-1, 3)
@@ -117,9 +114,8 @@ def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64
 class OnCage(OfAnother):
     """The source of a cage, for a mesh whose triangles lie on the cage's.
 
-    ``parents`` (m,) are the cage's triangles that each lies on, ``shares`` (m, 3, 3) its corners in
-    barycentric coordinates there, ``hull`` (n, 3) where its vertices are on the cage. Widths are measured on
-    ``rest`` (n, 3), and are as much of a triangle as there.
+    ``parents`` (m,) are the cage's triangles that each lies on, ``shares`` (m, 3, 3) its corners' barycentric
+    coordinates there, ``hull`` (n, 3) its vertices on the cage. Widths are measured on ``rest`` (n, 3).
     """
 
     def __init__(
@@ -153,7 +149,6 @@ class OnCage(OfAnother):
 
 
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
-    """Return the roots of the areas of triangles (m,)."""
     return np.asarray(np.sqrt(np.linalg.norm(area_vectors(positions[triangles]), axis=1)))
 
 
@@ -176,6 +171,9 @@ class _Cage:
         self._order = np.argsort(owners, kind="stable")
         self._counts = np.bincount(owners, minlength=len(self.sizes))
         self._starts = np.cumsum(self._counts) - self._counts
+        within = self._at[self._order[self._starts]] - (np.cumsum(self.sizes) - self.sizes)[:, None]
+        missing = 6 - within.sum(axis=1)  # the corner that the first triangle lacks
+        self.is_cut_at_odd: Bools = (self.sizes == 4) & (missing % 2 == 0)  # between corners 1 and 3
         a, b, c = self._domain[self._at].transpose(1, 0, 2)
         self._origins, self._maps = a, np.linalg.inv(np.stack([b - a, c - a], axis=2))
 
@@ -200,18 +198,10 @@ class _Cage:
             (points, spikes),
         )
 
-    @cached_property
-    def cut_at_odd(self) -> Bools:
-        """Of quads, whether they are cut between their corners 1 and 3 (f,)."""
-        within = self._at[self._order[self._starts]] - (np.cumsum(self.sizes) - self.sizes)[:, None]
-        missing = 6 - within.sum(axis=1)  # the corner that the first triangle lacks
-        return np.asarray((self.sizes == 4) & (missing % 2 == 0))
-
     def located(self, faces: Int64s, points: Float64s) -> tuple[Int64s, Float64s, Float64s]:
-        """Find triangles (m, 3, 2), given in the planes of faces (m,), on the cage.
+        """Find triangles (m, 3, 2), in the planes of faces (m,), on the cage.
 
-        Return the cage's triangles (m,), the corners' barycentric coordinates there (m, 3, 3), and their
-        positions at rest (m, 3, 3).
+        Return the cage's triangles (m,), barycentric coordinates there and positions at rest (m, 3, 3).
         """
         parents = self._holding(faces, points.mean(axis=1))
         shares = self._shares(parents[:, None], points)

@@ -1,10 +1,7 @@
 """Subdivision surfaces: Catmull–Clark and Loop, with creases, and where their limit is.
 
-Rules of creases, corners and boundaries as OpenSubdiv has them, boundaries as its edge-and-corner: they are
-sharp, and so are corners of one face (T. DeRose, M. Kass & T. Truong, "Subdivision Surfaces in Character
-Animation", 1998; J. Hoppe et al., "Piecewise Smooth Surface Reconstruction", 1994). Edges of more than two
-faces are sharp. Limits: M. Halstead, M. Kass & T. DeRose, "Efficient, Fair Interpolation using Catmull–Clark
-Surfaces", 1993; C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
+Creases, corners and boundaries (edge-and-corner) are OpenSubdiv's (DeRose, Kass & Truong 1998; Hoppe et al.
+1994). Edges of more than two faces are sharp. Limits: Halstead, Kass & DeRose 1993; Loop 1987.
 """
 
 from __future__ import annotations
@@ -90,10 +87,7 @@ def base_level(
     creases: tuple[Int64s, Float64s],
     spikes: tuple[Int64s, Float64s],
 ) -> Level:
-    """Return the first level of faces of at least three corners each, all vertices of which are used.
-
-    ``creases`` are edges (k, 2) with their sharpness (k,), ``spikes`` vertices (j,) with theirs.
-    """
+    """Return the first level; ``creases`` are edges (k, 2), ``spikes`` vertices (j,), and their sharpness."""
     count, faces = len(values), np.arange(len(sizes))
     nothing = np.empty((0, 2), np.int64), np.empty(0)
     level = Level(values, corners, sizes, corners, *nothing, np.zeros(count), domain, faces)
@@ -119,10 +113,7 @@ def _keys(a: Int64s, b: Int64s, count: int) -> Int64s:
 
 
 def _is_apart(level: Level, uses: Int64s) -> Bools:
-    """Say which vertices (v,) are corners: of one face alone, or where faces hang together by no edges.
-
-    A vertex in the middle of a line of edges with more than two faces is none.
-    """
+    """Say which vertices (v,) are corners: of one face alone, or where faces hang together by no edges."""
     count = len(level.values)
     ends = level.edges.ravel()
     faces = np.bincount(level.corners, minlength=count)
@@ -237,10 +228,7 @@ def limits(level: Level, scheme: Scheme) -> Float64s:
 
 
 def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
-    """Return the limits of chosen vertices, by dividing what is around each of them again and again.
-
-    The faces around a vertex are divided without knowledge of any others.
-    """
+    """Return the limits of chosen vertices, by dividing the faces around each of them again and again."""
     numbers = np.cumsum(chosen) - 1
     count = int(chosen.sum())
     before = level.preceding
@@ -295,27 +283,23 @@ def _ring_sums(level: Level) -> Float64s:
 
 
 def _smoothed(values: Float64s, sums: Float64s, valences: Int64s) -> Float64s:
-    """Return vertices moved by Loop's rule."""
     n = valences[:, None]
     beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n
     return (1 - n * beta) * values + beta * sums
 
 
 def _softer(sharpness: Float64s) -> Float64s:
-    """Return sharpness at the next level."""
     return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1, 0.0))
 
 
-def _by_kind(kinds: Array, values: Float64s, smooth: Float64s, beside: Float64s) -> Float64s:
-    creased = 0.75 * values + 0.125 * beside
+def _by_kind(kinds: Array, values: Float64s, creased: Float64s, smooth: Float64s) -> Float64s:
     return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
 
 
 def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
     """Return moved vertices (v, k): smooth ones, but where creases and corners have their own rule.
 
-    Where the next level has another rule, this one's counts by the mean of what is left of those sharpnesses
-    that end here, of edges and of vertices.
+    Where the next level has another rule, this one's counts by the mean of what is left of sharpnesses.
     """
     if not (lines.sharpness > 0).any() and not (spikes > 0).any():
         return smooth
@@ -323,7 +307,7 @@ def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64
     (kinds, sums), (later, later_sums) = lines.kinds(spikes), lines._replace(sharpness=softer).kinds(blunter)
     chosen = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
     now, then = (
-        _by_kind(kind[chosen], values[chosen], smooth[chosen], beside[chosen])
+        _by_kind(kind[chosen], values[chosen], 0.75 * values[chosen] + 0.125 * beside[chosen], smooth[chosen])
         for kind, beside in ((kinds, sums), (later, later_sums))
     )
     ending, blunt = (lines.sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
@@ -350,5 +334,4 @@ def _smooth_limits(
 def _sharp_limits(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
     """Return limits of vertices (v, k): smooth ones, but on creases and corners."""
     kinds, beside = lines.kinds(spikes)
-    creased = (4 * values + beside) / 6
-    return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
+    return _by_kind(kinds, values, (4 * values + beside) / 6, smooth)

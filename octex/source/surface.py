@@ -15,19 +15,17 @@ from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
-from octex.source.base import Combined, Picked, Source, by_channel
+from octex.source.base import Combined, Joined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
-from octex.source.joined import Joined
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
 from octex.source.overrides import override_source
-from octex.source.parts import Overlaps
-from octex.source.separation import SEPARATION, separated_rest, separation_of
+from octex.source.parts import SEPARATION, Overlaps, separated_rest, separation_of
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
@@ -72,7 +70,6 @@ class Surface(Mesh):
 
     @classmethod
     def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
-        """Return a mesh with a source of values for it."""
         return cls(
             mesh.vertices, mesh.triangles, source,
             rest=None if mesh.rest is mesh.vertices else mesh.rest, uv=mesh.uv, frames=mesh.frames,
@@ -235,7 +232,7 @@ class Surface(Mesh):
         """
         channels = as_names(channels, "channels")
         if not channels:
-            raise ArgumentError("channels must name one at least")
+            raise ArgumentError("channels must name at least one channel")
         for channel in channels:
             as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
@@ -316,19 +313,19 @@ class Surface(Mesh):
         mesh, chosen, vertices = self.picked(triangles)
         return self._with(source or Picked(self.source, chosen, vertices, self.rest), mesh)
 
-    def separated(self, margin: float, found: Overlaps | None = None) -> Surface:
+    def separated(self, margin: float, overlaps: Overlaps | None = None) -> Surface:
         """Return the same surface, with parts that are nearer than ``margin`` at rest moved apart.
 
         The largest parts stay; the others are placed next to the model, so that the root cell grows as little
         as possible. Values do not change. The surface and its textures store the moves: see ``placed_in``. A
         part that intersects itself stays as it is. If no parts are that near, the surface itself is returned.
-        ``found`` is an earlier result of ``overlapping_parts`` with this margin or a larger one.
+        ``overlaps`` is an earlier result of ``overlapping_parts`` with this margin or a larger one.
 
         Raises ArgumentError for a margin that is not above zero, and for a surface that is separated already.
         """
         if SEPARATION in self.provenance:
             raise ArgumentError(f"{self.name} is separated already; separate the surface that it was made of")
-        return self._separated(separation_of(self, margin, found))
+        return self._separated(separation_of(self, margin, overlaps))
 
     def placed_in(self, texture: OctreeTexture) -> Surface:
         """Return the same surface with the rest positions that a texture was made with.
@@ -345,7 +342,8 @@ class Surface(Mesh):
             return self
         if separation is None or moves is not None:
             raise ArgumentError(
-                f"{self.name} is separated, and the texture is not, or otherwise; use the surface as it was"
+                f"{self.name} is separated otherwise than the texture; use the surface that the texture was "
+                "made from"
             )
         return self._separated(separation)
 
@@ -375,7 +373,7 @@ class Surface(Mesh):
         """
         as_choice(channel, [form.name for form in self.channels], "channel")
         if not isinstance(samples, SurfaceSamples):
-            raise ArgumentError(f"samples must be what scatter returns, not {samples!r}")
+            raise ArgumentError(f"samples must be the result of scatter, not {samples!r}")
         triangles = np.asarray(samples.triangles)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(self.triangles):
             raise ArgumentError(f"samples name triangles that {self.name} does not have")

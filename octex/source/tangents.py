@@ -36,15 +36,11 @@ def corner_frames(
     """Return unit normals, and unit tangents with their handedness, at the corners of triangles.
 
     ``positions`` (n, 3), ``triangles`` (m, 3); ``normals`` (rows, 3), ``tangents`` (rows, 4) and
-    ``coordinates`` (rows, 2), v running down. The bitangent, along which v falls, is the cross product of
-    normal and tangent times the handedness, 1 or −1.
-
-    Without normals triangles are flat, and tangents that are given do not count (3.7.2.1). Tangents that are
-    not given point along u: corners of equal position, normal and coordinates share the mean of their
-    triangles' directions in the normal's plane, weighted by the angles there; triangles whose image is
-    mirrored keep apart. Triangles without area here or in the image take their neighbours' tangent.
-    Where nothing says what a normal or tangent is, it is any that fits; all that comes back is finite.
-    Differs from mikktspace.c in that corners need no chain of edges between them to share a tangent.
+    ``coordinates`` (rows, 2), v running down. The bitangent, along which v falls, is normal × tangent times
+    the handedness, 1 or −1. Without normals triangles are flat, and tangents do not count (3.7.2.1). Missing
+    tangents point along u: corners of equal position, normal and coordinates share the mean of their
+    triangles' directions, weighted by angles; mirrored images keep apart. Triangles without area take their
+    neighbours'. Unlike in mikktspace.c, corners need no chain of edges between them to share a tangent.
     """
     flat = area_vectors(positions[triangles])
     flat = _unit(flat, np.broadcast_to([0.0, 0.0, 1.0], flat.shape))
@@ -81,9 +77,7 @@ def corner_frames(
 def carried(frames: Frames, triangles: Integers, before: Float64s, after: Float64s) -> Frames:
     """Return frames moved from one set of vertex positions (n, 3) to another, each corner by its triangle.
 
-    A triangle's map takes its edges to its edges and its normal to its normal, stretched by the root of the
-    ratio of areas, so that what is only scaled keeps its angles. Triangles without area on either side keep
-    their frames.
+    A normal is stretched by the root of the ratio of areas, so that what is only scaled keeps its angles.
     """
     count = 3 * len(triangles)
     normals, tangents = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
@@ -95,8 +89,7 @@ def carried(frames: Frames, triangles: Integers, before: Float64s, after: Float6
 def transformed(frames: Frames, linear: Float64s) -> Frames:
     """Return frames of what a linear map (3, 3) is applied to; a mirror turns the handedness.
 
-    The bitangent is mapped too if the map keeps angles; otherwise it stays at right angles, as in glTF.
-    Where the map leaves no direction, the old one stays.
+    Tangent and normal stay at right angles, as in glTF; where the map leaves no direction, the old one stays.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         x, y, z = linear / np.abs(linear).max()
@@ -128,10 +121,7 @@ def _perpendicular(normals: Floats) -> Float64s:
 
 
 def _mended(corners: Corners, fallback: Floats) -> Corners:
-    """Return directions (rows, 3 or 4) as unit vectors, a fourth component as 1 or −1.
-
-    Rows without a direction take the ``fallback`` (m, 3, 3) of a corner that uses them.
-    """
+    """Return unit vectors (rows, 3 or 4), of rows without direction their corners' ``fallback`` (m, 3, 3)."""
     values = np.ones(corners.values.shape, np.float32)
     unit = _unit(corners.values[:, :3], np.full(3, np.nan))
     broken = np.isnan(unit[:, 0])
@@ -170,7 +160,7 @@ def _sum_tangents(
     sums: Float64s,
     rows: Int32s,
 ) -> None:
-    """Add up the directions of u, one row for mirrored and one for other triangles of each group of corners.
+    """Add up directions of u, one row for mirrored, one for other triangles of each group of corners.
 
     ``rows`` becomes the row of each corner, −1 for those of triangles that have no such direction.
     """

@@ -1,10 +1,7 @@
 """Sparse voxels: values in the cells of a grid, which are a texture by themselves.
 
-O-Voxel's files, .vxz, are chunks of a grid, each an octree of child masks and a byte for each value. Their
-layout is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0: "VXZ", a byte for the version,
-where the data begin (4 bytes, big-endian), a JSON header, and the chunks one after another. The octree of a
-chunk has a byte for each node, depth first, whose bit 4x + 2y + z says that there is a child; its values are
-in the order of its leaves.
+The layout of .vxz files is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0. The octree of
+a chunk has a byte for each node, depth first, whose bit 4x + 2y + z says that there is a child.
 """
 
 from __future__ import annotations
@@ -169,8 +166,8 @@ class Voxels:
         low, high = int(array.min()), int(array.max())
         if low < 0 or high >= 1 << _DEEPEST:
             raise ModelError(
-                f"{self.name}: coords from {low} to {high} are in no grid of 2²¹ cells a side from 0 on; "
-                "subtract their least, and say where that lies by origin"
+                f"{self.name}: coords from {low} to {high} do not fit a grid of 2²¹ cells a side from 0 on; "
+                "subtract the lowest, and give it as origin"
             )
         return array.astype(np.int64)
 
@@ -232,7 +229,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     Raises ModelError, with ``name``, for what is damaged, and for filters and codes that octex does not read.
     """
     if data[:3] != b"VXZ" or len(data) < 8:
-        raise ModelError(f"{name} is no .vxz file, or is damaged")
+        raise ModelError(f"{name} is not a .vxz file, or is damaged")
     if data[3]:
         raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0")
     try:

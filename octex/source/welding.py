@@ -20,10 +20,7 @@ def first_equal(rows: Floats) -> Int64s:
 
 
 def distinct_rows(rows: Integers) -> tuple[Int64s, Int64s]:
-    """Return the distinct rows (k, columns), as they come first, and the number of each row's (n,).
-
-    A table by hashes: a sort, as numpy's, takes five times as long.
-    """
+    """Return the distinct rows (k, columns) and each row's number (n,); a sort takes five times as long."""
     wide = np.ascontiguousarray(rows, np.int64)
     numbers = welded(wide)
     distinct = np.empty((int(numbers.max(initial=-1)) + 1, wide.shape[1]), np.int64)
@@ -73,10 +70,7 @@ def _weld(
 
 
 def sides_across(starts: Int64s, ends: Int64s) -> Int64s:
-    """Return for each side, from a vertex to another (n,), the side beyond it; −1 for none or several.
-
-    Two sides meet if they alone lie between two vertices, and run in opposite directions.
-    """
+    """Return for each side, from a vertex to another (n,), the one side that runs back there; −1 for none."""
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")

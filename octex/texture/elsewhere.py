@@ -49,7 +49,7 @@ class RenderFile(RemoteFile):
         return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
 
 
-class _Wanted:
+class _Wanted(Rows):
     """Gathers what is read of an archive."""
 
     def __init__(self, archive: Archive) -> None:
@@ -76,10 +76,6 @@ class _Wanted:
         """Add the groups of some nodes."""
         if groups.size and nodes.size:
             self.level = max(self.level, self._archive.level_of_node(int(nodes.max())) + 1)
-
-    def until(self, array: Array, end: int) -> None:
-        """Add all rows before one."""
-        self.rows(array, np.arange(min(end, len(array))))
 
 
 class Archive:
@@ -154,7 +150,7 @@ class Archive:
             except (DamagedError, ArgumentError) as error:
                 raise TextureFileError(f"{self._remote.address}: {error}") from error
             except (MemoryError, OverflowError):
-                raise TextureFileError(f"{self._remote.address}: needs more memory than there is") from None
+                raise TextureFileError(f"{self._remote.address}: does not fit into memory") from None
 
 
 #: A file elsewhere.

@@ -66,7 +66,7 @@ def read_index(folder: Path) -> Index:
         # Whatever the system, no file of a set leads out of its folder.
         if not file.lower().endswith(ENDING) or re.search(r"[/\\:\0]", file):
             raise TextureFileError(
-                f"{path}: part {name!r} is in {file!r}, which is no {ENDING} file beside it"
+                f"{path}: part {name!r} is in {file!r}, which is not an {ENDING} file next to it"
             )
         if not (folder / file).is_file():
             raise TextureFileError(

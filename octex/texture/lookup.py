@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s, Int32s
+from octex.arrays import Array, Float32s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.field import NotFiniteError
@@ -190,30 +190,19 @@ class _Block(NamedTuple):
     given: Given
     answers: list[Array]
 
+    @classmethod
+    def at(cls, begin: int, given: Given, answers: list[Array]) -> _Block:
+        """Return the block whose first row is ``begin``."""
+        rows = slice(begin, begin + BLOCK)
+        return cls({name: array[rows] for name, array in given.items()}, [each[rows] for each in answers])
+
+    @classmethod
+    def empty(cls, given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
+        """Return a block with room for answers of some shapes and types."""
+        return cls(given, [np.empty(*each) for each in answers])
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _block_to_answer, (self.given, [(each.shape, each.dtype) for each in self.answers])
-
-
-def _block_to_answer(given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
-    return _Block(given, [np.empty(*each) for each in answers])
-
-
-class _Blocks(Sequence[_Block]):
-    """What is given of points and the rows of their answers, block by block."""
-
-    def __init__(self, given: Given, answers: list[Array]) -> None:
-        self._given, self._answers = given, answers
-
-    def __len__(self) -> int:
-        return -(-len(self._given["points"]) // BLOCK)
-
-    def __getitem__(self, number: Any) -> Any:
-        rows = slice(number * BLOCK, (number + 1) * BLOCK)
-        given = {name: array[rows] for name, array in self._given.items()}
-        return _Block(given, [answer[rows] for answer in self._answers])
-
-    def __iter__(self) -> Iterator[_Block]:
-        return (self[number] for number in range(len(self)))
+        return _Block.empty, (self.given, [(each.shape, each.dtype) for each in self.answers])
 
 
 def in_blocks(
@@ -243,12 +232,14 @@ def each_block(
 
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
-    blocks = _Blocks(given, answers)
+    begins = range(0, len(given["points"]), BLOCK)
+    blocks = [_Block.at(begin, given, answers) for begin in begins]
     with workers(threads, executor, len(blocks)) as pool:
-        for number, (fault, found) in enumerate(ordered_map(pool, partial(_checked_block, look_up), blocks)):
+        results = ordered_map(pool, partial(_checked_block, look_up), blocks)
+        for begin, (fault, found) in zip(begins, results, strict=True):
             if fault is not None:
-                _refuse(fault, number * BLOCK, given)
-            yield number * BLOCK, found
+                _refuse(fault, begin, given)
+            yield begin, found
 
 
 def in_space(
@@ -277,24 +268,14 @@ def in_space(
             if not numbers.size:
                 in_blocks(here, there, look_up, threads, executor)
                 continue
-            taken, found = _in_order(numbers, here, there)
-            in_blocks(taken, found, look_up, threads, executor)
-            _put_back(found, numbers, there)
+            sorted_here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
+            found = [np.empty(answer.shape, answer.dtype) for answer in there]
+            in_blocks(sorted_here, found, look_up, threads, executor)
+            for answer, each in zip(there, found, strict=True):
+                put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
     except ArgumentError:
         in_blocks(given, answers, look_up, threads, executor)  # which names the first row
         raise
-
-
-def _in_order(numbers: Int32s, given: Given, answers: list[Array]) -> tuple[Given, list[Array]]:
-    """Return what is given of points in another order, and room for their answers."""
-    taken = {name: np.take(array, numbers, axis=0) for name, array in given.items()}
-    return taken, [np.empty(answer.shape, answer.dtype) for answer in answers]
-
-
-def _put_back(found: list[Array], numbers: Int32s, answers: list[Array]) -> None:
-    """Write the answers of points in another order where they belong."""
-    for answer, each in zip(answers, found, strict=True):
-        put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
 
 
 def _refuse(fault: _Fault, begin: int, given: Given) -> None:

@@ -52,7 +52,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     ) -> None:
         parts = as_entries(textures, "parts")
         if not parts:
-            raise ArgumentError("a texture set needs one part at least")
+            raise ArgumentError("a texture set needs at least one part")
         for name, texture in parts.items():
             if not name:
                 raise ArgumentError(f"parts must have names, not {name!r}")
@@ -251,7 +251,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
                 if found.setdefault(each, components) != components:
                     raise ArgumentError(
                         f"channel {each!r} has {components} components in part {name!r}, "
-                        f"and {found[each]} in {self.names[parts[0]]!r}; look them up one by one"
+                        f"and {found[each]} in {self.names[parts[0]]!r}; sample these parts one by one"
                     )
         return found
 

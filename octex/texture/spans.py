@@ -5,7 +5,7 @@ from __future__ import annotations
 import mmap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,20 +24,23 @@ if TYPE_CHECKING:
     from octex.texture.texture import OctreeTexture
 
 
-class Rows(Protocol):
+class Rows:
     """Gathers the rows of arrays that are read."""
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add some rows."""
+        """Add some rows of an array that it has."""
+        raise NotImplementedError
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
         """Add the groups of some nodes."""
+        self.rows(groups, nodes >> 3)
 
     def until(self, array: Array, end: int) -> None:
         """Add all rows before one."""
+        self.rows(array, np.arange(min(end, len(array))))
 
 
-class Spans:
+class Spans(Rows):
     """Gathers rows of arrays that are views of a mapped file, as blocks of its bytes."""
 
     def __init__(self, mapping: mmap.mmap, block_size: int) -> None:
@@ -58,12 +61,8 @@ class Spans:
             for more in range(int((last - first).max()) + 1):
                 self._is_read[np.minimum(first + more, last)] = True
 
-    def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add the groups of some nodes."""
-        self.rows(groups, nodes >> 3)
-
     def until(self, array: Array, end: int) -> None:
-        """Add all rows of an array before one."""
+        """Add all rows of an array before one, which may be many."""
         offset, end = array.ctypes.data - self._first, min(end, len(array))
         if end and 0 <= offset < self._size:
             length = array.nbytes // len(array)
@@ -92,12 +91,11 @@ def lookup_reads(
         as_choice(name, texture.channels, "channel")
     found: dict[str, dict[int, Reads]] = {}
     for name in names:
-        parts: dict[int, list[Reads]] = {}
         look_up = partial(_read_of, texture, name, lens, cells_alone)
-        for _, (levels, *arrays) in each_block(given, [], look_up, 1, None):
-            for level, rows, cells in zip(levels.tolist(), arrays[::2], arrays[1::2], strict=True):
-                parts.setdefault(level, []).append(Reads(rows, cells))
-        found[name] = joined_reads(parts)
+        found[name] = joined_reads(
+            dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
+            for _, (levels, *arrays) in each_block(given, [], look_up, 1, None)
+        )
     return found
 
 
@@ -114,11 +112,7 @@ def _read_of(
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
     """Return the cells of each level that lookups of some channels look at."""
-    found: dict[int, list[Int64s]] = {}
-    for levels in reads:
-        for level, read in levels.items():
-            found.setdefault(level, []).append(read.cells)
-    return {level: distinct(np.concatenate(cells)) for level, cells in found.items()}
+    return {level: read.cells for level, read in joined_reads(reads).items()}
 
 
 def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterator[Int64s]:

@@ -26,12 +26,12 @@ from octex.checks import (
     locked,
 )
 from octex.errors import ArgumentError, InputError, TextureFileError
+from octex.field.blend import Listed, joined
 from octex.field.field import Field
-from octex.field.listing import TapList, joined, list_blends
+from octex.field.listing import TapList, list_blends
 from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
-from octex.texture.blend import NO_GRADIENTS, make_unit, mixed_cells, stored
-from octex.texture.channel import Channel, as_channels
+from octex.texture.channel import NO_GRADIENTS, Channel, as_channels, make_unit, mixed_cells, stored
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
     ANISOTROPY,
@@ -103,7 +103,8 @@ class OctreeTexture:
         metadata: Mapping[str, str] | None = None,
     ) -> None:
         self.placement = Placement.checked(placement)
-        self.bounds = _as_bounds(bounds)
+        most = float(np.finfo(np.float64).max)
+        self.bounds: Float64s = locked(as_reals(bounds, "bounds, two finite corners,", (2, 3), most=most))
         self.metadata = MappingProxyType(as_metadata(metadata))
         self._hold(tree, as_channels(channels, tree), Source())
 
@@ -136,7 +137,10 @@ class OctreeTexture:
     def __reduce__(self) -> tuple[Any, ...]:
         here = self.source.whole(self)
         parts = here.tree, dict(here.channels), self.placement, self.bounds, dict(self.metadata)
-        return _received, (parts, (here.source.path, None, here.source.tensors, here.source.metadata))
+        return OctreeTexture, parts, (here.source.path, None, here.source.tensors, here.source.metadata)
+
+    def __setstate__(self, source: tuple[Any, ...]) -> None:
+        self.source = Source(*source)
 
     @property
     def nbytes(self) -> int:
@@ -270,7 +274,7 @@ class OctreeTexture:
             in_blocks(*task)
         return answers.returned
 
-    def _plain(self, points: Any, channel: Any, filter: Any) -> Float32s | None:
+    def _plain(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
         """Look up few points of the leaves the short way; None where that is not for them.
 
         A call with one point takes a third of the time so.
@@ -279,24 +283,33 @@ class OctreeTexture:
             return None
         flags = points.flags
         is_taken = points.dtype in _TAKEN and flags.c_contiguous and flags.aligned
-        if not (is_taken and points.shape[1] == 3 and type(channel) is type(filter) is str):
+        if not (is_taken and points.shape[1] == 3 and type(filter) is str):
             return None
-        key = channel, filter
-        if key not in self._known_plain:
-            if channel not in self.channels or filter not in FILTERS:
+        is_list = type(channel) in (list, tuple)
+        values: dict[str, Float32s] = {}
+        for name in channel if is_list else (channel,):
+            if type(name) is not str:
                 return None
-            plain = None
-            # Directions are made unit vectors; what is elsewhere is fetched first.
-            if self.channels[channel].format.space != "direction" and self.source.here(self) is self:
-                (read,), alpha = self._read(channel)
-                plain = plain_lookup(self._field, self.placement, filter, read, alpha)
-            self._known_plain[key] = plain
-        known = self._known_plain[key]
-        if known is None:
-            return None
-        if self.source.path:
-            self.source.prepare(self, len(points))
-        return known.at(points)
+            key = name, filter
+            if key not in self._known_plain:
+                if name not in self.channels or filter not in FILTERS:
+                    return None
+                self._known_plain[key] = None
+                # Directions are made unit vectors; what is elsewhere is fetched first.
+                if self.channels[name].format.space != "direction" and self.source.here(self) is self:
+                    (read,), alpha = self._read(name)
+                    plain = plain_lookup(self._field, self.placement, filter, read, alpha)
+                    self._known_plain[key] = plain
+            known = self._known_plain[key]
+            if known is None:
+                return None
+            if self.source.path:
+                self.source.prepare(self, len(points))
+            found = known.at(points)
+            if found is None:
+                return None
+            values[name] = found
+        return (values or None) if is_list else values[channel]
 
     def _sampled(
         self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
@@ -381,7 +394,8 @@ class OctreeTexture:
         as_choice(channel, self.channels, "channel")
         here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         blocks = each_block(given, [], partial(here._listed, channel, lens), threads, executor)
-        return joined([TapList(*found) for _, found in blocks])
+        starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
+        return TapList(starts, rows.astype(np.int64), weights)
 
     def _listed(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
         """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
@@ -517,13 +531,6 @@ class OctreeTexture:
         return described(self.source.here(self))
 
 
-def _as_bounds(bounds: npt.ArrayLike) -> Float64s:
-    """Return the lowest and highest corner (2, 3), read-only, or raise ArgumentError."""
-    most = float(np.finfo(np.float64).max)
-    corners = as_reals(bounds, "bounds, two finite corners,", (2, 3), most=most)
-    return locked(corners)
-
-
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
     """Return provenance, or raise ArgumentError for what is no text by name."""
     found = {} if metadata is None else metadata
@@ -538,13 +545,6 @@ def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:
     """Return a texture, or raise ArgumentError for anything else."""
     if not isinstance(texture, OctreeTexture):
         raise ArgumentError(f"{name} must be an octex.OctreeTexture, not {texture!r}")
-    return texture
-
-
-def _received(parts: tuple[Any, ...], source: tuple[Any, ...]) -> OctreeTexture:
-    """Make the texture that was pickled, or copied, anew."""
-    texture = OctreeTexture(*parts)
-    texture.source = Source(*source)
     return texture
 
 

@@ -270,7 +270,7 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
     np.cumsum(level_nodes, out=level_nodes)
     n_cells = int(level_cells[-1])
     if n_cells > MAX_CELLS:
-        raise ArgumentError(f"{n_cells} cells are more than a tree can number; use a smaller depth")
+        raise ArgumentError(f"{n_cells} cells are more than a tree can hold; use a smaller depth")
     n_nodes = int(level_nodes[-1])
     packed = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word in range(2):

@@ -227,15 +227,26 @@ def _nearest_of_27(
         if cell < 0:
             continue
         size = 1 << (MAX_DEPTH - at)
-        low_x, low_y, low_z = (a + dn << shift) & -size, (b + dm << shift) & -size, (c + dl << shift) & -size
-        dx = max(low_x - x, x - (low_x + size), 0.0)
-        dy = max(low_y - y, y - (low_y + size), 0.0)
-        dz = max(low_z - z, z - (low_z + size), 0.0)
-        distance = dx * dx + dy * dy + dz * dz
-        code = encode(low_x, low_y, low_z)
-        if distance < nearest_distance or (distance == nearest_distance and code < nearest_code):
+        low = (a + dn << shift) & -size, (b + dm << shift) & -size, (c + dl << shift) & -size
+        is_nearer, distance, code = nearer_box((x, y, z), low, size, nearest_distance, nearest_code)
+        if is_nearer:
             nearest, nearest_distance, nearest_code = cell, distance, code
     return nearest
+
+
+@inlined
+def nearer_box(
+    point: Origin, low: tuple[Any, Any, Any], size: int, least: float, least_code: Any
+) -> tuple[bool, float, Any]:
+    """Say whether a box is nearer to a point than the nearest so far, or as near and before it.
+
+    All in fixed point; ``low`` is the box's lowest corner. Also returns its squared distance and Morton code.
+    """
+    dx = max(low[0] - point[0], point[0] - (low[0] + size), 0.0)
+    dy = max(low[1] - point[1], point[1] - (low[1] + size), 0.0)
+    dz = max(low[2] - point[2], point[2] - (low[2] + size), 0.0)
+    distance, code = dx * dx + dy * dy + dz * dz, encode(low[0], low[1], low[2])
+    return distance < least or (distance == least and code < least_code), distance, code
 
 
 @kernel

@@ -68,7 +68,7 @@ def _draw(
     borders: Float32s,
     depths: Float64s,
 ) -> None:
-    """Trace the ray of each pixel in a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
+    """Trace the rays of a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
 
     The ray of the pixel centre p = (x, y, 1) is position + origins · p + depth · directions · p.
     """

@@ -13,10 +13,7 @@ _MANY = 256
 
 
 def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Float64s]:
-    """Return unit normals (m, 3) and areas (m,) of triangles (m, 3), counter-clockwise seen from outside.
-
-    The normals of triangles without area are zeros.
-    """
+    """Return unit normals (m, 3), zeros without area, and areas (m,) of triangles (m, 3)."""
     normals, areas, angles = np.empty((len(triangles), 3)), np.empty(len(triangles)), np.empty((0, 3))
     _measure(positions, triangles, normals, areas, angles)
     return normals, areas
@@ -25,9 +22,8 @@ def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Floa
 def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0) -> Float32s:
     """Return smooth unit normals (m, 3, 3) at the corners of triangles (m, 3).
 
-    A corner's normal is the mean, weighted by angle, of those triangles at its position whose normals are
-    within ``crease`` degrees of its own triangle's: edges sharper than that stay sharp. (Thürmer & Wüthrich,
-    "Computing Vertex Normals from Polygonal Facets", 1998.)
+    A corner's is the mean, weighted by angle, of the triangles at its position whose normals are within
+    ``crease`` degrees of its own triangle's (Thürmer & Wüthrich 1998).
     """
     return _smoothed(
         positions, triangles, welded(positions), np.arange(len(triangles), dtype=np.int32), crease
@@ -37,10 +33,7 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
 def corner_normals_of(
     chosen: Integers, positions: Float64s, triangles: Int32s, crease: float = 40.0
 ) -> Float32s:
-    """Return those of `corner_normals` at the corners of ``chosen`` triangles (k,): (k, 3, 3).
-
-    Measured are these, and the triangles that share a corner's position with them.
-    """
+    """Return `corner_normals` of ``chosen`` triangles (k,): (k, 3, 3), measuring only what is near."""
     if not len(chosen):
         return np.empty((0, 3, 3), np.float32)
     is_ascending = bool((chosen[1:] > chosen[:-1]).all())
@@ -56,10 +49,7 @@ def corner_normals_of(
 def _smoothed(
     positions: Float64s, triangles: Int32s, places: Int32s, rows: Int32s, crease: float
 ) -> Float32s:
-    """Return the normals at the corners of those of triangles (m,) that have ``rows`` (m,), −1 for none.
-
-    ``places`` (n,) are numbers of positions, the same for equal ones; what is at −1 counts for nothing.
-    """
+    """Return the normals at the corners of triangles (m,) with ``rows`` (m,), −1 for none."""
     faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
@@ -93,10 +83,7 @@ def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
 
 @kernel
 def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
-    """Return the triangles at the places of chosen ones, and which of these each is, −1 for none.
-
-    All other places become −1.
-    """
+    """Return the triangles at the places of chosen ones, and which of these each is; others get −1."""
     is_used = np.zeros(places.size + 1, np.bool_)  # none, −1, is the last
     for n in range(chosen.size):
         for corner in range(3):
@@ -173,10 +160,7 @@ def _smooth(
     rows: Int32s,
     normals: Float32s,
 ) -> None:
-    """Fill in the normals of corners, those of triangle n in ``rows[n]``, if it is not below 0.
-
-    ``cosines`` are those of the crease angle and of half of it.
-    """
+    """Fill in the normals of corners in ``rows``; ``cosines`` are of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
         a = b = c = 0.0

@@ -16,6 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.cameras.camera import Camera
 from octex.jit import inlined, kernel
+from octex.source.vectors import Vector, cross_product, dot_product, minus
 from octex.view.zbuffer import z_buffer
 
 #: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...
@@ -24,6 +25,9 @@ _CLOSE = 0.01
 _ROUGH = 0.5
 #: How far beyond the picture a camera without distortion may look for what one with distortion sees.
 _WIDEST = 4.0
+
+
+Pixel = tuple[float, float]
 
 
 class Visibility(NamedTuple):
@@ -51,10 +55,7 @@ def view_of(camera: Camera) -> View:
 
 
 def visibility_of(
-    vertices: Float64s,
-    triangles: Int32s,
-    camera: Camera,
-    executor: Executor | None = None,
+    vertices: Float64s, triangles: Int32s, camera: Camera, executor: Executor | None = None
 ) -> Visibility:
     """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3)."""
     seen = z_buffer(vertices, triangles, camera, executor).triangle
@@ -87,7 +88,7 @@ def straight(camera: Camera) -> Camera:
 
 
 @inlined
-def transformed(view: View, points: Float64s, row: int) -> tuple[float, float, float]:
+def transformed(view: View, points: Float64s, row: int) -> Vector:
     """Return a point of the world in camera axes."""
     M = view.world_to_camera
     x, y, z = points[row, 0], points[row, 1], points[row, 2]
@@ -99,18 +100,14 @@ def transformed(view: View, points: Float64s, row: int) -> tuple[float, float, f
 
 
 @inlined
-def plane_through(
-    a: tuple[float, float, float], b: tuple[float, float, float], c: tuple[float, float, float]
-) -> tuple[float, float, float, float]:
+def plane_through(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float, float]:
     """Return normal and offset, n · x = d, of the plane through three points; n is twice the area long."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return x, y, z, x * a[0] + y * a[1] + z * a[2]
+    normal = cross_product(minus(b, a), minus(c, a))
+    return normal[0], normal[1], normal[2], dot_product(normal, a)
 
 
 @inlined
-def nearness(view: View, plane: tuple[float, float, float, float]) -> tuple[float, float, float]:
+def nearness(view: View, plane: tuple[float, float, float, float]) -> Vector:
     """Return the nearness of a plane at pixel coordinates (0, 0), and its slopes; zeros if seen edge-on."""
     L = view.inverse_k
     x, y, z, d = plane
@@ -127,13 +124,7 @@ def nearness(view: View, plane: tuple[float, float, float, float]) -> tuple[floa
 
 
 @kernel
-def _find_planes(
-    vertices: Float64s,
-    triangles: Int32s,
-    view: View,
-    seen: Int32s,
-    planes: Float32s,
-) -> None:
+def _find_planes(vertices: Float64s, triangles: Int32s, view: View, seen: Int32s, planes: Float32s) -> None:
     last = -1
     base = right = down = 0.0
     for row in range(seen.shape[0]):
@@ -154,54 +145,28 @@ def _find_planes(
 
 @inlined
 def tolerance(view: View, near: float, right: float, down: float, size: float) -> float:
-    """Return how much nearer something must be to hide a point of some nearness.
-
-    ``right`` and ``down`` are the slopes of its plane, ``size`` the pixels that its triangle covers.
-    """
+    """Return how much nearer something must be to hide a point on a plane with slopes right and down."""
     pixel = (abs(near) if view.is_pinhole else 1.0) / view.focal
     return float((_CLOSE + _ROUGH / (1.0 + size)) * (abs(right) + abs(down) + pixel))
 
 
 @inlined
-def hides(
-    seen: Visibility,
-    row: int,
-    column: int,
-    x: float,
-    y: float,
-    near: float,
-    right: float,
-    down: float,
-    slack: float,
-) -> bool:
-    """Say whether what a pixel sees hides a point at (x, y), by its own plane and by that of the point.
+def hides(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, slack: float) -> bool:
+    """Say whether what a pixel sees hides a point at another, by its own plane and by the point's.
 
     Either alone errs: the planes of the two faces of a crease, drawn out, pass before each other.
     """
-    dx, dy = column + 0.5 - x, row + 0.5 - y
-    there, slope_x, slope_y = (
-        seen.planes[row, column, 0],
-        seen.planes[row, column, 1],
-        seen.planes[row, column, 2],
-    )
+    (x, y), (near, right, down), planes = pixel, plane, seen.planes
+    dx, dy, there = column + 0.5 - x, row + 0.5 - y, planes[row, column, 0]
     if near + right * dx + down * dy >= there - slack:
         return False
-    return bool(there - slope_x * dx - slope_y * dy > near + slack)
+    return bool(there - planes[row, column, 1] * dx - planes[row, column, 2] * dy > near + slack)
 
 
 @inlined
-def parts(
-    seen: Visibility,
-    row: int,
-    column: int,
-    x: float,
-    y: float,
-    near: float,
-    right: float,
-    down: float,
-    slack: float,
-) -> bool:
-    """Say whether what a pixel sees hides a point at (x, y), or goes on behind it; see `hides`."""
+def parts(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, slack: float) -> bool:
+    """Say whether what a pixel sees hides a point, or goes on behind it; see `hides`."""
+    (x, y), (near, right, down) = pixel, plane
     dx, dy = column + 0.5 - x, row + 0.5 - y
     there = seen.planes[row, column, 0]
     own = near + right * dx + down * dy - there
@@ -210,18 +175,9 @@ def parts(
 
 
 @inlined
-def visible_part(
-    seen: Visibility,
-    triangle: int,
-    x: float,
-    y: float,
-    near: float,
-    right: float,
-    down: float,
-    slack: float,
-) -> float:
+def visible_part(seen: Visibility, triangle: int, pixel: Pixel, plane: Vector, slack: float) -> float:
     """Return how much of the four pixels around a point sees it, 0 … 1, by their bilinear weights."""
-    height, width = seen.triangle.shape
+    (x, y), (height, width) = pixel, seen.triangle.shape
     left, top = np.floor(x - 0.5), np.floor(y - 0.5)
     part_x, part_y = x - 0.5 - left, y - 0.5 - top
     total = 0.0
@@ -230,7 +186,7 @@ def visible_part(
         column = min(max(int(left) + (corner & 1), 0), width - 1)
         row = min(max(int(top) + (corner >> 1), 0), height - 1)
         other = seen.triangle[row, column]
-        if other < 0 or other == triangle or not hides(seen, row, column, x, y, near, right, down, slack):
+        if other < 0 or other == triangle or not hides(seen, row, column, pixel, plane, slack):
             total += weight
     return total
 
@@ -239,8 +195,8 @@ def visible_part(
 def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
     """Return how far each pixel's centre is from where the surface that it sees ends: pixels, to ``reach``.
 
-    It ends at the rim of the picture, at the background, and where one part of it hides another. Distances
-    are chamfered: of steps to the 8 pixels around, at most 8 % too long.
+    It ends at the rim, at the background, and where a part hides another. Steps to 8 neighbours: at most 8 %
+    too long.
     """
     height, width = seen.triangle.shape
     distances = np.empty((height, width), np.float32)
@@ -301,4 +257,4 @@ def _is_hidden(
     right = np.float64(seen.planes[other_row, other_column, 1])
     down = np.float64(seen.planes[other_row, other_column, 2])
     slack = tolerance(view, near, right, down, 0.0)
-    return hides(seen, row, column, other_column + 0.5, other_row + 0.5, near, right, down, slack)
+    return hides(seen, row, column, (other_column + 0.5, other_row + 0.5), (near, right, down), slack)

@@ -142,8 +142,7 @@ def _edge(
 ) -> tuple[float, float, float, float, float, float]:
     """Return x0, y0, across, down, constant and scale of the edge function from vertex p to q.
 
-    It is (x − x0) · across + (y − y0) · down + constant; times scale, that of the homogeneous vertices. From
-    q to p it has the same value at every pixel, to the bit, with the other sign.
+    It is (x − x0) · across + (y − y0) · down + constant, times scale; from q to p exactly the negative.
     """
     sign = 1.0
     for axis in range(3):

@@ -3,7 +3,6 @@
 streams     whole numbers as bytes, deflated
 moves       what a page is sent of animations
 maps        what it is sent of the model's own images
-studio      what it is sent of the light that the library draws its own pictures in
 pack        what it is sent of all: levels one after another, the mesh, how that moves; of a set part by part
 changes     what it is sent of a texture that has changed: the cells that it does not have
 page/       the page: plain modules and shaders, as they are served

@@ -32,10 +32,7 @@ def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
 
 
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
-    """Return how many entries a change's stream has, and the stream.
-
-    Both textures are as the page has them, with the same channels of 8 bits.
-    """
+    """Return how many entries a change's stream has, and the stream; textures are as the page has them."""
     old, is_known = _known(before, after)
     known = np.flatnonzero(is_known)
     begins = np.diff(known, prepend=-2) != 1

@@ -25,23 +25,8 @@ if TYPE_CHECKING:
 
 #: Modules in the order in which each knows those before it.
 _NAMES = (
-    "elements",
-    "kept",
-    "data",
-    "octree",
-    "patch",
-    "mesh",
-    "motion",
-    "camera",
-    "controls",
-    "legend",
-    "connection",
-    "source",
-    "part",
-    "gpu",
-    "player",
-    "divider",
-    "viewer",
+    *("elements", "kept", "data", "octree", "patch", "mesh", "motion", "camera", "controls", "legend"),
+    *("connection", "source", "part", "gpu", "player", "divider", "viewer"),
 )
 MODULES = [f"{name}.js" for name in _NAMES]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
@@ -96,7 +81,7 @@ def write_page(
         level = _level_within(packed, len(page) - max_size)
         if level < 0:
             raise ArgumentError(
-                f"the page takes {len(page):,} bytes without any level; allow more than {max_size:,}"
+                f"the page takes {len(page):,} bytes even without any level; allow more than {max_size:,}"
             )
     with replacing(path) as file:
         file.write(page)
@@ -121,7 +106,9 @@ def _level_within(packed: Packed, excess: int) -> int:
 
 def _inlined(packed: Packed) -> str:
     """Return the page with all that it needs in it, and a policy that lets it load nothing."""
-    script = "".join(map(_module, MODULES))
+    # Modules without imports and exports: all of them share one scope.
+    modules = "".join(_bare(page_text(name)) for name in MODULES)
+    script = re.sub(r"^(?:import .*\n|export )", "", modules, flags=re.MULTILINE)
     style = page_text("style.css")
     policy = (
         f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
@@ -139,12 +126,6 @@ def _inlined(packed: Packed) -> str:
     html = html.replace('<link rel="stylesheet" href="style.css">', f"<style>{style}</style>")
     program = "\n".join([*blocks, f'<script type="module">{script}</script>'])
     return html.replace('<script type="module" src="viewer.js"></script>', program)
-
-
-def _module(name: str) -> str:
-    """Return a module without imports and exports: all of them share one scope."""
-    text = re.sub(r"^import .*\n", "", _bare(page_text(name)), flags=re.MULTILINE)
-    return re.sub(r"^export ", "", text, flags=re.MULTILINE)
 
 
 def _bare(text: str) -> str:

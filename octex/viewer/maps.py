@@ -42,10 +42,7 @@ class Maps(NamedTuple):
 
 
 def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -> Maps | None:
-    """Return the base colour's images; None if its materials have none.
-
-    Those of a ``small`` page lose a little, and are halved until they take no more than ``room`` bytes.
-    """
+    """Return base colour images, if any; a ``small`` page's are halved to fit ``room`` bytes."""
     source = surface.source
     if not isinstance(source, MaterialSource):
         return None

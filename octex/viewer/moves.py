@@ -38,10 +38,7 @@ class PackedMotion(NamedTuple):
 
 
 def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None) -> PackedMotion:
-    """Pack animations of a surface, with fewer frames if that takes more than ``room`` bytes.
-
-    ``notes`` say what is left out.
-    """
+    """Pack animations, with fewer frames beyond ``room`` bytes; ``notes`` say what is left out."""
     notes = list(motion.faults)
     start = _start(motion, surface)
     if not motion.animations:
@@ -77,7 +74,11 @@ def _start(motion: Motion, surface: Surface) -> str | None:
 def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
     low, high = motion.positions.min(axis=0), motion.positions.max(axis=0)
     edge, middle = float((high - low).max()) or 1.0, (low + high) / 2
-    animations = [_thinned(each, every, middle) for each in motion.animations]
+    animations = []
+    for each in motion.animations:  # every so many frames; bones take positions less the middle
+        bones = each.bones[::every].copy()
+        bones[..., 3] += bones[..., :3] @ middle
+        animations.append(each._replace(bones=bones, weights=each.weights[::every]))
     largest = max(
         1.0,
         *(float(np.abs(each.bones[..., :3]).max()) for each in animations),
@@ -114,13 +115,6 @@ def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
         ],
     }
     return header, b"".join(parts)
-
-
-def _thinned(animation: Animation, every: int, middle: Float64s) -> Animation:
-    """Return every so many frames, with bones that take positions less the ``middle``."""
-    bones = animation.bones[::every].copy()
-    bones[..., 3] += bones[..., :3] @ middle
-    return animation._replace(bones=bones, weights=animation.weights[::every])
 
 
 def _bounds(motion: Motion, animations: list[Animation], middle: Float64s) -> list[list[list[float]]]:

@@ -22,15 +22,18 @@ Numbers of more than a byte are stored as planes of bytes, the lowest first. For
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s, Int64s, Uint8s, bit_counts
+from octex.arrays import Array, Float64s, Int32s, Uint8s, bit_counts
 from octex.channels import ChannelFormat
+from octex.drawing.environment import Environment
+from octex.drawing.reflection import reflectances
 from octex.errors import ArgumentError
-from octex.processing.cast import cast
+from octex.processing.mapping import cast
 from octex.source.materials import MaterialSource
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.tree.children import masks_of
@@ -41,7 +44,6 @@ from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
 from octex.viewer.moves import packed_motion
 from octex.viewer.streams import deflated, planes, zigzag
-from octex.viewer.studio import packed_studio
 
 if TYPE_CHECKING:
     from octex.source.motion import Motion
@@ -94,7 +96,7 @@ def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> l
         return [Part("", textures, surface)]
     if len(textures) > MOST_PARTS:
         raise ArgumentError(
-            f"a page shows {MOST_PARTS} parts at most, not {len(textures):,}; choose one of them"
+            f"a page shows at most {MOST_PARTS} parts, not {len(textures):,}; choose one of them"
         )
     if surface is None:
         return [Part(name, texture, None) for name, texture in textures.items()]
@@ -125,8 +127,21 @@ def packed_page(
     packed.insert(0, pack(first.texture, first.surface, motion=motion, maps=maps, level=level, room=room))
     headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
     streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
-    studio, streams["studio"] = packed_studio()
+    studio, streams["studio"] = _packed_studio()
     return Packed({"title": title, "studio": studio, "parts": headers}, streams)
+
+
+@cache
+def _packed_studio() -> tuple[dict[str, Any], bytes]:
+    """Return the header and the stream of the studio light, by which the library draws its own pictures.
+
+    16-bit floats, each less the one before: the studio's tables, then A and B of the reflectance A·F₀ + B.
+    """
+    tables, reflectance = Environment.studio().tables, reflectances()
+    light = tables.light[:, 0]  # it is grey
+    halves = np.concatenate([light, reflectance.ravel()]).astype("<f2").view("<u2").astype(np.int64)
+    header = {"tables": tables.shapes.tolist(), "reflectances": len(reflectance), "numbers": halves.size}
+    return header, deflated(planes(zigzag(np.diff(halves, prepend=0))), 9)
 
 
 def pack(
@@ -197,7 +212,7 @@ def prepared(texture: OctreeTexture) -> Prepared:
         "flags": slots["flags"],
         "planes": slots["planes"],
         "notes": notes,
-        "isMixed": _is_mixed(texture),
+        "isMixed": any(leaves for leaves, _ in tree.cells_by_depth()[:-1]) or tree.kept.cells.size > 0,
         "kept": tree.kept.cells.size,
         "split": [tree.split.cells.size, tree.split.areas.size],
     }
@@ -254,12 +269,6 @@ def _in_range(channel: Channel) -> tuple[Channel, list[float]]:
     return Channel(form, *parts), [low, high]
 
 
-def _is_mixed(texture: OctreeTexture) -> bool:
-    """Say whether leaves have several depths, or nodes keep coefficients."""
-    levels = texture.tree.cells_by_depth()
-    return any(leaves for leaves, _ in levels[:-1]) or texture.tree.kept.cells.size > 0
-
-
 def _tables(texture: OctreeTexture) -> bytes:
     """Return the last chunk: the rows of kept nodes and of split cells, less the values of their cells."""
     split, kept = texture.tree.split, texture.tree.kept
@@ -274,10 +283,7 @@ def _tables(texture: OctreeTexture) -> bytes:
 
 
 def _slots(formats: list[ChannelFormat]) -> dict[str, Any]:
-    """Say where channels, areas and flags are kept, [plane, first component], and which planes are sRGB.
-
-    Of an sRGB plane the fourth component is linear, as it is in WebGL2's textures.
-    """
+    """Return where channels, areas and flags lie, [plane, first component], and which planes are sRGB."""
     free: list[tuple[bool, list[int]]] = []
     at: dict[str, Any] = {}
 
@@ -364,7 +370,13 @@ def _packed_mesh(
     if maps is not None:
         columns.append(maps.columns[order].reshape(3 * len(faces), -1))
     corners = np.concatenate(columns, axis=1)
-    rows, triangles = _by_first_use(corners)
+    _, first, which = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    by_first_use = np.argsort(first, kind="stable")
+    rank = np.empty(first.size, np.int64)
+    rank[by_first_use] = np.arange(first.size)
+    rows, triangles = corners[first[by_first_use]], rank[which.ravel()]
+    source = surface.source
+    has_coordinates = isinstance(source, MaterialSource) and bool(source.coordinates)
     steps_back = np.maximum.accumulate(triangles) - triangles
     is_new = np.diff(np.maximum.accumulate(triangles), prepend=-1) > 0
     back = np.where(is_new, 0, steps_back + 1)
@@ -374,27 +386,12 @@ def _packed_mesh(
         "triangles": len(faces),
         "bits": bits,
         "posed": is_posed,
-        "coordinates": _has_coordinates(surface),
+        "coordinates": surface.uv is not None or has_coordinates,
         "moves": moves,
         "low": low.tolist(),
         "edge": edge,
     }
     return header, b"".join([*parts, planes(back)])
-
-
-def _has_coordinates(surface: Surface) -> bool:
-    """Say whether some of a model has texture coordinates."""
-    source = surface.source
-    return surface.uv is not None or (isinstance(source, MaterialSource) and bool(source.coordinates))
-
-
-def _by_first_use(corners: Int32s) -> tuple[Int32s, Int64s]:
-    """Return distinct rows in the order of their first use, and which one each row is."""
-    _, first, which = np.unique(corners, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(order.size, np.int64)
-    rank[order] = np.arange(order.size)
-    return corners[first[order]], rank[which.ravel()]
 
 
 def _octahedral(normals: Array) -> Int32s:

@@ -40,6 +40,13 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+_HEADERS = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
 #: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
 #: By how much longer the first page is waited for: browsers may take long to start.
@@ -104,7 +111,16 @@ class Viewer:
         secret = hmac.digest(key, name, "sha256") if key else secrets.token_bytes(32)
         self.token = base64.urlsafe_b64encode(secret[:16]).decode().rstrip("=")
         usual = _PORTS[int.from_bytes(secret[16:], "big") % len(_PORTS)]
-        self._server = self._listening([port] if port else [usual, 0] if key else [0])
+        for candidate in [port] if port else [usual, 0] if key else [0]:  # the first that is free
+            try:
+                self._server = _Server((_ADDRESS, candidate), type("Handler", (_Handler,), {"viewer": self}))
+                break
+            except OSError as error:
+                why = error
+        else:
+            raise OutputError(
+                f"port {candidate} of {_ADDRESS}: {why.strerror or why}; choose another"
+            ) from why
         self.port = self._server.server_address[1]
 
     @property
@@ -116,20 +132,8 @@ class Viewer:
         """Return what only who has the token can say to a page that asks."""
         return hmac.digest(self.token.encode(), asked.encode(), "sha256").hex()
 
-    def _listening(self, ports: list[int]) -> _Server:
-        """Return a server at the first of the ports that is free."""
-        for port in ports:
-            try:
-                return _Server((_ADDRESS, port), type("Handler", (_Handler,), {"viewer": self}))
-            except OSError as error:
-                why = error
-        raise OutputError(f"port {ports[-1]} of {_ADDRESS}: {why.strerror or why}; choose another") from why
-
     def run(self, alone: float = _ALONE) -> None:
-        """Serve until there was no page for some seconds, or until the process is told to end.
-
-        The first page is waited for 20 times as long.
-        """
+        """Serve until no page is there for some seconds, 20 times as long for the first, or SIGTERM."""
         thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
@@ -332,11 +336,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
         self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
-        self.send_header("Content-Security-Policy", _POLICY)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-        self.send_header("Cache-Control", "no-store")
+        for header, value in _HEADERS.items():
+            self.send_header(header, value)
         if self.close_connection:
             self.send_header("Connection", "close")
 

@@ -123,9 +123,12 @@ def test_what_cannot_be_displaced_is_refused() -> None:
         ({"scale": np.nan}, "scale must be from"),
         ({"middle": np.inf}, "middle must be from"),
         ({"cell": 0.0}, "cell must be finite and above zero"),
-        ({"cell": 1e-9}, "is too many triangles, 4\\^"),
-        ({"most_triangles": 5}, "is too many triangles, [0-9]+; give a larger cell"),
-        ({"scale": 1e30, "middle": -5.0}, "occlusion displaces to what is not finite, at"),
+        ({"cell": 1e-9}, "would need too many triangles, 4\\^"),
+        ({"most_triangles": 5}, "would need too many triangles, [0-9]+; give a larger cell"),
+        (
+            {"scale": 1e30, "middle": -5.0},
+            "occlusion displaces a vertex to a position that is not finite, at",
+        ),
     ]
     for change, message in cases:
         arguments = {"channel": "occlusion", "scale": 0.1} | change
@@ -143,7 +146,7 @@ def test_a_channel_that_is_not_finite_is_refused() -> None:
     values[:] = np.inf
     channel = texture.channels["emissive"]._replace(values=values)
     broken = octex.OctreeTexture(texture.tree, {"emissive": channel}, texture.placement, texture.bounds)
-    with pytest.raises(ArgumentError, match="emissive displaces to what is not finite"):
+    with pytest.raises(ArgumentError, match="emissive displaces a vertex to a position that is not finite"):
         octex.displace(broken, surface, "emissive", 0.1)
 
 

@@ -184,7 +184,7 @@ def test_a_camera_that_cannot_be_is_refused(changes, complaint):
         ({"points": [[np.inf, 0.0, 0.0]]}, "must be finite"),
         ({"direction": (0.0, 0.0, 0.0)}, "direction must be three finite numbers"),
         ({"up": (1.0, 0.0)}, "up must be finite numbers of shape"),
-        ({"fov": 180.0}, "fov must be between"),
+        ({"fov": 180.0}, "fov must be at least"),
         ({"margin": 0.5}, "margin must be"),
     ],
 )

@@ -153,7 +153,7 @@ def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
     focal = 400 / np.tan(0.4)
     sees(first.camera((800, 600)), expected(view(1), focal, focal, (400, 300)))
     sees(second.camera((800, 600)), expected(view(2), focal, 300 / np.tan(0.25), (400, 300)))
-    with pytest.raises(CameraError, match=r"frame '\./images/a\.png' of .*t\.json does not say how large"):
+    with pytest.raises(CameraError, match=r"frame '\./images/a\.png' of .*t\.json has no image size"):
         first.camera()
 
 
@@ -412,7 +412,7 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
             "images.txt",
             " 3.0 1 dir",
             " 3.0 99 dir",
-            "frame 'dir/im 1.jpg': camera 99 does not stand in cameras",
+            "frame 'dir/im 1.jpg': camera 99 is not in cameras",
         ),
         ("images.txt", " 3.0 1 dir", " 3.0 x dir", "CAMERA_ID must be a whole number, not 'x'"),
         ("images.txt", " 3.0 1 dir", " inf 1 dir", "must be a finite number, not inf"),
@@ -535,7 +535,9 @@ def test_gltf_cameras_of_one_name_are_numbered(tmp_path):
 def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
     frame = read_cameras(write_json(tmp_path / "a.gltf", gltf()))[1]
     frame.camera((403, 300))
-    with pytest.raises(CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 are not of the shape of"):
+    with pytest.raises(
+        CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 do not have the aspect ratio of"
+    ):
         frame.camera((410, 300))
 
 
@@ -763,7 +765,7 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
     [
         ("<document>", "is not XML"),
         ("<!DOCTYPE a><document/>", "has a document type"),
-        ("<plist/>", "is no file of cameras; export them from Metashape as Agisoft XML"),
+        ("<plist/>", "is not a camera file; export the cameras from Metashape as Agisoft XML"),
         ("<document><chunk/></document>", "has no cameras"),
         (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
         (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
@@ -826,11 +828,11 @@ def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"MVSI" + struct.pack("<II", 8, 0), "is of version 8 of OpenMVS's scenes; octex reads 1 to 7"),
+        (b"MVSI" + struct.pack("<II", 8, 0), "is an OpenMVS scene of version 8; octex reads versions 1 to 7"),
         (openmvs(3)[:60], "the file ends here"),
         (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
-        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 does not stand in the file"),
-        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 does not stand in the file"),
+        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 is not in the file"),
+        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 is not in the file"),
         (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
     ],
 )
@@ -927,16 +929,16 @@ def test_meshroom_cameras_may_be_fisheyes(tmp_path):
         (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
         (meshroom(width="a"), "width must be a number, not 'a'"),
         (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
-        (meshroom().replace('"poses"', '"pose"'), "is no file of cameras"),
+        (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
         (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
         (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
         (
             meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
-            "view '/far/a.jpg': is one of a rig's",
+            "view '/far/a.jpg': belongs to a rig",
         ),
         (
             meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
-            "view '/far/a.jpg': is one of a rig's",
+            "view '/far/a.jpg': belongs to a rig",
         ),
         (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
     ],
@@ -1011,7 +1013,7 @@ def test_a_list_of_more_pictures_than_bundler_has_cameras_is_refused(tmp_path):
         (b"{", "is not JSON"),
         (b"\xff\xfe", "is not UTF-8 text"),
         (b"[]", "its JSON must be an object"),
-        (b"{}", "is no file of cameras; give"),
+        (b"{}", "is not a camera file; give"),
         (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
         (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
         (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),
@@ -1043,7 +1045,7 @@ def test_a_device_is_not_read():
 def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "cannot be read: No such file" in refusal(tmp_path / "missing.json")
     assert "cannot be read" in refusal(tmp_path / ("long" * 1000))
-    assert "no file can be named" in refusal("a\0b")
+    assert "is not a valid file name" in refusal("a\0b")
 
 
 @pytest.mark.parametrize(

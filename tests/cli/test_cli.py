@@ -45,10 +45,10 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "a.glb b.octex c",
             "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
         ),
-        ("a.glb b.octex --dept 3", "--dept is no option: do you mean --depth; see octree-convert --help"),
-        ("a.glb b.octex --depth x", "--depth: 'x' is no whole number; see octree-convert --help"),
+        ("a.glb b.octex --dept 3", "--dept is not an option: do you mean --depth; see octree-convert --help"),
+        ("a.glb b.octex --depth x", "--depth: 'x' is not a whole number; see octree-convert --help"),
         ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
-        ("a.glb b.octex --cell x", "--cell: 'x' is no number; see octree-convert --help"),
+        ("a.glb b.octex --cell x", "--cell: 'x' is not a number; see octree-convert --help"),
         (
             "a.glb b.octex --cell 0",
             "--cell: 0 is not a finite number above zero; see octree-convert --help",
@@ -56,11 +56,11 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ("a.glb b.octex --threads 0", "--threads: 0 is not above zero; see octree-convert --help"),
         (
             "a.glb b.octex --threads x",
-            "--threads: 'x' is no whole number; see octree-convert --help",
+            "--threads: 'x' is not a whole number; see octree-convert --help",
         ),
         (
             "a.glb b.octex --depth 0 --cell 1",
-            "--depth and --cell both say how fine the cells are; give one of them",
+            "--depth and --cell both set the cell size; give one of them",
         ),
         (
             "a.glb b.octex --points 9",
@@ -80,28 +80,29 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "a.glb b.octex --channels a,b,a",
-            "--channels: a is there twice; see octree-convert --help",
+            "--channels: a is named twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype int8",
-            "--dtype: 'int8' is none of uint8, uint16, float16, float32; see octree-convert --help",
+            "--dtype: 'int8' is not one of uint8, uint16, float16, float32; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype normal=uint16,alpha",
-            "--dtype: 'alpha' is not NAME=TYPE, like normal=uint16; see octree-convert --help",
+            "--dtype: 'alpha' is not NAME=TYPE, such as normal=uint16; see octree-convert --help",
         ),
         (
             "a.glb b.octex --dtype normal=uint16,normal=uint8",
-            "--dtype: normal is there twice; see octree-convert --help",
+            "--dtype: normal is named twice; see octree-convert --help",
         ),
         (
             "a.glb b.octex --filter cubic",
-            "--filter: 'cubic' is none of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
+            "--filter: 'cubic' is not one of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
             "see octree-convert --help",
         ),
         (
             "a.glb b.octex --source roughness",
-            "--source: 'roughness' is not CHANNEL=FILE, like roughness=rough.png; see octree-convert --help",
+            "--source: 'roughness' is not CHANNEL=FILE, such as roughness=rough.png; "
+            "see octree-convert --help",
         ),
         (
             "a.glb b.octex --source alpha=1 --source alpha=0",
@@ -113,7 +114,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ),
         (
             "diff a.glb b.obj",
-            "a.glb: is no .octex file; octex convert makes one of a model",
+            "a.glb: is not a .octex file; octex convert makes one from a model",
         ),
         *[
             (
@@ -290,7 +291,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
         assert (
             said.count(
                 "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
-                "put it beside the model"
+                "put it next to the model"
             )
             == 1
         )
@@ -435,7 +436,7 @@ def test_a_link_that_leads_to_itself_is_no_output(
     loop.symlink_to(loop)
     for force in ([], ["--force"]):
         said = refusal(capsys, model, loop, "--depth", "3", *force)
-        assert f"{loop}: is a link that leads to itself" in said
+        assert f"{loop}: is a symbolic link to itself" in said
     other.symlink_to(tmp_path / "target.octex")  # one that leads to nothing yet is a name as any
     result(capsys, model, other, "--depth", "3", "--quiet")
     assert other.is_symlink() and (tmp_path / "target.octex").is_file()

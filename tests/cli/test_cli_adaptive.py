@@ -83,14 +83,14 @@ def test_a_texture_cannot_adapt_any_more(
     octex.convert(model, 3).save(texture)
     word = option.split()[0]
     assert refusal(capsys, texture, tmp_path / "b.octex", *option.split()) == (
-        f"{texture}: {word} needs the model, and this is a texture made from one; see octex edit"
+        f"{texture}: {word} needs the model, but this is a texture made from it; see octex edit"
     )
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--max-error two", "--max-error: 'two' is no number; see octree-convert --help"),
+        ("--max-error two", "--max-error: 'two' is not a number; see octree-convert --help"),
         (
             "--max-error -1",
             "--max-error: -1 is not a finite number from 0 on; see octree-convert --help",

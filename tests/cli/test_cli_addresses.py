@@ -62,12 +62,12 @@ def test_what_is_no_texture_or_is_written_has_no_address(
     for words, said in (
         (
             ("https://a.b/c.glb", "d.octex"),
-            r"https://a.b/c.glb is an address; octex reads only textures, NAME.octex and",
+            r"https://a.b/c.glb is a URL; octex reads only textures, NAME.octex and",
         ),
-        ((THERE, "s3://a/b.octex"), "s3://a/b.octex is an address, and octex writes files of this machine"),
+        ((THERE, "s3://a/b.octex"), "s3://a/b.octex is a URL, and octex writes to disk only"),
         (
             (square, tmp_path / "a.octex", "--rest", "https://a.b/c.glb"),
-            "https://a.b/c.glb is an address, and",
+            "https://a.b/c.glb is a URL, and",
         ),
         *(
             (
@@ -85,10 +85,10 @@ def test_what_is_no_texture_or_is_written_has_no_address(
         assert said in capsys.readouterr().err
     words = ["paint", THERE, square, THERE, "view.png", "--force", "--camera", "camera.json"]
     assert run(*words) == ExitCode.REFUSED
-    assert f"{THERE} is an address, and octex writes" in capsys.readouterr().err
+    assert f"{THERE} is a URL, and octex writes" in capsys.readouterr().err
     for given in ("https://a.b/camera.json", "https://a.b/camera.json#left"):
         assert run("paint", square, "a.octex", "view.png", "--camera", given) == ExitCode.REFUSED
-        assert f"--camera: {given} is an address, and this file is read here" in capsys.readouterr().err
+        assert f"--camera: {given} is a URL, and octex reads this file from disk" in capsys.readouterr().err
     none = "memory://octex/none.octex"
     for words in (("info", none), ("validate", none), ("edit", none, tmp_path / "b.octex", "--depth", 2)):
         assert refusal(capsys, *words).startswith(f"{none}: cannot be read: there is no such file")

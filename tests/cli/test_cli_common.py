@@ -210,7 +210,7 @@ def test_outputs_are_checked_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="OUTPUT0 has no ending"):
         check("a")
     for folder in ("folder.octex", "."):
-        with pytest.raises(OutputError, match="is a folder; give OUTPUT0 a file's name"):
+        with pytest.raises(OutputError, match="is a folder; give OUTPUT0 a file name"):
             check(folder)
     with pytest.raises(OutputError, match=r"there is no folder .*nowhere; make it first"):
         check("nowhere/a.octex")

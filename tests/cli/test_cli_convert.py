@@ -141,7 +141,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         ["--depth", "2"],
     ):
         assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
-            f"{made}: {option[0]} needs the model, and this is a texture made from one; see octex edit"
+            f"{made}: {option[0]} needs the model, but this is a texture made from it; see octex edit"
         )
     assert not (tmp_path / "x.octex").exists()
 

@@ -402,7 +402,7 @@ def test_a_background_is_one_of_the_channels_values(
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     given = [*new, "--holes", "1,2,3", "--channel"]
     assert "give a grey" in complaint(capsys, *given, "roughness")
-    assert "normal has directions" in complaint(capsys, *given, "normal")
+    assert "normal holds directions" in complaint(capsys, *given, "normal")
 
 
 # --- pictures and frames
@@ -431,7 +431,7 @@ def test_pictures_without_a_frame_are_refused(
     message = complaint(capsys, *scene.shot, scene.blue, OUT, out)
     assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
     message = complaint(capsys, *arguments)
-    assert message == f"{scene.cameras}: does not say where the pictures of its cameras are; give IMAGEs"
+    assert message == f"{scene.cameras}: does not name the pictures of its cameras; give IMAGEs"
 
 
 @needs_jit
@@ -457,7 +457,7 @@ def test_a_file_none_of_whose_pictures_is_there_is_refused(
     arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
     listing = ", ".join(map(repr, names[:5]))
     assert complaint(capsys, *arguments) == (
-        f"{file}: none of the 8 pictures that it names is there: {listing} and 3 more; give IMAGEs"
+        f"{file}: none of the 8 pictures that it names exists: {listing} and 3 more; give IMAGEs"
     )
 
 
@@ -663,7 +663,7 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
     )
     message = complaint(capsys, *view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
     assert message == (
-        f"--size has not the shape of frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
+        f"--size has another aspect ratio than frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
     )
     message = complaint(capsys, *view, "--camera-out", tmp_path / "camera.txt")
     assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
@@ -736,14 +736,15 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("--camera c.json --direction 0,0,1", "--direction has no meaning with --camera; give one of them"),
-        ("--camera c.json --up 0,0,1", "--up has no meaning with --camera; give one of them"),
+        ("--camera c.json --direction 0,0,1", "--direction cannot be used with --camera; give one of them"),
+        ("--camera c.json --up 0,0,1", "--up cannot be used with --camera; give one of them"),
         ("--camera-out c.json --direction 0,0,0", "--direction: must not be 0,0,0"),
-        ("--camera-out c.json --exposure 1", "--exposure has no meaning without --light"),
-        ("--camera-out c.json --bump alpha=1", "--bump has no meaning in a picture without --light"),
+        ("--camera-out c.json --exposure 1", "--exposure needs --light"),
+        ("--camera-out c.json --bump alpha=1", "--bump needs --light"),
         (
             "--camera-out c.json --empty-layer v.png --force",
-            "--empty-layer has the name of OUTPUT, v.png, by which its camera is found; give it another",
+            "--empty-layer has the name of OUTPUT, v.png, but cameras are found by file name; "
+            "give it another",
         ),
     ],
 )
@@ -860,7 +861,7 @@ def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
     assert complaint(capsys, *shot).startswith(f"the view in {file}")
     text = file.read_text()
     file.write_text(re.sub('"view": "', '"view": "é', text))
-    assert "view is no picture in base64" in complaint(capsys, *shot)
+    assert "view is not an image in base64" in complaint(capsys, *shot)
     with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
         octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
 
@@ -904,7 +905,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
         ("t.octex m.glb o.octex", "--camera is missing; see octex paint --help"),
         ("t.octex m.glb o.octex a.png l.octex", "l.octex: is a layer; merge layers and paint pictures one"),
         *[
-            (f"t.octex m.glb o.octex l.octex {words}", f"{words.split()[0]} has no meaning with layers")
+            (f"t.octex m.glb o.octex l.octex {words}", f"{words.split()[0]} cannot be used with layers")
             for words in (
                 *("--balance full", "--camera c", "--mask m.png", "--channel alpha", "--layer-out x.octex"),
                 "--max-depth 3",
@@ -915,18 +916,18 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
             for words in ("--size 3,3", "--camera-out c.json", "--zoom 2", "--empty-layer l.png")
         ],
         ("m.glb o.octex a.png --camera c --blend erase", "there is no TEXTURE; there is nothing to erase"),
-        ("t.octex m.glb o.octex --blend burn", "--blend: 'burn' is none of over, multiply, "),
+        ("t.octex m.glb o.octex --blend burn", "--blend: 'burn' is not one of over, multiply, "),
         ("t.octex m.glb o.octex --opacity 2", "--opacity: 2 is not from 0 to 1; see octex paint --help"),
-        ("t.octex m.glb o.octex --opacity x", "--opacity: 'x' is no number; see octex paint --help"),
+        ("t.octex m.glb o.octex --opacity x", "--opacity: 'x' is not a number; see octex paint --help"),
         ("t.octex m.glb o.octex --opacity nan", "--opacity: nan is not from 0 to 1"),
         ("t.octex m.glb o.octex --max-angle 181", "--max-angle: 181 is not from 0 to 180"),
-        ("t.octex m.glb o.octex --max-angle=", "--max-angle: '' is no number"),
+        ("t.octex m.glb o.octex --max-angle=", "--max-angle: '' is not a number"),
         ("t.octex m.glb o.octex --edge-feather 1e7", "--edge-feather: 1e7 is not from 0 to 1000000"),
         ("m.glb o.octex --holes red", "--holes: 'red' is not R,G,B from 0 to 255, nor #rrggbb, nor leave or"),
         ("m.glb o.octex --holes 1,2", "--holes: '1,2' is not R,G,B from 0 to 255, nor"),
         ("m.glb o.octex --holes 1,2,256", "--holes: 1,2,256 is not from 0 to 255"),
         ("t.octex m.glb o.octex --camera c#", "--camera: 'c#' names no camera; write FILE#NAME, or FILE"),
-        ("m.glb o.octex a.png --camera c --reference a.png", "--reference has no meaning without --balance"),
+        ("m.glb o.octex a.png --camera c --reference a.png", "--reference needs --balance"),
         ("m.glb o.octex a.png --camera c --mask 1,2,3 --mask #ffffff", "--mask gives several backdrop"),
         ("m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png", "--mask gives a pattern and more"),
         (

@@ -91,22 +91,22 @@ def test_models_are_converted_first(
         f"{option} is an option of octex edit, not of octree-convert; see octree-convert --help"
     )
     assert refusal(capsys, "edit", model, tmp_path / "x.octex", *words.split()) == (
-        f"{model}: is no .octex file; octex convert makes one of a model"
+        f"{model}: is not a .octex file; octex convert makes one from a model"
     )
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--crop 0,0,0,1,1", "--crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, like 0,0,0,1,2,1"),
+        ("--crop 0,0,0,1,1", "--crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, such as 0,0,0,1,2,1"),
         ("--crop 0,0,0,1,1,nan", "--crop: 0,0,0,1,1,nan has numbers that are not finite"),
-        ("--levels 0.5", "--levels: '0.5' is not BLACK,WHITE[,GAMMA], like 0.1,0.9,1.2"),
+        ("--levels 0.5", "--levels: '0.5' is not BLACK,WHITE[,GAMMA], such as 0.1,0.9,1.2"),
         ("--levels 0.5,0.4", "--levels: '0.5,0.4' is not BLACK,WHITE[,GAMMA]"),
-        ("--levels a,b", "--levels: 'a,b' is not numbers with commas between"),
-        ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, like other.octex=0.3"),
+        ("--levels a,b", "--levels: 'a,b' must be numbers separated by commas"),
+        ("--mix b.octex", "--mix: 'b.octex' is not FILE=AMOUNT, such as other.octex=0.3"),
         ("--mix b.octex=2", "--mix: 2 is not from 0 to 1"),
         ("--loss 1", "--loss is for NAME.octz"),
-        ("--loss 0.5", "--loss: 0.5 is not a whole number of codes"),
+        ("--loss 0.5", "--loss: '0.5' is not a whole number"),
         ("--blur 0", "--blur: 0 is not a finite number above zero"),
         ("--combine none.octex", "none.octex"),
         ("--channels paint", "unknown channel of "),

@@ -123,9 +123,9 @@ def test_options_that_do_not_go_with_parts_are_refused(
     out = tmp_path / "out"
     for words in (("--separate", "3"), ("--preview", "a.png"), ("--memory", "1GB")):
         message = refusal(capsys, model, out, "--parts", *words)
-        assert f"{words[0]} has no meaning with --parts" in message
+        assert f"{words[0]} cannot be used with --parts" in message
     texture = made / "part-0.octex"
-    assert "--parts needs the model, and this is a texture" in refusal(capsys, texture, out, "--parts")
+    assert "--parts needs the model, but this is a texture" in refusal(capsys, texture, out, "--parts")
     write_points(octex.open(texture), tmp_path / "dots.ply")
     assert "--parts needs a surface" in refusal(capsys, tmp_path / "dots.ply", out, "--parts")
     assert "--depth must be a whole number from 0 to 21" in refusal(

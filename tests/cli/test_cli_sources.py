@@ -71,14 +71,14 @@ def test_points_alone_become_a_texture(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["wide.ply", "--radius", "1"], "--radius has no meaning without --transfer"),
-        (["wide.ply", "--within", "1"], "--within has no meaning without --transfer"),
+        (["wide.ply", "--radius", "1"], "--radius needs --transfer"),
+        (["wide.ply", "--within", "1"], "--within needs --transfer"),
         (["wide.ply", "--within", "1,181"], "--within: 181 is not from 0 to 180"),
         (["wide.ply", "--transfer", "green.npz", "--radius", "1", "--within", "1"], "give one of them"),
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
         (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
         (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
-        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "no cloud that octex reads"),
+        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "not a point cloud that octex reads"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
@@ -170,12 +170,12 @@ def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
     ("arguments", "complaint"),
     [
         (["shapes.py:ball"], "give --grid"),
-        (["wide.ply", "--grid", "0,0,0,1,1,1,1"], "--grid is for surfaces that are functions"),
+        (["wide.ply", "--grid", "0,0,0,1,1,1,1"], "--grid applies to implicit surfaces only"),
         (["wide.ply", "--source", "base_color=shapes.py:blue"], "has no function blue; it has red, ball"),
         (["wide.ply", "--source", "base_color=shapes.py:three"], "has no function three"),
         (["wide.ply", "--source", "base_color=none.py:red"], "none.py cannot be read"),
         (["wide.ply", "--source", "base_color=broken.py:red"], "broken.py raised SyntaxError"),
-        (["wide.ply", "--also", "red.ply", "--rest", "wide.ply"], "--rest is of one model"),
+        (["wide.ply", "--also", "red.ply", "--rest", "wide.ply"], "--rest applies to one model"),
         (["wide.ply", "--also", "none.ply"], "none.ply cannot be read"),
     ],
 )

@@ -316,15 +316,8 @@ class HeightSource(FaceSource):
         channels = (BASE_COLOR._replace(dtype="float16"), ChannelFormat("height", 1, "data", "uint16"))
         super().__init__(channels, [[0.5, 0.25, 0.125, 0.0]] * len(FACES))
 
-    def evaluate(
-        self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
-        values = super().evaluate(triangles, barycentric, widths)
+    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
         values[:, 3] = barycentric[:, 1]
-        return values
 
 
 def test_a_source_of_ones_own_may_have_any_channels_and_types() -> None:

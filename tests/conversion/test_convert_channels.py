@@ -189,12 +189,12 @@ def test_a_texture_holds_nothing_that_is_not_finite() -> None:
             {"channels": ["normal", "clearcoat"]},
             "unknown channel 'clearcoat'; there are: base_color, metallic",
         ),
-        ({"channels": []}, "channels must name one at least"),
+        ({"channels": []}, "channels must name at least one channel"),
         ({"dtype": "int8"}, "unknown dtype 'int8'; there are: uint8, uint16, float16, float32"),
         ({"dtype": {"alpha": "uint8"}}, "unknown channel of dtype 'alpha'; there are: base_color, metallic"),
         (
             {"dtype": "uint16"},
-            "surface: channel 'emissive' goes above 1, which uint16 cannot hold; give it",
+            "surface: channel 'emissive' has values above 1, which uint16 cannot hold; give it",
         ),
         ({"filter": "sharp"}, "unknown filter 'sharp'; there are: nearest, bilinear"),
         ({"sources": {"paint": 0.5}}, "unknown channel 'paint'; there are: base_color, "),
@@ -221,7 +221,9 @@ def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_g
     points = tetrahedron().scatter(500, seed=1)
     assert np.abs(texture.sample(points.rest, "emissive") - glow(points.rest)).max() < 0.1
     bright = {"emissive": lambda points: 2 * points}
-    with pytest.raises(ArgumentError, match=f"surface: channel 'emissive' goes above 1, which {dtype} "):
+    with pytest.raises(
+        ArgumentError, match=f"surface: channel 'emissive' has values above 1, which {dtype} "
+    ):
         octex.convert(tetrahedron(), 5, sources=bright, dtype={"emissive": dtype}, fit=fit)
 
 

@@ -84,15 +84,8 @@ class Pattern(FaceSource):
         form = ChannelFormat("height", 1, "data", "float32")
         super().__init__((form,), np.zeros((len(FACES), 1)))
 
-    def evaluate(
-        self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
-        values = super().evaluate(triangles, barycentric, widths)
+    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
         values[:, 0] = np.clip(0.5 + np.sin(9 * barycentric[:, 1]), 0, 1)
-        return values
 
 
 @pytest.mark.parametrize("dtype", ["float32", "uint16"])
@@ -183,7 +176,7 @@ def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_n
     bright = FaceSource((LIGHT._replace(dtype=dtype),), [[9.0] * 3, [0.0] * 3, [1.5] * 3, [0.0] * 3])
     light = octex.convert(Surface(TETRAHEDRON, FACES, bright), 3).channels["emissive"]
     assert light.values.max() > 9
-    with pytest.raises(ArgumentError, match="channel 'emissive' goes above 1, which uint8 cannot hold"):
+    with pytest.raises(ArgumentError, match="channel 'emissive' has values above 1, which uint8 cannot hold"):
         octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
 
 

@@ -21,7 +21,7 @@ from octex.drawing import draw_difference, draw_preview
 from octex.drawing.compare import difference
 from octex.errors import ArgumentError
 from octex.source.base import SpatialSource
-from octex.source.separation import _packed
+from octex.source.parts import _packed
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
@@ -105,7 +105,7 @@ def test_a_long_model_is_put_beside_its_long_side() -> None:
 
 
 def test_many_parts_are_moved_in_their_classes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("octex.source.separation._SINGLY", 3)
+    monkeypatch.setattr("octex.source.parts._SINGLY", 3)
     surface = colored(*[cube([0.75 * n, 0, 0]) for n in range(8)])
     apart = surface.separated(0.1)
     assert apart.overlapping_parts(0.0999).pairs == ()
@@ -130,9 +130,9 @@ def test_margins_and_overlaps_that_do_not_fit_are_refused() -> None:
     surface = pair()
     with pytest.raises(ArgumentError, match="margin must be finite and above zero"):
         surface.separated(0.0)
-    with pytest.raises(ArgumentError, match=r"overlaps given are of a margin of 0\.05"):
+    with pytest.raises(ArgumentError, match=r"overlaps were computed with a margin of 0\.05"):
         surface.separated(0.1, surface.overlapping_parts(0.05))
-    with pytest.raises(ArgumentError, match="or of another surface"):
+    with pytest.raises(ArgumentError, match="or for another surface"):
         surface.separated(0.1, colored(cube([0, 0, 0])).overlapping_parts(0.1))
     with pytest.raises(ArgumentError, match="parts is separated already"):
         surface.separated(0.1).separated(0.2)
@@ -232,9 +232,9 @@ def test_a_separated_surface_is_where_its_texture_is() -> None:
     texture = octex.convert(apart, 4)
     assert apart.placed_in(texture) is apart
     assert np.array_equal(pair().rest_positions(texture), apart.rest)
-    with pytest.raises(ArgumentError, match="parts is separated, and the texture is not"):
+    with pytest.raises(ArgumentError, match="parts is separated otherwise than the texture"):
         apart.placed_in(octex.convert(pair(), 4))
-    with pytest.raises(ArgumentError, match="or otherwise"):
+    with pytest.raises(ArgumentError, match="otherwise than the texture"):
         pair().separated(0.3).placed_in(texture)
     moved = apart.with_rest(apart.vertices)
     assert np.array_equal(moved.rest_positions(texture), apart.rest)
@@ -432,7 +432,7 @@ def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.Capt
 def test_bad_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = written(tmp_path, cube([0, 0, 0]))
     said = refusal(capsys, "--separate=far", model, tmp_path / "a.octex")
-    assert "'far' is no number" in said
+    assert "'far' is not a number" in said
     assert "0.5 is not a number of cells from 1 to a million" in refusal(
         capsys, model, "a.octex", "--separate", 0.5
     )

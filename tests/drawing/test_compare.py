@@ -161,9 +161,9 @@ def test_what_only_one_texture_covers_is_left_out_and_counted() -> None:
     assert found.areas == pytest.approx((6 / 8, 4 / 8))
     assert found.points == 2 * 2 * 8
     assert found["roughness"].rms == 1.0
-    with pytest.raises(ArgumentError, match="nothing in common: is it the same model"):
+    with pytest.raises(ArgumentError, match="do not overlap: do they have the same rest positions"):
         difference(a, sheet({ROUGHNESS: 0.0}, rows=slice(6, 8)))
-    with pytest.raises(ArgumentError, match="nothing in common"):
+    with pytest.raises(ArgumentError, match="do not overlap"):
         difference(a, sheet({ROUGHNESS: 0.0}, layer=1))
 
 
@@ -190,7 +190,9 @@ def test_only_the_channels_asked_for_are_compared() -> None:
 
 def test_a_channel_that_means_something_else_is_refused() -> None:
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
-    with pytest.raises(ArgumentError, match="'own' means 3 sRGB codes in one and 1 fractions in the other"):
+    with pytest.raises(
+        ArgumentError, match="'own' holds 3 sRGB codes in one texture and 1 fractions in the other"
+    ):
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 
 
@@ -363,7 +365,7 @@ def test_bad_arguments_are_refused_by_name(arguments: dict[str, Any], message: s
 
 
 def test_two_models_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="two models have no points in common to compare them at"):
+    with pytest.raises(ArgumentError, match="two models cannot be compared with each other"):
         difference(quarters(), quarters())
 
 

@@ -247,7 +247,7 @@ def test_numbers_out_of_range_are_refused(wrong):
 
 
 def test_a_picture_higher_than_wide_is_no_map_of_all_directions():
-    with pytest.raises(ImageError, match="its 4 × 24 texels are higher than wide"):
+    with pytest.raises(ImageError, match="its 4 × 24 texels are taller than wide"):
         Environment.of(np.ones((24, 4, 3), np.float32))
 
 
@@ -322,7 +322,7 @@ def test_a_bump_bends_normals_as_a_surface_that_is_displaced():
     )
     with pytest.raises(ArgumentError, match="unknown channel to bend normals by 'height'"):
         texture_shader(texture, bump=("height", 1.0))
-    with pytest.raises(ArgumentError, match="normal is directions"):
+    with pytest.raises(ArgumentError, match="normal holds directions"):
         source_shader(
             _plain(normal=lambda rest: np.tile([0.0, 0.0, 1.0], (len(rest), 1))), bump=("normal", 1.0)
         )
@@ -365,11 +365,11 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         pictures[name] = png.read_bytes()
     assert len(set(pictures.values())) == 6
     for words, said in (
-        (["--exposure", "1"], "--exposure has no meaning without --light"),
+        (["--exposure", "1"], "--exposure needs --light"),
         (["--light", "missing.hdr"], "missing.hdr"),
         (["--bump", "roughness"], "is not CHANNEL=HEIGHT"),
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),
-        (["--bump", "base_color=1", *camera], "--bump has no meaning in a picture without --light"),
+        (["--bump", "base_color=1", *camera], "--bump needs --light"),
     ):
         assert said in run_refused(capsys, "draw", texture, model, tmp_path / "x.png", *words)
 

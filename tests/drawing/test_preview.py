@@ -299,7 +299,7 @@ def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
 def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
     surface, texture = quarters
     said = []
-    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[1:]) or np.zeros((1, 1, 3)))
+    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text) or np.zeros((1, 1, 3)))
     draw_preview(texture, surface, (60, 60), 1, note="40 dB")
     draw_preview(texture, None, (60, 60), 1)
     octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e6:.3g} MB"
@@ -330,7 +330,7 @@ def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_
 
 
 def test_a_preview_of_nothing_is_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="a surface, or a texture, or both"):
+    with pytest.raises(ArgumentError, match="a surface, a texture or both"):
         write_preview(tmp_path / "preview.png", None)
     assert not list(tmp_path.iterdir())
 
@@ -401,7 +401,7 @@ def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, pi
     assert np.allclose(render_surface(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
     assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
     said = []
-    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
+    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text[1]) or np.zeros((1, 1, 3)))
     draw_preview(texture, None, (40, 40), 1)
     assert said[0].startswith(f"{shown}: ")
 
@@ -418,7 +418,7 @@ def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
     assert {form.name for form in surface.channels} == {"base_color", "roughness"}
     texture = octex.convert(surface.with_channels(["roughness"]), 2)
     said = []
-    monkeypatch.setattr(panels, "captioned", lambda panel: said.append(panel[2]) or np.zeros((1, 1, 3)))
+    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text[1]) or np.zeros((1, 1, 3)))
     draw_preview(texture, surface, (40, 40), 1)
     assert [text.split(":")[0] for text in said] == ["roughness", "roughness"]
 

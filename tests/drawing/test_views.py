@@ -170,7 +170,7 @@ def test_the_command_draws_every_kind(
         ([stored, "x.png", "--as", "paint"], "--as paint needs a MODEL"),
         ([stored, stored, "x.png"], "is a texture too; --as difference draws how two differ"),
         ([model, "x.png", "--level", 3], "--level is a level of a TEXTURE"),
-        ([stored, model, "x.png", "--camera-out", "c.json"], "--camera-out has no meaning with --as panels"),
+        ([stored, model, "x.png", "--camera-out", "c.json"], "--camera-out cannot be used with --as panels"),
         ([stored, model, "x.jpg"], "OUTPUT has the ending '.jpg'; octex writes .png here"),
     ):
         assert run("draw", *words) == 2

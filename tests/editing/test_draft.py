@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.editing.draft import Tiles, cut_out, put_back, tiles_around
-from octex.painting import tiles as tilewise
+from octex.painting import merge as tilewise
 from octex.painting.holes import with_coverage
 from octex.painting.picture import BLENDS, Blend
 from octex.texture import OctreeTexture

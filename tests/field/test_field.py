@@ -20,8 +20,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.field.blend import blend
-from octex.field.field import Field, Finder, Listed, NotFiniteError
+from octex.field.blend import Listed, blend
+from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
 from octex.field.taps import place_points
 from octex.field.tiles import CACHE_LINE, build_tiles

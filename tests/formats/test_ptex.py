@@ -131,7 +131,7 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     import random
 
-    fuzz = tool("fuzz/ptex")
+    fuzz = tool("fuzz/random_ptex")
     path = tmp_path / "damaged.ptx"
     with workers(1) as executor:
         write_contents(tool("bench/peers/ptex_peer").random_contents(3), path, executor)
@@ -395,9 +395,9 @@ def test_what_cannot_be_written_is_refused(house: Path, tmp_path: Path) -> None:
     texture = octex.convert(surface, 3)
     for change, said in (
         ({"channels": ["roughness"]}, "roughness"),
-        ({"channels": []}, "one at least"),
+        ({"channels": []}, "name at least one"),
         ({"dtype": "int8"}, "dtype"),
-        ({"texels": 3}, "14 at least"),
+        ({"texels": 3}, "at least 14"),
         ({"path": tmp_path / "made.png"}, r"\.ptx"),
     ):
         with pytest.raises(ArgumentError, match=said):

@@ -142,7 +142,7 @@ def test_the_command_divides_where_colours_change(
     assert cli.main(["convert", given[0], str(tmp_path / "b.3mf")]) == 2
     assert "octex bake TEXTURE MODEL" in capsys.readouterr().err
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.glb"), "--unit", "foot"]) == 2
-    assert "--unit has no meaning for" in capsys.readouterr().err
+    assert "--unit has no effect on" in capsys.readouterr().err
 
 
 def test_a_missing_extra_is_named_before_any_work(

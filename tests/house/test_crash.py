@@ -24,7 +24,7 @@ LEFT, LEFT_FOLDER = ".octex-0123456789abcdef", ".octex-fedcba9876543210"
 
 @linux
 def test_a_killed_save_leaves_the_old_file_or_the_new_one(tmp_path: Path) -> None:
-    killed = runpy.run_path(str(ROOT / "tools" / "fuzz" / "kill_saves.py"))["killed"]
+    killed = runpy.run_path(str(ROOT / "tools" / "fuzz" / "random_kills.py"))["killed"]
     made = [hilly(4), eight_colors()]
     for texture in made:
         texture.save(tmp_path / "compile.octz")

@@ -97,7 +97,7 @@ def whole(camera: octex.Camera) -> np.ndarray:
 
 def coarse(code: str) -> str:
     """Return code with conversions that take a moment."""
-    return re.sub(r"((?:--depth |depth=))\d+", r"\g<1>6", code)
+    return re.sub(r"((?:--depth |depth=))\d+", r"\g<1>5", code)
 
 
 def run_command(line: str) -> None:
@@ -120,6 +120,7 @@ def run_command(line: str) -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points", "small_previews")
 @pytest.mark.parametrize("page", [name for name in PAGES if runs(name)])
 def test_the_code_of_a_page_runs(
     page: str, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -268,7 +268,7 @@ def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
     surface = tetrahedron()
     with pytest.raises(ArgumentError, match="memory needs a path"):
         octex.convert(surface, 3, memory="1GB")
-    with pytest.raises(ArgumentError, match="memory: '2 elephants' is no size"):
+    with pytest.raises(ArgumentError, match="memory: '2 elephants' is not a size"):
         octex.convert(surface, 3, memory="2 elephants", path=tmp_path / "a.octex")
     with pytest.raises(ArgumentError, match=r"is converted to NAME\.octex"):
         octex.convert(surface, 3, path=tmp_path / "a.ply")

@@ -235,6 +235,7 @@ def test_every_public_function_that_takes_an_executor_is_tried_here() -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_do_the_same_in_threads_and_in_other_processes(
     name: str, processes: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -317,6 +317,7 @@ def says(words: str) -> Check:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize(
     ("script", "written", "check"),
     [

@@ -6,6 +6,7 @@ import base64
 import os
 import re
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,7 @@ import pytest
 
 import octex
 from octex.texture import OctreeTexture
+from octex.viewer import Viewer
 
 Floats = npt.NDArray[np.float32]
 
@@ -83,6 +85,16 @@ def started() -> Iterator[Any]:
         browser = getattr(playwright, name).launch(executable_path=program, **options)
         yield browser
         browser.close()
+
+
+@contextmanager
+def served(viewer: Viewer) -> Iterator[Viewer]:
+    """Serve a page while the block lasts."""
+    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
+    thread.start()
+    yield viewer
+    thread.join(30)
+    assert not thread.is_alive()
 
 
 def opened(browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_csp: bool = True) -> Any:

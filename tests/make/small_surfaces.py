@@ -32,10 +32,15 @@ class FaceSource(Source):
     def evaluate(
         self,
         triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],  # noqa: ARG002
+        barycentric: npt.NDArray[np.float64],
         widths: npt.NDArray[np.float32],  # noqa: ARG002
     ) -> npt.NDArray[np.float32]:
-        return self._values[triangles]
+        values = self._values[triangles]
+        self.vary(values, barycentric)
+        return values
+
+    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
+        """Change values (n, components) by where in a triangle they are."""
 
 
 LIGHT = EMISSIVE._replace(space="linear", dtype="float16")

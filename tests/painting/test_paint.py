@@ -174,6 +174,24 @@ def _is_inner(layer: OctreeTexture, level: int, code: int, whole: Array) -> bool
     return bool(np.isin(stored, whole).all())
 
 
+def test_a_depth_halves_cells_and_limits_them() -> None:
+    points, triangles = square()
+    surface = octex.Surface.from_arrays(points, triangles)
+    camera = above(3.0, 128, 384.0)  # 128 pixels to a unit
+    picture = octex.Projection(spot(camera, (1, 0, 0), 40), camera)
+
+    def pixels(max_depth: int | None) -> float:
+        layer = octex.project(surface, picture, max_depth=max_depth)
+        return 128.0 * layer.placement.size / 2**layer.tree.max_depth
+
+    default, halved, limited = pixels(None), pixels(14), pixels(5)
+    assert 0.5 <= default <= 1.1
+    assert 0.25 <= halved <= 0.55
+    assert halved < default
+    size = octex.project(surface, picture).placement.size
+    assert limited == pytest.approx(128.0 * size / 2**5, rel=0.1)
+
+
 @pytest.mark.parametrize("dtype", ["float32", "uint8"])
 def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtype: str) -> None:
     points, triangles = square()
@@ -380,7 +398,7 @@ def test_layers_that_do_not_fit_are_refused() -> None:
     surface, camera = ball(), above(4.0, 32)
     texture = octex.convert(surface, 5)
     layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera), like=texture)
-    with pytest.raises(ArgumentError, match="a layer has one channel, and alpha"):
+    with pytest.raises(ArgumentError, match="a layer must have one channel and alpha"):
         octex.merge(texture, texture, surface)
     with pytest.raises(ArgumentError, match=r"the layer's root cell, .* is not the texture's"):
         octex.merge(octex.convert(surface, 3), layer, surface)
@@ -603,7 +621,7 @@ def test_filling_starts_from_nothing_too() -> None:
         ("all", "region must be a Sphere, a Box, a function, or triangles"),
         ([99], "region must be a Sphere"),
         (octex.Sphere((0, 0, 0), -1), "radius must be finite and above zero"),
-        (octex.Box((1, 0, 0), (0, 1, 1)), "its corners must be in order"),
+        (octex.Box((1, 0, 0), (0, 1, 1)), "low must not exceed high"),
         (lambda _: np.zeros(3), r"region must return an array of shape \("),
         (lambda p: np.full(len(p), 2.0), r"region returned 2 at \(.*\); values must be from 0 to 1"),
         (lambda p: np.full(len(p), np.nan), r"region returned nan at \(.*\); values must be from 0 to 1"),

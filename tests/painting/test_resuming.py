@@ -175,6 +175,7 @@ def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_refined_cameras_are_kept(tmp_path: Path) -> None:
     surface, cameras, images = ring(4, 48)
     shown = projections(images, cameras)
@@ -199,7 +200,7 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
     file.write_bytes(b"")
     for folder in (file, tmp_path / "a" / "b"):
         with pytest.raises(
-            OutputError, match=rf"{folder.name}: cannot keep what was done: .*choose a folder"
+            OutputError, match=rf"{folder.name}: cannot store intermediate results: .*choose a folder"
         ):
             octex.paint(None, surface, shown, resume=folder)
 

@@ -217,7 +217,7 @@ def test_what_cannot_be_unwrapped_is_refused() -> None:
     with pytest.raises(ArgumentError, match="is not of"):
         octex.project(ball(24), picture)
     other = octex.Projection(np.zeros((4, 4, 3), np.uint8), octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4))
-    with pytest.raises(ArgumentError, match="by themselves"):
+    with pytest.raises(ArgumentError, match="in a call of their own"):
         octex.project(ball(12), [picture, other])
 
 

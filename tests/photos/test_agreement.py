@@ -138,6 +138,7 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
@@ -147,14 +148,14 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: P
     need = 64 * 5 * 48 * 48
     other = tmp_path / "other"
     assert digest(octex.paint(None, surface, shots, memory=need, folder=other, **options)) == expected
-    with pytest.raises(ArgumentError, match=r"folder: .*other is no folder; name one that is there"):
+    with pytest.raises(ArgumentError, match=r"folder: .*other is not a folder; name an existing one"):
         octex.paint(None, surface, shots, memory=need - 1, folder=other, **options)
     assert digest(octex.paint(None, surface, shots, memory="1kB", folder=tmp_path, **options)) == expected
     refined = octex.refine_cameras(surface, shots, memory="1kB", folder=tmp_path)
     expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
     np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ArgumentError, match="folder has no meaning without memory"):
+    with pytest.raises(ArgumentError, match="folder needs memory"):
         octex.paint(None, surface, shots, folder=tmp_path)
 
 

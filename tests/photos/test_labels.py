@@ -11,7 +11,7 @@ import octex
 from octex.channels import BASE_COLOR
 from octex.painting.multigrid import graph_of
 from octex.photos import labels as labelling
-from octex.photos.best import BestPaint
+from octex.photos.weigh import BestPaint
 from tests.conftest import needs_jit
 from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_labels

@@ -10,9 +10,8 @@ import pytest
 
 import octex
 from octex.parallel import pool_of
-from octex.photos import overexposed, weigh
-from octex.photos.balance import balanced
-from octex.photos.overexposed import without_overexposed
+from octex.photos import balance, weigh
+from octex.photos.balance import balanced, without_overexposed
 from tests.conftest import needs_jit
 from tests.make.painted import codes
 from tests.photos.test_agreement import projections, ring
@@ -70,7 +69,7 @@ def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter() -> Non
     for number in range(5):
         widths = source.with_shots([source.shots[number]]).widths(*where)
         widths = np.where(np.isfinite(widths), 4 * widths, 0).astype(np.float32)
-        found, told = overexposed._compared(source, evened, number, *where, widths)
+        found, told = balance._compared(source, evened, number, *where, widths)
         before, (after, weights) = source.each(*where, widths)[0], evened.each(*where, widths)
         light = 255 * np.sqrt(np.maximum(after.astype(np.float64), 0))
         for n in range(300):

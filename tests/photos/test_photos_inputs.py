@@ -16,8 +16,7 @@ from octex.cli.main import main
 from octex.errors import ArgumentError
 from octex.painting.picture import Projection, mips_of
 from octex.painting.sharpened import sharpened
-from octex.source.images.decode import orientation_of, turned
-from octex.source.images.png import SIGNATURE
+from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
 from tests.make.command import OUT, painting
 from tests.make.painted import above
@@ -70,7 +69,7 @@ def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_p
 
 
 def test_what_is_no_photograph_has_no_orientation() -> None:
-    assert orientation_of(b"nothing") == orientation_of(SIGNATURE) == 1
+    assert orientation_of(b"nothing") == orientation_of(PNG_SIGNATURE) == 1
 
 
 def test_a_cut_out_is_a_mask_by_its_alpha_whatever_its_colours() -> None:

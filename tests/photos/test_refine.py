@@ -18,8 +18,7 @@ from octex.painting.picture import mips_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import workers
 from octex.photos import refine
-from octex.photos.poses import _read, adjusted, pixel_at
-from octex.photos.refine import _better
+from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import needs_jit
 from tests.make.command import OUT, painting
 from tests.make.painted import above, ball, picture_of
@@ -88,8 +87,15 @@ def shift(camera: octex.Camera, truth: octex.Camera, points: Array) -> float:
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("pixels", [1.0, 2.0])
-def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(pixels: float) -> None:
+@pytest.fixture(params=[False, True], ids=["all points", "few points"])
+def is_few(request: pytest.FixtureRequest) -> bool:
+    if request.param:
+        request.getfixturevalue("few_points")
+    return bool(request.param)
+
+
+def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(is_few: bool) -> None:
+    pixels = 1.0 if is_few else 2.0
     surface, cameras, images = textured(6, 128)
     points = surface.scatter(1000).points
     moved = [disturbed(camera, n, pixels) if n else camera for n, camera in enumerate(cameras)]
@@ -133,6 +139,7 @@ def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest() ->
     assert not _better(found, found, numbers).any()  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("few_points")
 def test_the_order_of_pictures_does_not_matter() -> None:
     _, cameras, images = textured(4, 48)
     surface, order = ball(), [3, 1, 0, 2]
@@ -146,12 +153,11 @@ def test_the_order_of_pictures_does_not_matter() -> None:
         assert np.array_equal(camera.K, found[n].K)
 
 
-@pytest.mark.parametrize("has_other_light", [False, True])
-def test_smooth_colours_make_no_camera_worse(has_other_light: bool) -> None:
+def test_smooth_colours_make_no_camera_worse(is_few: bool) -> None:
     surface, cameras, images = ring(6, 128)
     points, random = surface.scatter(1000).points, np.random.default_rng(9)
     moved = [disturbed(camera, n, 1.5) if n else camera for n, camera in enumerate(cameras)]
-    if has_other_light:  # gains, vignetting and noise
+    if not is_few:  # gains, vignetting and noise
         y, x = (np.mgrid[:128, :128] + 0.5 - 64) / np.hypot(64, 64)
         for n, image in enumerate(images[1:], 1):
             lost = 1 - random.uniform(0, 0.4) * (x**2 + y**2)[..., None]
@@ -209,6 +215,7 @@ def test_pictures_are_read_with_their_slopes() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@pytest.mark.usefixtures("few_points")
 def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
     surface, cameras, images = ring(4, 64)
     (tmp_path / "ball.obj").write_text(

@@ -90,7 +90,7 @@ def test_a_depth_that_cannot_be_is_refused() -> None:
     for depth in (-1, 22):
         with pytest.raises(ArgumentError, match="depth must be a whole number from 0 to 21"):
             octex.resize(eight_colors(), depth)
-    with pytest.raises(ArgumentError, match=r"depth 21 takes .* more than a tree can number"):
+    with pytest.raises(ArgumentError, match=r"depth 21 takes .* more than a tree can hold"):
         octex.resize(eight_colors(), 21)
 
 

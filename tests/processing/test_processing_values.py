@@ -431,7 +431,7 @@ def test_channels_are_dropped_and_ordered_and_types_given_by_name() -> None:
 def test_integers_do_not_take_what_they_cannot_hold(value: float, where: str) -> None:
     form = EMISSIVE._replace(space="linear", dtype="float16")
     bright = of_channel(np.array([[value, 0.0, 0.0]]), form)
-    message = f"'emissive' goes {where}, which uint8 cannot hold; give it the dtype float16 or float32"
+    message = f"'emissive' has values {where}, which uint8 cannot hold; give it the dtype float16 or float32"
     with pytest.raises(ArgumentError, match=message):
         octex.cast(bright, "uint8")
     assert octex.cast(bright, "float32").channels["emissive"].values[0, 0] == value

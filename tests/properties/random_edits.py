@@ -49,8 +49,8 @@ MOST_AVERAGED = 3_000
 #: much the pieces may have in common.
 SMALL = (
     ("octex.painting.paint.AROUND", 8),
-    ("octex.painting.tiles.PIECE", 500),
-    ("octex.painting.tiles.MOST", 1000.0),
+    ("octex.painting.merge.PIECE", 500),
+    ("octex.painting.merge.MOST", 1000.0),
 )
 
 #: Refusals of what cannot be done, and why; any other error of octex's is a fault.

@@ -120,4 +120,4 @@ def test_what_holds_ends_with_0_and_the_time_with_the_minutes(tmp_path: Path) ->
     assert (code, found) == (0, [])
     code, said, _ = soak(tmp_path, "even")
     assert code == 2
-    assert "there is no tests/properties/random_even.py; there are odd" in said
+    assert "there is no random_even.py; there are odd" in said

@@ -69,7 +69,7 @@ def test_a_channel_with_the_name_of_another_array_is_refused(tmp_path: Path) -> 
         values = np.zeros((texture.tree.n_cells, 1), np.float32)
         channel = Channel(ChannelFormat(name, 1, "data", "float32"), values, values[:0], values[:0])
         named = OctreeTexture(texture.tree, {name: channel}, texture.placement, texture.bounds)
-        with pytest.raises(ArgumentError, match=f"something else of the name '{name}'; leave"):
+        with pytest.raises(ArgumentError, match=f"uses the name '{name}' itself; leave"):
             write_arrays(named, tmp_path / "a.npz")
     assert not (tmp_path / "a.npz").exists()
 

@@ -314,7 +314,7 @@ def test_a_full_disk_under_an_archive_names_the_folder(
     monkeypatch.setattr("octex.archive.head.zeros", partial(arrays.zeros, most_in_memory=0))
     monkeypatch.setattr(arrays, "zeros_in", full)
     for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
-        with pytest.raises(OutputError, match=r"has no place for .* bytes: No space left on device"):
+        with pytest.raises(OutputError, match=r"has no room for .* bytes: No space left on device"):
             octex.open(path)
 
 
@@ -335,14 +335,14 @@ def test_what_goes_wrong_on_the_way_names_the_address(server: Server, large: Pat
     there.validate()
     there = octex.open(server.address)
     server.tag = '"2"'
-    with pytest.raises(TextureFileError, match=r"a\.octex: has changed since it was opened; open it again"):
+    with pytest.raises(TextureFileError, match=r"a\.octex: changed after it was opened; open it again"):
         there.validate()
     server.has_ranges = False
     fails("does not answer requests for a part")
     server.has_ranges, server.content = True, content[:-1]
     fails("cut off or damaged")
     server.content = b""
-    fails("no file of known length")
+    fails("has no known length")
     server.content = b"{}" * 9000
     fails("is not an octree texture file|safetensors")
 

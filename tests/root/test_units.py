@@ -67,6 +67,7 @@ def test_textures_are_the_same_in_all_units(work: str) -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_cameras_are_refined_alike_in_all_units() -> None:
     found = []
     for unit in (1.0, *UNITS):

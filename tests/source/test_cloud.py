@@ -216,10 +216,10 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path: Path) -> None:
         ("a.xyz", b"1 2 3 4 5 6\n1 2\n", "not all 6 numbers"),
         ("a.xyz", b"1 2 3 4 5 red\n", "not all 6 numbers"),
         ("a.xyz", b"", "a.xyz has no points"),
-        ("a.xyz", b"1 2 3 4 5 6\n1 2 3 4 5 6\n", "a cloud needs three"),
-        ("a.npz", b"PK\x03\x04 nonsense", "damaged|no .npz"),
-        ("a.npz", b"nonsense", "is no .npz file; save"),
-        ("a.obj", b"", "no cloud that octex reads"),
+        ("a.xyz", b"1 2 3 4 5 6\n1 2 3 4 5 6\n", "a cloud needs at least three"),
+        ("a.npz", b"PK\x03\x04 nonsense", "damaged|not an .npz"),
+        ("a.npz", b"nonsense", "is not an .npz file; save"),
+        ("a.obj", b"", "not a point cloud that octex reads"),
         ("a.ply", _BARE, "without colours"),
         ("a.ply", _LISTED % (b"list int float x", b"uchar red"), "no vertices with x, y and z"),
         ("a.ply", _LISTED % (b"float x", b"list int uchar red"), "without colours"),
@@ -268,7 +268,7 @@ def test_arrays_and_numbers_that_do_not_fit_are_refused(
 
 
 def test_points_have_no_roughness() -> None:
-    with pytest.raises(ArgumentError, match="no roughness"):
+    with pytest.raises(ArgumentError, match="not roughness"):
         ball().with_sources({"roughness": scanned(10)})
 
 

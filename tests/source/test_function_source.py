@@ -194,7 +194,7 @@ def at(index: int, value: Any) -> Callable[[Floats], Floats]:
         (at(0, np.inf), "emissive", "returned inf, inf, inf at {0}; values must be from 0 to 65504"),
         (at(0, -1), "emissive", "returned -1, -1, -1 at {0}; values must be from 0 to 65504"),
         (at(5, -1.5), "normal", "returned -1.5, -1.5, -1.5 at {5}; values must be from -1 to 1"),
-        (at(5, 0), "normal", "returned all zeros at {5}, which point nowhere"),
+        (at(5, 0), "normal", "returned all zeros at {5}, which is not a direction"),
     ],
 )
 def test_what_a_function_must_not_return_is_named(

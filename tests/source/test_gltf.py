@@ -221,7 +221,7 @@ def test_a_rest_mesh_of_another_topology_is_refused(tmp_path: Path) -> None:
         gltf.show(gltf.primitive(triangles=triangles))
         rest = gltf.save(tmp_path / f"rest{number}.glb")
         with pytest.raises(
-            ModelError, match=r"rest.\.glb is no rest mesh of posed\.glb: the topology differs"
+            ModelError, match=r"rest.\.glb cannot be the rest mesh of posed\.glb: the topology differs"
         ):
             load_surface(posed, rest=rest)
     with pytest.raises(ModelError, match="3 rest positions for 4 vertices"):

@@ -175,7 +175,7 @@ DEEP = png(random_image(8, 8, 3, "uint16"))
         (png(random_image(4, 4))[:60] + b"!" + png(random_image(4, 4))[61:], "checksum"),
         (with_header(png(random_image(4, 4)), width=30000, height=20000), "30000 × 20000 texels"),
         (with_header(png(random_image(4, 4)), width=16000, height=16000), "truncated"),
-        (tiff(np.ones((2, 2, 1), np.int32), 1), "no colours"),
+        (tiff(np.ones((2, 2, 1), np.int32), 1), "not colours"),
         (DEEP[:-12] + _chunk(b"tEXt", b"a\0b") + _chunk(b"IDAT", b"") + DEEP[-12:], "torn apart"),
         (DEEP[:-40], "truncated"),
         (with_header(DEEP, height=9), "truncated"),
@@ -212,7 +212,7 @@ def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.Monk
         raise MemoryError
 
     monkeypatch.setattr("octex.source.images.decode._texels", exhausted)
-    with pytest.raises(ImageError, match="more memory"):
+    with pytest.raises(ImageError, match="does not fit into memory"):
         decode_image(png(random_image(2, 2)), "wood")
 
 

@@ -83,7 +83,7 @@ def test_a_part_with_gaps_leaves_the_others_whole() -> None:
 
 
 def test_nothing_to_join_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="no surface to join"):
+    with pytest.raises(ArgumentError, match="surface to join is missing"):
         Surface.joined([])
 
 

@@ -471,7 +471,11 @@ def test_a_mapped_picture_is_converted_on_every_side() -> None:
         ("box", {"size": (1, -1, 1)}, "size must be from 1e-30 to 1e+30, not -1"),
         ("box", {"size": (1, 1)}, "size must be numbers of shape (3,) or (), not (1, 1)"),
         ("box", {"size": "big"}, "size must be numbers of shape (3,) or (), not 'big'"),
-        ("spherical", {"size": 1}, "a spherical picture goes once around and from pole to pole: no size"),
+        (
+            "spherical",
+            {"size": 1},
+            "a spherical projection has no size: it goes once around and from pole to pole",
+        ),
         ("box", {"wrap": "tile"}, "unknown wrap 'tile'; there are: repeat, mirror, clamp"),
         ("box", {"wrap": ("clamp",)}, "wrap must be one name, or one for u and one for v, not ('clamp',)"),
         ("box", {"mag_filter": "cubic"}, "unknown mag_filter 'cubic'; there are: linear, nearest"),
@@ -528,17 +532,17 @@ def test_the_help_lists_the_mappings_of_the_library() -> None:
             "--source alpha=a.png --project spherical:size=2",
             "--project: a spherical projection has no size: one copy of the image goes around; see",
         ),
-        ("--project cone", "--project: 'cone' is none of planar, box, cylindrical, spherical; see"),
+        ("--project cone", "--project: 'cone' is not one of planar, box, cylindrical, spherical; see"),
         (
             "--project box:size",
-            "--project: 'size' is none of axis=A, center=X,Y,Z, size=SIZE; like box:size=0.5",
+            "--project: 'size' is not one of axis=A, center=X,Y,Z, size=SIZE, such as box:size=0.5",
         ),
         (
             "--project box:axis=w",
-            "--project: axis: 'w' is none of x, -x, y, -y, z, -z; see octree-convert --help",
+            "--project: axis: 'w' is not one of x, -x, y, -y, z, -z; see octree-convert --help",
         ),
-        ("--project box:center=1,2", "--project: center: '1,2' is not X,Y,Z, like 0,0.5,1; see"),
-        ("--project box:center=a,b,c", "--project: center: 'a,b,c' is not numbers with commas between; see"),
+        ("--project box:center=1,2", "--project: center: '1,2' is not X,Y,Z, such as 0,0.5,1; see"),
+        ("--project box:center=a,b,c", "--project: center: 'a,b,c' must be numbers separated by commas; see"),
         ("--project box:center=1,nan,2", "--project: center: 1,nan,2 has numbers that are not finite; see"),
         (
             "--project box:size=0",
@@ -554,4 +558,4 @@ def test_projections_that_make_no_sense_are_refused_in_one_line(
 
 def test_a_texture_needs_its_model_for_a_projection(capsys: pytest.CaptureFixture[str]) -> None:
     words = "a.octex b.octex --source alpha=a.png --project box"
-    assert "needs the model, and this is a texture made from one" in refusal(capsys, *words.split())
+    assert "needs the model, but this is a texture made from it" in refusal(capsys, *words.split())

@@ -337,7 +337,7 @@ def test_the_first_use_may_come_from_many_threads_at_once() -> None:
             {"coordinates": [Corners(np.full((4, 2), np.inf, np.float32), TRIANGLES)]},
             "box: texture coordinates",
         ),
-        ({"coordinates": []}, "box: an image reads set 0 of texture coordinates, which is not there"),
+        ({"coordinates": []}, "box: an image reads set 0 of texture coordinates, which is missing"),
         ({"inputs": {"metallic": Input((np.nan,))}}, "box: colours are not all finite"),
         ({"inputs": {"metallic": Input((1.0,), None, (0,), (np.inf,))}}, "box: colours are not all finite"),
     ],

@@ -440,7 +440,7 @@ def test_a_model_too_large_for_the_memory_is_refused(tmp_path: Path, monkeypatch
         raise MemoryError
 
     monkeypatch.setitem(load_surface.__globals__["_READERS"], ".off", exhausted)
-    with pytest.raises(ModelError, match=r"a\.off needs more memory"):
+    with pytest.raises(ModelError, match=r"a\.off does not fit into memory"):
         load_surface(off(tmp_path / "a.off", "OFF"))
 
 

@@ -258,7 +258,7 @@ def jpeg2000(width: int, height: int) -> bytes:
         (hdr(random_image(4, 4, 4))[:-4], "cannot be read as an image"),
         (hdr(random_image(4, 4, 4), b"+X %d -Y %d"), "stored column by column"),
         (tiff(CODES, 2)[:40], "cannot be read as an image"),
-        (tiff(CODES.astype(np.int16), 2), "texels of int16, which are no colours"),
+        (tiff(CODES.astype(np.int16), 2), "texels of int16, which are not colours"),
         (tiff(CODES, 8), "a form that octex does not read"),
         (exr(RGB._replace(display=(9, 9, 12, 12))), "outside of the display window"),
         (exr(Part({"Z": ONES, "u.B": ONES})), "no channels R, G and B or Y, but Z, u.B"),

@@ -121,7 +121,7 @@ def test_projections_that_make_no_sense_are_refused() -> None:
         Projection(image, camera, blend="dissolve")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"camera must be an octex\.Camera or a Patch, not ndarray"):
         Projection(image, np.eye(4))  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="there is no projection"):
+    with pytest.raises(ArgumentError, match="projection to paint is missing"):
         check_projections([])
     with pytest.raises(ArgumentError, match=r"must be an octex\.Projection, not 'a\.png'"):
         check_projections(["a.png"])  # type: ignore[list-item]

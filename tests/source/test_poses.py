@@ -293,9 +293,9 @@ def test_a_pose_is_an_option_of_each_command_that_reads_models(
         assert main([*words, "--pose", "B@1"]) == 2
         assert "has no animation 'B'; it has A (0 to 2.0 s)" in capsys.readouterr().err
     assert main(["convert", file, out, "--also", file, "--pose", "A@1"]) == 2
-    assert "--pose is of one model" in capsys.readouterr().err
+    assert "--pose applies to one model" in capsys.readouterr().err
     assert main(["convert", f"{tmp_path}/f.py:g", out, "--pose", "A@1"]) == 2
-    assert "--pose is for meshes, not for functions" in capsys.readouterr().err
+    assert "--pose applies to meshes, not to functions" in capsys.readouterr().err
 
 
 def test_the_fox_runs_as_a_naive_reader_has_it(models: Path) -> None:

@@ -248,7 +248,7 @@ def test_creases_come_from_tags_and_may_be_given(tmp_path: Path) -> None:
         "corner 1/1/0 1 nan",
     ):
         path.write_text("\n".join([*lines, f"t {tag}"]))
-        with pytest.raises(ModelError, match="is no tag of a crease"):
+        with pytest.raises(ModelError, match="is not a crease tag"):
             octex.load_surface(path)
 
 
@@ -264,7 +264,7 @@ def test_what_cannot_be_subdivided_is_refused() -> None:
             octex.subdivide(cage, **arguments)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"mesh must be an octex\.Surface"):
         octex.subdivide(CUBE, 1)  # type: ignore[type-var]
-    with pytest.raises(ModelError, match="Loop's scheme takes none"):
+    with pytest.raises(ModelError, match="which Loop's scheme does not support"):
         octex.subdivide(cage, 1, scheme="loop")
     wide = octex.Surface.from_arrays(np.eye(3), np.tile([[0, 1, 2]], (1000, 1)))
     with pytest.raises(ModelError, match="10 levels make more than"):
@@ -321,9 +321,9 @@ def test_subdiv_levels_is_an_option(tmp_path: Path, capsys: pytest.CaptureFixtur
     path.write_text("\n".join(lines))
     out = str(tmp_path / "a.octex")
     for words, message in (
-        (["--subdiv", "limit"], "--subdiv: 'limit' is no whole number"),
+        (["--subdiv", "limit"], "--subdiv: 'limit' is not a whole number"),
         (["--subdiv", "0"], "levels must be a whole number from 1 to 10"),
-        (["--subdiv", "1,cage"], "--subdiv: 'cage' is none of hull, limit"),
+        (["--subdiv", "1,cage"], "--subdiv: 'cage' is not one of hull, limit"),
     ):
         assert main(["convert", str(path), out, *words]) == 2
         assert message in capsys.readouterr().err

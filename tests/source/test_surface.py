@@ -166,7 +166,7 @@ def test_some_channels_alone_are_those_values() -> None:
     assert both.channels == surface.channels
     with pytest.raises(ArgumentError, match="unknown channel 'metallic'; there are: base_color, alpha"):
         surface.with_channels(["alpha", "metallic"])
-    with pytest.raises(ArgumentError, match="channels must name one at least"):
+    with pytest.raises(ArgumentError, match="channels must name at least one channel"):
         surface.with_channels([])
 
 

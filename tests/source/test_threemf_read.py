@@ -158,7 +158,7 @@ def test_damaged_packages_are_refused_in_one_line(
         octex.load_surface(package(tmp_path / "bad.3mf", parts))
     assert str(caught.value).startswith("bad.3mf")
     (tmp_path / "bad.3mf").write_bytes(b"PK and no more")
-    with pytest.raises(ModelError, match="is damaged, or no 3MF package"):
+    with pytest.raises(ModelError, match="is damaged, or is not a 3MF package"):
         octex.load_surface(tmp_path / "bad.3mf")
 
 

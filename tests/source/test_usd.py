@@ -399,7 +399,7 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) 
     without(
         lambda _, mesh: UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Set(Vt.Vec2fArray(2)), "uses a value 3"
     )
-    without(lambda made, _: (made.path.parent / "image.png").unlink(), "image.png is not there", ImageError)
+    without(lambda made, _: (made.path.parent / "image.png").unlink(), "image.png is missing", ImageError)
     without(
         lambda made, _: UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set("/etc/a.png"),
         "absolute paths are not followed", ImageError,
@@ -408,7 +408,7 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) 
     data = (tmp_path / "whole.usdz").read_bytes()
     for number, length in enumerate((10, 200, len(data) // 2)):
         (tmp_path / f"cut{number}.usdz").write_bytes(data[:length])
-        words = rf"cut{number}\.usdz.* (is damaged, or no USD stage|is not there)"
+        words = rf"cut{number}\.usdz.* (is damaged, or is not a USD stage|is missing)"
         with pytest.raises((ModelError, ImageError), match=words):
             octex.load_surface(tmp_path / f"cut{number}.usdz")
 
@@ -417,7 +417,7 @@ def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path: Path) -> N
     made = Stage(tmp_path)
     surface = made.material(made.square())
     surface.GetIdAttr().Set("ND_standard_surface_surfaceshader")
-    with pytest.warns(ModelWarning, match="is no UsdPreviewSurface, so it is white"):
+    with pytest.warns(ModelWarning, match="is not a UsdPreviewSurface, so it is white"):
         read = made.read()
     np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)
 

@@ -97,7 +97,9 @@ def test_floats_are_linear_light_and_stay_so_above_1() -> None:
     leaves = stored(found, "emissive")
     for place, value in zip(COORDS, light / 5, strict=True):
         np.testing.assert_allclose(leaves[tuple((place + 0.5) / 16)], value, rtol=1e-6)
-    with pytest.raises(ArgumentError, match="voxels: channel 'emissive' goes above 1, which uint8 cannot"):
+    with pytest.raises(
+        ArgumentError, match="voxels: channel 'emissive' has values above 1, which uint8 cannot"
+    ):
         octex.convert(octex.Voxels(COORDS, {"emissive": light}), dtype="uint8")
 
 
@@ -253,7 +255,7 @@ def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str) -
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "is empty|is no .vxz file"),
+        (b"", "is empty|is not a .vxz file"),
         (b"VXZ\1" + bytes(20), "version 1"),
         (vxz()[:60], "is damaged"),
         (vxz()[:-20], "is damaged"),
@@ -277,7 +279,7 @@ def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, m
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"coords": COORDS - 1, "rgb": COLORS}, "coords from -1 to 11 are in no grid"),
+        ({"coords": COORDS - 1, "rgb": COLORS}, "coords from -1 to 11 do not fit a grid"),
         ({"coords": COORDS * 0.5, "rgb": COLORS}, "coords must be whole numbers"),
         ({"coords": COORDS[:, :2], "rgb": COLORS}, r"of shape \(n, 3\)"),
         ({"coords": COORDS[:0], "rgb": COLORS[:0]}, "has no voxels"),

@@ -82,6 +82,23 @@ def test_few_points_have_the_values_that_they_have_among_many(keep: float, filte
             np.testing.assert_allclose(texture.sample(given, filter=filter), expected[rows], atol=2e-6)
 
 
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("count", [1, 64])
+def test_channels_in_a_list_have_the_values_that_each_has_alone(count: int, filter: str) -> None:
+    texture = two_channels()
+    points = np.random.default_rng(4).uniform(-0.1, 1.1, (count, 3))
+    for names in (["height"], ["base_color", "height"], ("height", "base_color"), ["height", "height"]):
+        found = texture.sample(points, names, filter)
+        assert list(found) == list(dict.fromkeys(names))
+        for name, values in found.items():
+            np.testing.assert_array_equal(values, texture.sample(points, name, filter))
+            np.testing.assert_array_equal(values, texture.sample(points, names, filter, threads=1)[name])
+    assert texture.sample(points, [], filter) == {}
+    for wrong in (["height", "no"], ["no"], ["height", 3]):
+        with pytest.raises(ArgumentError, match="unknown channel"):
+            texture.sample(points, wrong, filter)
+
+
 def test_whole_numbers_are_points_too() -> None:
     assert np.array_equal(eight_colors().sample([[0, 1, 0]]), eight_colors().sample([[0.0, 1.0, 0.0]]))
 

@@ -220,7 +220,7 @@ def test_a_set_is_a_mapping_in_order() -> None:
 @pytest.mark.parametrize(
     ("textures", "metadata", "message"),
     [
-        ({}, None, "needs one part at least"),
+        ({}, None, "needs at least one part"),
         ({"": eight_colors()}, None, "parts must have names, not ''"),
         ({0: eight_colors()}, None, "parts must have names, not 0"),
         ({"a": "a.octex"}, None, "part 'a' must be an OctreeTexture, not str"),
@@ -400,7 +400,7 @@ GOOD = {"format": "octex set", "format_version": 1, "parts": {"a": "a.octex"}, "
         (GOOD | {"provenance": {"a": 1}}, "are damaged"),
         (GOOD | {"parts": {"a": "b.octex"}}, r"b\.octex: the file of part 'a' is missing; copy the folder"),
         *(
-            (GOOD | {"parts": {"a": file}}, r"part 'a' is in '.*', which is no \.octex file beside it")
+            (GOOD | {"parts": {"a": file}}, r"part 'a' is in '.*', which is not an \.octex file next to it")
             for file in (
                 "../a.octex",
                 "/a.octex",

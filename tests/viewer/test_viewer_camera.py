@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +11,11 @@ import pytest
 import octex
 from octex.viewer import Viewer, write_page
 from tests.conftest import needs_jit
-from tests.make.browser import file_url, opened, started
+from tests.make.browser import file_url, opened, served
 from tests.make.painted import ball
 
 #: What a place of the picture sees, as a position at rest; null beside the model.
 _SEEN = "(at) => viewer.seen(...at)"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +24,6 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     surface = ball(16)
     write_page(octex.convert(surface, depth=4), path, surface, title="ball.octex")
     return path
-
-
-@contextmanager
-def served(viewer: Viewer) -> Iterator[Viewer]:
-    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
-    thread.start()
-    yield viewer
-    thread.join(30)
-    assert not thread.is_alive()
 
 
 @needs_jit

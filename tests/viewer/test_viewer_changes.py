@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import threading
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +18,7 @@ from octex.viewer import Viewer
 from octex.viewer.changes import change_between
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, differences, opened, started
+from tests.make.browser import Probe, differences, opened, served
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 
@@ -34,21 +31,6 @@ _HELD = """async () => {
   };
   return [await Promise.all([words, ...planes, entries, owners].map(digest)), cells, nodes, tables, depth];
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
-
-
-@contextmanager
-def served(viewer: Viewer) -> Iterator[Viewer]:
-    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
-    thread.start()
-    yield viewer
-    thread.join(30)
-    assert not thread.is_alive()
 
 
 def told(viewer: Viewer, page: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
 from octex.viewer import write_page
 from tests.conftest import needs_jit
-from tests.make.browser import drawn, file_url, opened, started
+from tests.make.browser import drawn, file_url, opened
 from tests.make.painted import ball
 
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
@@ -23,12 +22,6 @@ _CUBES = """(level) => {
   const counts = Array.from(octree.cubes(level, found));
   return [Array.from(found), counts];
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 @pytest.fixture(scope="module")

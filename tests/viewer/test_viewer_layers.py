@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,11 @@ from octex.channels import linear_to_srgb
 from octex.source.surface import Surface
 from octex.viewer import write_page
 from tests.conftest import needs_jit
-from tests.make.browser import drawn, file_url, opened, started
+from tests.make.browser import drawn, file_url, opened
 
 SIZE = 64, 48
 RED, GREEN, BLUE = np.eye(3)
 GROUND = np.array([0.925, 0.93, 0.94])
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 def panes(alphas: dict[float, tuple[Any, float]]) -> Surface:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,11 @@ from octex.drawing.environment import Environment
 from octex.source.surface import Surface
 from octex.viewer import write_page
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, camera_of, drawn, file_url, opened, started
+from tests.make.browser import Probe, camera_of, drawn, file_url, opened
 from tests.make.painted import ball
 
 SIZE = 160, 120
 _APART = np.arange(3.0)  # of the components of colours
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 def shiny(p: Any) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +16,12 @@ from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened, started
+from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
 from tests.make.command import result
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import broken, moving
 
 SIZE = 120, 90
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 def naive(motion: Motion, animation: Animation, frame: int) -> np.ndarray:

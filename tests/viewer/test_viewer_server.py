@@ -312,10 +312,10 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
         (["a.octex", "--depth", "3"], "--depth is for models; choose the level of a.octex in the page"),
         (["a.glb", "b.glb"], "b.glb: PAGE has the ending '.glb'; octex writes .html here"),
         (["a.octex", "--max-size", "1MB"], "--max-size is for pages, NAME.html"),
-        (["a.octex", "a.html", "--port", "80"], "--port has no meaning where a page is written"),
-        (["a.octex", "--port", "0"], "--port: 0 is no port, 1 to 65535"),
-        (["a.octex", "--part", "x"], "--part has no meaning: a.octex is no folder of parts"),
-        (["a.octex", "--rest", "b.glb"], "--rest has no meaning without a MODEL"),
+        (["a.octex", "a.html", "--port", "80"], "--port cannot be used when a page is written"),
+        (["a.octex", "--port", "0"], "--port: 0 is not a port from 1 to 65535"),
+        (["a.octex", "--part", "x"], "--part needs a folder of parts; a.octex is none"),
+        (["a.octex", "--rest", "b.glb"], "--rest needs a MODEL"),
     ],
 )
 def test_words_of_octex_view_that_make_no_sense_are_refused(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +17,10 @@ from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
 from tests.conftest import needs_jit
-from tests.make.browser import camera_of, drawn, file_url, opened, started
+from tests.make.browser import camera_of, drawn, file_url, opened
 from tests.make.fixtures import Gltf, png, random_image
 
 SIZE = 240, 180
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started() as found:
-        yield found
 
 
 def two_images(path: Path) -> Surface:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 from inputs import painted_torus
-from measuring import DROID, Report, Setup, in_turns, pinned, timed
+from measuring import DROID, Report, Setup, clocked, pinned
 
 import octex
 from octex.channels import linear_to_srgb
@@ -88,8 +88,7 @@ def _converted(
             return octex.convert(surface, depth, executor=pool, **options)  # type: ignore[arg-type]
 
         full, merged = (convert(ways[each]) for each in (FITTED, ADAPTIVE))
-        contestants = {way: partial(timed, partial(convert, options)) for way, options in ways.items()}
-        spent = in_turns({way: lambda run=run: run()[0] for way, run in contestants.items()}, setup.repeats)
+        spent = clocked(setup, {way: partial(convert, options) for way, options in ways.items()})
     return full, merged, {way: each.cpu for way, each in spent.items()}
 
 

@@ -17,13 +17,12 @@ from octex.baking.gutters import find_nearest
 from octex.baking.layout import Layout, charts_of, neighbors
 from octex.baking.texels import draw_texels
 from octex.channels import CHANNELS, linear_to_srgb, srgb_to_linear
-from octex.formats.images import materials_of
+from octex.formats.shared import materials_of
 
 Floats = npt.NDArray[np.float64]
 
 #: Models of a folder whose maps are baked, by their files' names.
 MODELS = "Avocado.gltf", "BoomBoxWithAxes.gltf", "Suzanne.gltf", "spot.obj"
-POINTS = 200_000
 #: Points so near to a chart's border, in texels, are told apart.
 NEAR = 2
 MIPS = 4
@@ -74,11 +73,11 @@ def _table(
     else:
         made.append(("keep", kept, size, 42.0))
         size_of_atlas = 8 * round(float(np.sqrt(sum(each**2 for each in _sizes(kept)))) / 8)
-    size_of_atlas = max(size_of_atlas, 1024)
+    size_of_atlas = max(size_of_atlas, 256 if report.quick else 1024)
     atlas = octex.bake(texture, surface, uv="atlas", texture_size=size_of_atlas)
     made.append(("atlas", atlas, size_of_atlas, 38.0))
     for uv, baked, side, least in made:
-        found = compared(texture, baked, side)
+        found = compared(texture, baked, side, 5000 if report.quick else 200_000)
         normals = "" if found.degrees is None else f"{found.degrees:.2f}°"
         rows = zip(found.beside, found.smooth, found.alike, found.smooth_alike, found.inside, strict=True)
         percentiles = [" / ".join(f"{each:.2f}" for each in row) for row in rows]
@@ -108,17 +107,17 @@ class Compared(NamedTuple):
     degrees: float | None  # mean angle between normals
 
 
-def compared(texture: octex.OctreeTexture, baked: octex.Surface, size: int) -> Compared:
+def compared(texture: octex.OctreeTexture, baked: octex.Surface, size: int, count: int) -> Compared:
     """Read the maps of a baked surface at random points, as a renderer would, beside the field there."""
     assert baked.uv is not None
-    points = baked.scatter(POINTS)
+    points = baked.scatter(count)
     source = materials_of(baked)
     owners = source.triangle_materials[points.triangles]
     places = baked.uv.at(points.triangles, points.barycentric) * size
     corners = baked.uv.values[baked.uv.rows].astype(np.float64) * size
     flat = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 2
     edges = np.sqrt(baked.areas() / np.maximum(flat, 1e-12))[points.triangles]
-    found, (near, smooth) = np.empty((MIPS, POINTS, 3)), np.zeros((2, POINTS), np.bool_)
+    found, (near, smooth) = np.empty((MIPS, count, 3)), np.zeros((2, count), np.bool_)
     is_mapped = flat[points.triangles] > 1e-9  # the others have no texels
     for number, material in enumerate(source.materials):
         own = owners == number
@@ -268,7 +267,7 @@ def _beside_open3d(
         options = {"uv": "keep", "texture_size": size, "channels": ["base_color"], "threads": 1}
         return timed(lambda: octex.bake(texture, surface, **options))[0]
 
-    command = [setup.peer_python, str(PEERS / "open3d_bake.py"), str(path), str(size)]
+    command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "bake", str(path), str(size)]
     with Worker(command, setup.core) as worker, pinned({setup.core}):
         own()
         worker.run()

@@ -52,7 +52,7 @@ def torus(setup: Setup, report: Report) -> None:
         contestants: dict[str, Callable[[], Spent]] = {octex_tree: tree.spent, octex_keys: keys.spent}
         open3d, openvdb = "Open3D VoxelGrid, cells read out", "OpenVDB meshToVolume"
         if setup.peer_python:
-            command = [setup.peer_python, str(PEERS / "open3d.py"), str(mesh), str(1 << depth)]
+            command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "cells", str(mesh), str(1 << depth)]
             contestants[open3d] = stack.enter_context(Worker(command, setup.core)).spent
         else:
             report.note("left out: Open3D (--peer-python)")

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from measuring import Report
+from measuring import Report, codes, decibels
 
 import octex
 from octex.channels import linear_to_srgb, srgb_to_linear
+from octex.photos import refine
 
 Array = npt.NDArray[Any]
 
@@ -174,16 +175,15 @@ def disturbed(
     def painted(given: Ring, **options: Any) -> tuple[Array, float]:
         texture = octex.paint(None, surface, given.projections(), max_depth=depth, **options)
         found = texture.sample(points.samples.rest, normals=points.samples.normals)
-        found = 255 * linear_to_srgb(np.clip(found, 0, 1))
-        return found, decibels(found, points.seen.any(axis=0))
-
-    def decibels(found: Array, some: Array) -> float:
-        return float(20 * np.log10(255 / np.sqrt(((found - points.truth)[some] ** 2).mean())))
+        return codes(found), decibels((codes(found) - points.truth)[points.seen.any(axis=0)])
 
     clean, level = painted(ring)
     wanted = min(level, _CLEAN)
     rows = [["as it is", f"{painted(ring, pictures='average')[1]:.1f}", f"{level:.1f}", *[""] * 5]]
     verdicts = []
+    if report.quick:
+        for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
+            setattr(refine, constant, getattr(refine, constant) // 20)
     for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
         options, refines, below = _TOLD[what]
         if report.quick and what not in ("strangers", "all together"):
@@ -203,7 +203,7 @@ def disturbed(
         ghosts = shown = ""
         if hidden is not None:
             count, sees = _hiding(ring, hidden, points), points.seen.sum(axis=0)
-            shown = f"{decibels(found, sees > count):.1f}"
+            shown = f"{decibels((found - points.truth)[sees > count]):.1f}"
             many = (sees >= _SEEN) & (count <= _DISTURBED)
             share = 100 * float((np.abs(found - clean).max(axis=1)[many] > _GHOST).mean())
             ghosts = f"{share:.2f} %"

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from inputs import RADIUS, scattered_on_sphere, seen_on_sphere
 from lookups import sphere_texture
-from measuring import Report, Setup, Spent, Task, in_turns, megabytes, pinned, run_program, timed
+from measuring import Report, Setup, Task, clocked, megabytes, run_program
 from painted_sphere import View, painted_sphere, view
 
 import octex
@@ -131,15 +131,7 @@ def footprints(setup: Setup, report: Report) -> None:
 
 def _rates(works: dict[str, Callable[[], Any]], count: int, setup: Setup) -> dict[str, float]:
     """Lookups a second of some work, in turns."""
-    for work in works.values():
-        work()
-
-    def clocked(work: Callable[[], Any]) -> Callable[[], Spent]:
-        return lambda: timed(work)[0]
-
-    with pinned({setup.core}):
-        spent = in_turns({name: clocked(work) for name, work in works.items()}, setup.repeats)
-    return {name: count / each.cpu for name, each in spent.items()}
+    return {name: count / each.cpu for name, each in clocked(setup, works, setup.core).items()}
 
 
 def _in_conflict(texture: octex.OctreeTexture) -> octex.OctreeTexture:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from measuring import Report, Setup, Spent, in_turns, pinned, timed
+from measuring import Report, Setup, clocked
 
 import octex
 from octex.channels import decode, encode, linear_to_srgb
@@ -125,28 +124,23 @@ def _times(setup: Setup, side: int) -> dict[str, list[float]]:
     places = grid[grid[:, 0] >= grid[:, 1]] * 4.0
     times: dict[str, list[float]] = {name: [] for name in _FILTERS}
     for stretch in _STRETCHES:
-        work: dict[str, Callable[[], Spent]] = {}
-        for name in _FILTERS:
-            surfaces = [_surface(texels, stretch, width, 0.5, name) for width in _WIDTHS]
-            work[name] = partial(_timed_reads, surfaces, places)
-            work[name]()
-        with pinned({setup.core}):
-            for name, spent in in_turns(work, setup.repeats).items():
-                times[name].append(spent.cpu / (len(_WIDTHS) * len(places)) * 1e9)
+        surfaces = {name: [_surface(texels, stretch, w, 0.5, name) for w in _WIDTHS] for name in _FILTERS}
+        works = {
+            name: lambda each=each: [_read(surface, places, 1.0) for surface in each]
+            for name, each in surfaces.items()
+        }
+        for name, spent in clocked(setup, works, setup.core).items():
+            times[name].append(spent.cpu / (len(_WIDTHS) * len(places)) * 1e9)
     return times
-
-
-def _timed_reads(surfaces: list[octex.Surface], places: Floats) -> Spent:
-    return timed(lambda: [_read(surface, places, 1.0) for surface in surfaces])[0]
 
 
 def materials(setup: Setup, report: Report) -> None:
     """All channels of a model beside its base colour alone; directions through rest space and back."""
     depth = 6 if setup.quick else 10
 
-    def convert(model: octex.Surface) -> Spent:
-        with pinned({setup.core}), ThreadPoolExecutor(1) as pool:
-            return timed(lambda: octex.convert(model, depth, fit=False, executor=pool))[0]
+    def convert(model: octex.Surface) -> octex.OctreeTexture:
+        with ThreadPoolExecutor(1) as pool:
+            return octex.convert(model, depth, fit=False, executor=pool)
 
     for folder in ("BoomBoxWithAxes", "Avocado"):
         path = setup.models / folder / f"{folder}.gltf" if setup.models else None
@@ -157,10 +151,8 @@ def materials(setup: Setup, report: Report) -> None:
         names = ", ".join(channel.name for channel in surface.channels)
         report.title(f"materials: {surface.name}, depth {depth}, one thread: {names}")
         color = surface.with_channels(["base_color"])
-
-        convert(color), convert(surface)  # what they compile and prepare is there before
         work = {"base colour": partial(convert, color), "all channels": partial(convert, surface)}
-        spent = in_turns(work, setup.repeats)
+        spent = clocked(setup, work, setup.core)
         for name, each in spent.items():
             report.line(name, each)
         ratio = spent["all channels"].cpu / spent["base colour"].cpu

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +18,9 @@ from measuring import (
     Spent,
     Task,
     Worker,
+    clocked,
     in_turns,
     millions,
-    pinned,
     run_program,
     timed,
 )
@@ -68,16 +69,12 @@ def _times(
     setup: Setup,
 ) -> dict[tuple[str, str], Spent]:
     """Return what lookups of each filter and order of points take on one thread."""
-    contestants: dict[str, Callable[[], Spent]] = {}
-    for name in filters:
-        for order, each in points.items():
-            texture.sample(each[:1000], filter=name)
-            contestants[f"{name} {order}"] = lambda each=each, name=name: timed(  # type: ignore[misc]
-                lambda: texture.sample(each, filter=name)
-            )[0]
-    with pinned({setup.core}):
-        spent = in_turns(contestants, setup.repeats)
-    return {(name, order): spent[f"{name} {order}"] for name in filters for order in points}
+    works = {
+        (name, order): partial(texture.sample, each, filter=name)
+        for name in filters
+        for order, each in points.items()
+    }
+    return clocked(setup, works, setup.core)
 
 
 def lookup(setup: Setup, report: Report) -> None:
@@ -138,14 +135,10 @@ def _two_threads(
 ) -> None:
     for order, each in points.items():
         out = np.empty((len(each), 3), np.float32)
+        sample = partial(texture.sample, each, out=out)
         with ThreadPoolExecutor(2) as two:
-            spent = in_turns(
-                {
-                    "one": lambda: timed(lambda: texture.sample(each, out=out, threads=1))[0],  # noqa: B023
-                    "two": lambda: timed(lambda: texture.sample(each, out=out, executor=two))[0],  # noqa: B023
-                },
-                setup.repeats,
-            )
+            works = {"one": partial(sample, threads=1), "two": partial(sample, executor=two)}
+            spent = clocked(setup, works)
         report.at_least(
             f"lookup: two threads, quadratic, {order}", spent["one"].wall / spent["two"].wall, 1.8
         )
@@ -238,13 +231,7 @@ def _questions(name: str, surface: octex.Surface, setup: Setup, report: Report) 
         beside = points + cells * cell * normals
         word = "cells" if cells > 1 else "cell"
         ask[f"{what} {word} off"] = lambda beside=beside: texture.sample(beside)  # type: ignore[misc]
-    for question in ask.values():
-        question()
-    with pinned({setup.core}):
-        spent = in_turns(
-            {what: lambda question=question: timed(question)[0] for what, question in ask.items()},  # type: ignore[misc]
-            setup.repeats,
-        )
+    spent = clocked(setup, ask, setup.core)
     report.title(
         f"questions: {name} at depth {depth}, {texture.tree.n_leaves:,} leaves, quadratic, at random"
     )
@@ -298,15 +285,12 @@ def mixed(setup: Setup, report: Report) -> None:
         for (what, least), each in zip(MIXED_RATES.items(), orders, strict=True):
             calls = max(100_000 // len(each), 1)
             ask = {
-                kind: lambda texture=texture, each=each, calls=calls: timed(  # type: ignore[misc]
-                    lambda: [texture.sample(each) for _ in range(calls)]
-                )[0]
+                kind: lambda texture=texture, each=each, calls=calls: [  # type: ignore[misc]
+                    texture.sample(each) for _ in range(calls)
+                ]
                 for kind, texture in textures.items()
             }
-            for question in ask.values():
-                question()
-            with pinned({setup.core}):
-                spent = in_turns(ask, setup.repeats)
+            spent = clocked(setup, ask, setup.core)
             report.line(f"even, {what}", f"{millions(calls * len(each) / spent['even'].cpu)} lookups/s")
             for kind, share in zip(("adaptive", "painted"), least, strict=True):
                 ratio = spent["even"].cpu / spent[kind].cpu
@@ -353,7 +337,7 @@ def today(setup: Setup, report: Report) -> None:
     path = setup.folder / "today.npz"
     image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
     np.savez(path, vertices=vertices, triangles=triangles, uv=uv, image=image, points=points["random"])
-    command = [setup.peer_python, str(PEERS / "open3d_lookup.py"), str(path)]
+    command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "look_up", str(path)]
     with Worker(command, setup.core) as worker:
         worker.run()
         theirs = in_turns({"theirs": worker.spent}, setup.repeats)["theirs"]

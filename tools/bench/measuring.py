@@ -12,12 +12,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+
+from octex.channels import linear_to_srgb
 
 HERE = Path(__file__).parent
 #: Programs that measure the other libraries.
@@ -149,6 +152,17 @@ def in_turns(contestants: Mapping[str, Callable[[], Spent]], repeats: int) -> di
     }
 
 
+def clocked(
+    setup: Setup, works: Mapping[str, Callable[[], object]], core: int | None = None
+) -> dict[str, Spent]:
+    """Run all works once, and then in turns, on a core or on all; return the medians of what each takes."""
+    contestants = {name: lambda work=work: timed(work)[0] for name, work in works.items()}
+    with nullcontext() if core is None else pinned({core}):
+        for work in works.values():
+            work()
+        return in_turns(contestants, setup.repeats)
+
+
 class Worker:
     """A process on one core that does the same work whenever it is told, and answers with a line of JSON.
 
@@ -264,6 +278,16 @@ def copy_speed(size: int = 1 << 26) -> float:
 
 def millions(number: float) -> str:
     return f"{number / 1e6:.2f} M"
+
+
+def codes(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return sRGB codes, 0 … 255, of linear light."""
+    return 255 * linear_to_srgb(np.clip(linear, 0, 1))
+
+
+def decibels(errors: npt.NDArray[Any], peak: float = 255) -> float:
+    """Return the PSNR of errors."""
+    return float(20 * np.log10(peak / np.sqrt((errors**2).mean())))
 
 
 def megabytes(number: float) -> str:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from disturbed import Points, Ring, disturbed
 from inputs import painted_torus, torus
-from measuring import DROID, PEERS, Report, Setup, Worker
+from measuring import DROID, PEERS, Report, Setup, Worker, clocked, codes, decibels, timed
 
 import octex
-from octex.channels import linear_to_srgb
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.shaders import source_shader
 from octex.view.zbuffer import z_buffer
@@ -27,7 +25,7 @@ _MAX_ANGLE = 75.0
 
 def ring(setup: Setup, report: Report) -> None:
     """Twelve pictures of a model painted onto its bare mesh, as they are and disturbed."""
-    size, points = (48, 2_000) if setup.quick else (1024, 200_000)
+    size, points = (24, 500) if setup.quick else (1024, 200_000)
     report.title(
         f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels"
     )
@@ -44,16 +42,14 @@ def ring(setup: Setup, report: Report) -> None:
         samples = surface.scatter(points, seed=3)
         each = np.stack([seen_by(surface, [camera], samples) for camera in cameras])
         seen = each.any(axis=0)
-        truth = _codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
+        truth = codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
         given = Ring(pictures, cameras)
-        began = perf_counter()
-        texture = octex.paint(None, surface, given.projections(), max_depth=depth)
-        spent = perf_counter() - began
-        error = _codes(texture.sample(samples.rest, normals=samples.normals)) - truth
-        found = 20 * np.log10(255 / np.sqrt((error[seen] ** 2).mean()))
+        spent, texture = timed(lambda: octex.paint(None, surface, given.projections(), max_depth=depth))  # noqa: B023
+        error = codes(texture.sample(samples.rest, normals=samples.normals)) - truth
+        found = decibels(error[seen])
         painted = texture.contains(samples.rest)
         report.line(
-            f"{name}, depth {depth}", f"{found:.1f} dB, {spent:.1f} s, {texture.tree.n_leaves:,} leaves"
+            f"{name}, depth {depth}", f"{found:.1f} dB, {spent.wall:.1f} s, {texture.tree.n_leaves:,} leaves"
         )
         report.at_least(f"ring: {name}", found, 34, "dB")
         report.at_most(f"ring: {name}, not painted", 100 * float((~painted[seen]).mean()), 0.5, "%")
@@ -160,20 +156,14 @@ def _beside_open3d(setup: Setup, report: Report, depth: int) -> None:
     texture = octex.convert(surface, depth)
     shot = octex.Projection(image, camera)
     ours = _median(setup, lambda: octex.paint(texture, surface, shot, max_depth=depth))
-    with Worker([setup.peer_python, str(PEERS / "open3d_paint.py"), str(path)]) as worker:
+    with Worker([setup.peer_python, str(PEERS / "open3d_peer.py"), "paint", str(path)]) as worker:
         theirs = worker.spent().wall
     report.line(f"onto {len(triangles):,} triangles, fitted", f"{ours:.2f} s")
     report.line("Open3D, into an image of 2048²", f"{theirs:.2f} s: octex {theirs / ours:.1f} × as fast")
 
 
 def _median(setup: Setup, work: Any) -> float:
-    work()
-    times = []
-    for _ in range(setup.repeats):
-        began = perf_counter()
-        work()
-        times.append(perf_counter() - began)
-    return float(np.median(times))
+    return clocked(setup, {"": work})[""].wall
 
 
 def _models(setup: Setup, report: Report) -> Iterator[tuple[str, octex.Surface]]:
@@ -227,7 +217,3 @@ def seen_by(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -
         cosines = np.einsum("nk,nk->n", toward, samples.normals) / np.linalg.norm(toward, axis=1)
         found |= (triangles[j, i] == samples.triangles) & (cosines > np.cos(np.radians(_MAX_ANGLE)))
     return found
-
-
-def _codes(linear: Array) -> Array:
-    return 255 * linear_to_srgb(np.clip(linear, 0, 1))

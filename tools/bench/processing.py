@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
-from measuring import Report, Setup, Spent
+from measuring import Report, Setup, clocked
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.processing.tone import look_up_codes
+from octex.processing.mapping import look_up_codes
 from octex.texture import Channel, OctreeTexture
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
@@ -27,18 +24,21 @@ def processing(setup: Setup, report: Report) -> None:
     table = np.arange(256, dtype=np.uint8)[::-1].copy()
     found = np.empty_like(codes)
     columns = codes.reshape(-1, 1), table[None], found.reshape(-1, 1)
-    own = _spent(setup, lambda: look_up_codes(*columns))
-    numpys = _spent(setup, lambda: table[codes])
-    levels = _spent(setup, lambda: octex.levels(first, gamma=1.5))
-    report.line(f"a table on {codes.size:,} bytes", own)
-    report.line("numpy's table[codes]", numpys)
-    report.line("levels, averages and all", levels)
-    report.at_most("processing: a table's time, of numpy's", own.cpu / max(numpys.cpu, 1e-9), 1.0, "")
-    report.line("map of a function", _spent(setup, lambda: octex.map(first, lambda light: 0.5 * light)))
-    combined = _spent(setup, lambda: octex.combine(first, second))
-    report.line("combined", combined)
-    report.at_most("processing: two textures combined, wall time", combined.wall, 1.0, "s")
-    report.line("mixed", _spent(setup, lambda: octex.mix(first, second, 0.3)))
+    own, numpys = f"a table on {codes.size:,} bytes", "numpy's table[codes]"
+    works = {
+        own: lambda: look_up_codes(*columns),
+        numpys: lambda: table[codes],
+        "levels, averages and all": lambda: octex.levels(first, gamma=1.5),
+        "map of a function": lambda: octex.map(first, lambda light: 0.5 * light),
+        "combined": lambda: octex.combine(first, second),
+        "mixed": lambda: octex.mix(first, second, 0.3),
+    }
+    spent = clocked(setup, works)
+    for what, each in spent.items():
+        report.line(what, each)
+    part = spent[own].cpu / max(spent[numpys].cpu, 1e-9)
+    report.at_most("processing: a table's time, of numpy's", part, 1.0, "")
+    report.at_most("processing: two textures combined, wall time", spent["combined"].wall, 1.0, "s")
 
 
 def _band(depth: int, middle: float) -> OctreeTexture:
@@ -56,14 +56,3 @@ def _band(depth: int, middle: float) -> OctreeTexture:
     values = random.integers(0, 256, (tree.n_cells, 3), dtype=np.uint8)
     channel = Channel(BASE_COLOR, values, values[:0], values[:0])
     return OctreeTexture(tree, {"base_color": channel}, Placement((0.0, 0.0, 0.0), 1.0), [[0] * 3, [1] * 3])
-
-
-def _spent(setup: Setup, work: Callable[[], object]) -> Spent:
-    """Return the median of some rounds, after one that does not count."""
-    work()
-    rounds = []
-    for _ in range(setup.repeats):
-        cpu, wall = time.process_time(), time.perf_counter()
-        work()
-        rounds.append(Spent(time.process_time() - cpu, time.perf_counter() - wall))
-    return sorted(rounds)[len(rounds) // 2]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from time import perf_counter
+from functools import partial
 
 import numpy as np
 from inputs import painted_torus, torus
-from measuring import PEERS, Report, Setup, Spent, Worker, in_turns, pinned, timed
+from measuring import PEERS, Report, Setup, Worker, clocked, in_turns, pinned, timed
 
 import octex
 
@@ -36,7 +36,7 @@ def transfer(setup: Setup, report: Report) -> None:
             points = np.asarray(samples.rest[order], np.float32)
             np.savez(path, vertices=own, triangles=faces, uv=uv, image=image, points=points)
             with Worker(
-                [setup.peer_python, str(PEERS / "open3d_lookup.py"), str(path)], setup.core
+                [setup.peer_python, str(PEERS / "open3d_peer.py"), "look_up", str(path)], setup.core
             ) as worker:
                 worker.run()
                 found = in_turns({**contestants, "Open3D": worker.spent}, setup.repeats)
@@ -47,11 +47,11 @@ def transfer(setup: Setup, report: Report) -> None:
         report.line(name, f"{order.size / each.cpu / 1e6:.2f} M points/s")
     if "Open3D" in found:
         report.at_least("transfer: of Open3D's rate", found["Open3D"].cpu / found["octex"].cpu, 5)
-    whole = _converted(setup, target, octex.Transfer(source).sources, depth)
-    plain = _converted(setup, target, {}, depth)
-    report.line(
-        f"the whole conversion at depth {depth}, as means", f"{whole.wall:.2f} s (bare: {plain.wall:.2f} s)"
-    )
+    convert = partial(octex.convert, target, depth, fit=False)
+    works = {"whole": partial(convert, sources=octex.Transfer(source).sources), "bare": convert}
+    walls = {name: each.wall for name, each in clocked(setup, works).items()}
+    whole = f"{walls['whole']:.2f} s (bare: {walls['bare']:.2f} s)"
+    report.line(f"the whole conversion at depth {depth}, as means", whole)
 
 
 def cloud(setup: Setup, report: Report) -> None:
@@ -65,24 +65,14 @@ def cloud(setup: Setup, report: Report) -> None:
     points, colors, normals = samples.rest, surface.evaluate(samples), samples.normals
     bare = octex.Surface.from_arrays(surface.vertices, surface.triangles)
 
-    def laid() -> Spent:
-        began = perf_counter()
-        octex.convert(bare, depth, sources=octex.PointCloud(points, colors, normals).sources, fit=False)
-        return Spent(0.0, perf_counter() - began)
+    def laid() -> octex.OctreeTexture:
+        sources = octex.PointCloud(points, colors, normals).sources
+        return octex.convert(bare, depth, sources=sources, fit=False)
 
-    def alone() -> Spent:
-        began = perf_counter()
-        octex.convert(octex.PointCloud(points, colors, normals), depth)
-        return Spent(0.0, perf_counter() - began)
+    def alone() -> octex.OctreeTexture:
+        return octex.convert(octex.PointCloud(points, colors, normals), depth)
 
-    found = in_turns({"laid": laid, "alone": alone}, min(setup.repeats, 3))
+    found = clocked(setup, {"laid": laid, "alone": alone})
     rate = count / found["laid"].wall / 1e6
     report.at_least("cloud: laid on the mesh, all in", rate, 1, "M points/s")
     report.line("by themselves", f"{count / found['alone'].wall / 1e6:.2f} M points/s")
-
-
-def _converted(setup: Setup, surface: octex.Surface, sources: dict[str, octex.Transfer], depth: int) -> Spent:
-    def convert() -> Spent:
-        return timed(lambda: octex.convert(surface, depth, sources=sources, fit=False))[0]
-
-    return in_turns({"": convert}, min(setup.repeats, 3))[""]

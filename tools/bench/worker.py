@@ -11,8 +11,9 @@ import mmap
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,6 +34,14 @@ from octex.voxelize.grid import on_grid
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 
 Answer = dict[str, Any]
+
+
+@contextmanager
+def small_texture() -> Iterator[octex.OctreeTexture]:
+    """Open a small file: the code that a task needs is loaded and compiled before."""
+    with TemporaryDirectory() as folder:
+        octex.convert(painted_torus(20, 10, 16), 5).save(Path(folder, "small.octex"))
+        yield octex.open(Path(folder, "small.octex"))
 
 
 def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
@@ -95,10 +104,8 @@ def large(around: int, across: int, size: int, depth: int, path: str) -> Callabl
 
 def look(path: str, level: int) -> Callable[[], Answer]:
     """Open a file that is not in the system's cache, and read 20 × 20 points of a coarse level."""
-    with TemporaryDirectory() as folder:  # a small file first, so that all code is loaded and compiled
-        small = Path(folder, "small.octex")
-        octex.convert(painted_torus(20, 10, 16), 5).save(small)
-        octex.open(small).level(3).sample(np.full((400, 3), 0.5))
+    with small_texture() as small:
+        small.level(3).sample(np.full((400, 3), 0.5))
 
     def task() -> Answer:
         drop_from_cache(path)
@@ -133,10 +140,8 @@ def look(path: str, level: int) -> Callable[[], Answer]:
 def picture(path: str, pixels: int) -> Callable[[], Answer]:
     """Open a file that is not in the system's cache, and look at all of the sphere in pixels²."""
     seen = view(pixels)
-    with TemporaryDirectory() as folder:
-        small = Path(folder, "small.octex")
-        octex.convert(painted_torus(20, 10, 16), 5, fit=False).save(small)
-        octex.open(small).sample(seen.points[:100], dPdx=seen.dPdx[:100], dPdy=seen.dPdy[:100])
+    with small_texture() as small:
+        small.sample(seen.points[:100], dPdx=seen.dPdx[:100], dPdy=seen.dPdy[:100])
 
     def task() -> Answer:
         drop_from_cache(path)
@@ -152,10 +157,8 @@ def resident(path: str, count: int) -> Callable[[], Answer]:
     """Open a file and look up random points of the sphere in it; say how much memory that takes."""
     points = scattered_on_sphere(count)
     out = np.ones((count, 3), np.float32)  # written to, so that it is there
-    with TemporaryDirectory() as folder:
-        small = Path(folder, "small.octex")
-        octex.convert(painted_torus(20, 10, 16), 5, fit=False).save(small)
-        octex.open(small).sample(points[:1000], out=out[:1000])
+    with small_texture() as small:
+        small.sample(points[:1000], out=out[:1000])
 
     def task() -> Answer:
         before = memory("VmRSS")

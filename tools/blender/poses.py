@@ -21,7 +21,7 @@ import numpy as np
 
 import octex
 from octex.source.models.gltf_file import Document
-from octex.source.models.gltf_motion import lengths_of
+from octex.source.models.gltf_motion import Moves
 
 WORKER = Path(__file__).with_name("poses_worker.py")
 LIMIT = 1e-4
@@ -41,8 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
 def compare(python: Path, model: Path, count: int) -> float:
     """Print how far each animation of a model is off; return the worst, in parts of its size."""
     document = Document(model)
-    lengths = lengths_of(document)
-    names = [each.get("name", f"Anim_{n}") for n, each in enumerate(document.items("animations"))]
+    animations = list(enumerate(document.items("animations")))
+    lengths = {str(each.get("name", n)): Moves(document, n).length for n, each in animations}
+    names = [each.get("name", f"Anim_{n}") for n, each in animations]
     times = [np.linspace(0, length, count).astype(np.float32).tolist() for length in lengths.values()]
     job = {"model": str(model.resolve()), "animations": list(lengths), "names": names, "times": times}
     done = subprocess.run(

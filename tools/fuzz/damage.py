@@ -22,12 +22,11 @@ import numpy as np
 
 from octex.archive.head import channels_in, packed, pieces_of
 from octex.archive.layout import MAGIC, START, Place, runs
-from octex.arrays import bit_counts
 from octex.channels import ChannelFormat
 from octex.texture import Channel, OctreeTexture
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
+from tests.make.strategies import random_values, with_random_data
 
 #: The bytes of a damaged file, and what was changed.
 Damaged = tuple[bytes, str]
@@ -48,39 +47,17 @@ def made(seed: int) -> OctreeTexture:
         coarse = np.unique(codes[::7] >> 3)
         leaves[depth - 1], codes = coarse, codes[~np.isin(codes >> 3, coarse)]
     leaves[depth] = codes
-    tree = Octree.from_levels(leaves)
-    flags = chance.integers(1, FACING_FLAGS + 1, tree.n_cells, dtype=np.uint8)
-    masks = [(found, is_node) for found, is_node in tree.walk()]
-    begins = tree.arrays.level_cells
-    for level in range(tree.max_depth - 1, -1, -1):
-        own = flags[begins[level] : begins[level + 1]]
-        own[masks[level][1]] = 0
-        below = flags[begins[level + 1] : begins[level + 2]]
-        np.bitwise_or.at(own, np.searchsorted(masks[level][0], masks[level + 1][0] >> 3), below)
-    split = SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
-    is_kept = np.zeros(tree.n_cells, np.bool_)
-    if chance.random() < 0.5:
-        is_split = chance.random(tree.n_cells) < 0.3
-        facings = flags[is_split]
-        rows = int(bit_counts(facings).sum())
-        areas = chance.integers(0, 256, rows, dtype=np.uint8)
-        split = SplitTable(np.flatnonzero(is_split).astype(np.uint32), facings, areas)
-        if tree.n_cells > 1:
-            is_kept = np.concatenate([is_node for _, is_node in masks]) & (chance.random(tree.n_cells) < 0.3)
-        flags[is_split] |= SPLIT
-        flags[is_kept] |= KEPT
-    kept = KeptTable(np.flatnonzero(is_kept).astype(np.uint32))
-    tree = tree.with_cell_data(flags, chance.integers(0, 256, tree.n_cells, dtype=np.uint8), split, kept)
+    tree = with_random_data(Octree.from_levels(leaves), seed)
     channels = {}
     for name in CHANNELS[: int(chance.integers(1, 4))]:
         kinds = ["uint8", "uint16", "float16", "float32"] if name == "height" else ["uint8", "uint16"]
         dtype = "uint8" if name == "base_color" else str(chance.choice(kinds))
         components = 3 if name == "base_color" else 1
-        counts = tree.n_cells, split.areas.size, kept.cells.size
-        values = [chance.random((count, components)) for count in counts]
-        one = 1 if dtype.startswith("f") else np.iinfo(dtype).max
+        counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
         form = ChannelFormat(name, components, "srgb" if components == 3 else "data", dtype)  # type: ignore[arg-type]
-        channels[name] = Channel(form, *((each * one).astype(dtype) for each in values))
+        channels[name] = Channel(
+            form, *(random_values((count, components), dtype, chance) for count in counts)
+        )
     return OctreeTexture(tree, channels, Placement((0.0, 0.0, 0.0), 1.0), [[0.0] * 3, [1.0] * 3])
 
 
@@ -478,21 +455,8 @@ class Arrays:
             descr = chance.choice((array.dtype.str, *types, [("a", "<f4")]))
             shape = list(array.shape)
             if chance.random() < 0.7:
-                shape = chance.choice(
-                    (
-                        [],
-                        [0],
-                        [-1],
-                        [2**63],
-                        [2**31, 2**31],
-                        [*shape, 1],
-                        shape[1:],
-                        shape[::-1],
-                        [1e9],
-                        [True],
-                        [2**40],
-                    )
-                )
+                sizes = [], [0], [-1], [2**63], [2**31, 2**31], [1e9], [True], [2**40]
+                shape = chance.choice((*sizes, [*shape, 1], shape[1:], shape[::-1]))
                 if chance.random() < 0.3:
                     shape = [chance.choice(EDGES), *array.shape[1:]]
             text = repr(

@@ -53,7 +53,7 @@ MOST_PER_BYTE = 50
 MOST_ANYWAY = 256 << 20
 # Stacks and arenas of threads are reserved, not used; beyond the limit and this, allocations fail.
 RESERVED = 1 << 30
-OUT_OF_MEMORY = ("out of memory", "more memory than there is")
+OUT_OF_MEMORY = ("out of memory", "more memory than there is", "does not fit into memory")
 
 
 class Ended(NamedTuple):

@@ -1,11 +1,11 @@
 #!/usr/bin/env python
 """Run random tests for an hour: seed after seed, each kind that there is, in processes of their own.
 
-usage: soak.py [edits] [lookups] [adaptive] [border] [--minutes 60] [--jobs 2] [--seed N] [--seeds N]
+usage: soak.py [edits] [lookups] [damage] … [--minutes 60] [--jobs 2] [--seed N] [--seeds N]
                      [--limit 60] [--memory 4] [--summary FILE]
 
-A kind is a module tests/properties/random_KIND.py, whose check(seed) raises where something fails. Without a
-kind, all run in turn.
+A kind is a module random_KIND.py of tests/properties or of this folder, whose check(seed) raises where
+something fails; words that it returns are counted. Without a kind, all run in turn.
 A process that crashes, takes longer than --limit seconds for a seed, or more than --memory gigabytes, counts
 as a failure of that seed, and another goes on. Failures are grouped by where they were raised and by what was
 said, numbers aside; each group is printed once, when it is first met, with the line that repeats it. At the
@@ -38,8 +38,9 @@ from typing import IO, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 PREFIX = "random_"
+FOLDERS = ROOT / "tests" / "properties", ROOT / "tools" / "fuzz"
 #: Seeds after which a process is replaced: what it has leaked counts against its memory.
-MOST_SEEDS = 500
+MOST_SEEDS = 2000
 #: Seeds of a group that are listed.
 MOST_LISTED = 20
 
@@ -53,9 +54,8 @@ class Failure(NamedTuple):
 
 def kinds() -> list[str]:
     """Return the kinds of random tests that there are."""
-    return sorted(
-        path.stem.removeprefix(PREFIX) for path in (ROOT / "tests" / "properties").glob(f"{PREFIX}*.py")
-    )
+    paths = [path for folder in FOLDERS for path in folder.glob(f"{PREFIX}*.py")]
+    return sorted(path.stem.removeprefix(PREFIX) for path in paths)
 
 
 def failure_of(error: BaseException) -> Failure:
@@ -77,20 +77,21 @@ def work(kind: str, memory: int) -> int:
     """Check the seeds that come line by line on stdin; answer each with a line of JSON."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what tests print must not look like an answer
-    sys.path.insert(0, str(ROOT))
-    check = importlib.import_module(f"tests.properties.{PREFIX}{kind}").check
+    sys.path[:0] = [str(ROOT), str(FOLDERS[1])]
+    package = "tests.properties." if (FOLDERS[0] / f"{PREFIX}{kind}.py").exists() else ""
+    module = importlib.import_module(f"{package}{PREFIX}{kind}")
+    memory = min(memory, getattr(module, "MEMORY", memory))
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     most = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     warnings.simplefilter("error")  # as the tests have it
     for line in sys.stdin:
-        failure = None
         try:
-            check(int(line))
+            answer = module.check(int(line)) or ""
         except Exception as error:
-            failure = failure_of(error)
-        print(json.dumps(failure), file=answers, flush=True)
+            answer = failure_of(error)
+        print(json.dumps(answer), file=answers, flush=True)
     return 0
 
 
@@ -121,8 +122,8 @@ class Worker:
         with suppress(BrokenPipeError):  # it has died; its answers have ended
             print(seed, file=self._process.stdin, flush=True)
 
-    def answer(self) -> Failure | None:
-        """Return what it says of its seed; how it ended if it says nothing."""
+    def answer(self) -> Failure | str:
+        """Return the words or the failure of its seed; how it ended if it says nothing."""
         line = self.answers.readline()
         if not line:
             status = self._process.wait()
@@ -132,7 +133,7 @@ class Worker:
             return Failure(f"CRASH: {how}", " ".join([f"the process ended with {how}", *said]))
         self.done += 1
         found = json.loads(line)
-        return None if found is None else Failure(*found)
+        return found if isinstance(found, str) else Failure(*found)
 
     def end(self) -> None:
         """End it, whatever it is at."""
@@ -150,13 +151,15 @@ class Report:
 
     def __init__(self) -> None:
         self.ran: Counter[str] = Counter()
+        self.words: dict[str, Counter[str]] = {}
         self.failures: dict[tuple[str, str], list[int]] = {}
         self.messages: dict[tuple[str, str], str] = {}
 
-    def add(self, kind: str, seed: int, failure: Failure | None) -> None:
+    def add(self, kind: str, seed: int, failure: Failure | str) -> None:
         """Count a seed, and print what is new of it."""
         self.ran[kind] += 1
-        if failure is None:
+        if isinstance(failure, str):
+            self.words.setdefault(kind, Counter())[failure] += bool(failure)
             return
         key = kind, failure.group
         if key not in self.failures:
@@ -173,6 +176,8 @@ class Report:
             for group, seeds in sorted(own.items(), key=lambda pair: -len(pair[1])):
                 listed = ", ".join(map(str, seeds[:MOST_LISTED])) + (" …" if len(seeds) > MOST_LISTED else "")
                 yield f"  {len(seeds):5}  {group}\n         seeds {listed}"
+            for word, times in sorted((+self.words.get(kind, Counter())).items()):
+                yield f"  {times:5}  {word}"
 
     def summary(self) -> list[dict[str, object]]:
         """Return the same for JSON."""
@@ -217,7 +222,7 @@ def soak(
             selector.register(worker.answers, selectors.EVENT_READ, worker)
             return True
 
-        def finish(worker: Worker, failure: Failure | None, *, is_fit: bool) -> None:
+        def finish(worker: Worker, failure: Failure | str, *, is_fit: bool) -> None:
             selector.unregister(worker.answers)
             del running[worker.answers.fileno()]
             report.add(worker.kind, worker.seed, failure)
@@ -270,7 +275,7 @@ def main(arguments: list[str] | None = None) -> int:
         return work(options.work, memory)
     for kind in options.kinds:
         if kind not in kinds():
-            parser.error(f"there is no tests/properties/{PREFIX}{kind}.py; there are {', '.join(kinds())}")
+            parser.error(f"there is no {PREFIX}{kind}.py; there are {', '.join(kinds())}")
     chosen = list(dict.fromkeys(options.kinds)) or kinds()
     report = soak(
         chosen, 60 * options.minutes, max(options.jobs, 1), options.seed, options.seeds, options.limit, memory

@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-_COMPILE = "from octex import ahead; ahead.warm_up(lambda *_: None)"
+_COMPILE = "from octex import ahead; ahead.compile_listed(lambda *_: None)"
 _PORTABLE = "from octex.ahead import PORTABLE; print(*PORTABLE.values())"
 _KERNELS = """
 from octex import ahead

@@ -116,11 +116,11 @@ def _names(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
     if channels is None:
         names = [name for name in (BASE_COLOR.name, ALPHA.name) if name in texture.channels]
         if not names:
-            raise ArgumentError(f"the texture has no {BASE_COLOR.name}; say which channels to write")
+            raise ArgumentError(f"the texture has no {BASE_COLOR.name}; name the channels to write")
         return names
     names = as_names(channels, "channels")
     if not names:
-        raise ArgumentError("channels must name one at least")
+        raise ArgumentError("channels must name at least one channel")
     for name in names:
         as_choice(name, texture.channels, "channel of the texture")
     return list(names)
@@ -134,11 +134,7 @@ def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> s
 
 
 def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
-    """Return the greatest lengths (faces, 2) of derivatives along u and v on the limit surface.
-
-    They are those of chords of a fourth of a quad's side, which stay finite at extraordinary vertices.
-    Triangles have those of their edges.
-    """
+    """Return greatest derivatives (faces, 2) on the limit surface, by chords of ¼ of a side."""
     if patches.is_triangle:
         return stretches(patches, surface.vertices)
     divided = subdivide(surface, 2)
@@ -163,10 +159,7 @@ def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
 def _sizes(
     texture: OctreeTexture, surface: Surface, patches: Patches, lengths: Float64s, texels: int | None
 ) -> Int8s:
-    """Return how many texels faces get along u and v (faces, 2), as powers of two.
-
-    ``lengths`` (faces, 2) are those of the derivatives along these.
-    """
+    """Return log2 of faces' texels along u and v (faces, 2) for derivatives of ``lengths``."""
     finest = np.full(patches.n_faces, np.inf)
     numbers = np.arange(patches.n_faces, dtype=np.int32)
     for v in _LOOKED_AT:
@@ -190,10 +183,10 @@ def _sizes(
 
     most = _MOST_TEXELS if texels is None else as_whole(texels, "texels", 1, _MOST_TEXELS)
     if total(-60.0) > most:
-        raise ArgumentError(f"texels must be {patches.n_faces} at least, one for each face, not {most}")
+        raise ArgumentError(f"texels must be at least {patches.n_faces}, one for each face, not {most}")
     if texels is None:
         if total(0.0) > most:
-            raise ModelError(f"{surface.name} would have {total(0.0):.3g} texels; say how many there may be")
+            raise ModelError(f"{surface.name} would have {total(0.0):.3g} texels; limit them by texels=N")
         return rounded(0.0)
     low, high = -60.0, 60.0
     for _ in range(60):
@@ -299,10 +292,7 @@ def _fitted(
 
 
 def _at(patches: Patches, log2: Int8s, within: Int64s, shares: Float64s) -> Float64s:
-    """Return (u, v) of samples of texels (n, k, 2): of the numbers ``within`` (n,) faces of so many (n, 2).
-
-    ``shares`` (k, 2) are how far the samples are along a texel's sides.
-    """
+    """Return (u, v) of samples (n, k, 2), at ``shares`` (k, 2) of the sides of texels ``within`` faces."""
     across = log2[:, 0].astype(np.int64)
     row, column = within >> across, within & (np.int64(1) << across) - 1
     sides = np.exp2(log2)[:, None]

@@ -14,7 +14,7 @@ from octex.formats.ptex.patches import Patches, locate, stretches
 from octex.formats.ptex.pyramid import Pyramid, fill_rims, pyramid_of
 from octex.formats.ptex.triangles import add_triangle, fill_corners
 from octex.jit import inlined, kernel
-from octex.source.images.cubic import catmull_rom
+from octex.source.images.taps import catmull_rom
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 

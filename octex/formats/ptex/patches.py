@@ -43,8 +43,8 @@ class Patches(NamedTuple):
 def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
     """Return the faces of a mesh at rest.
 
-    ``mesh_type`` None is that of a mesh of triangles, or else of quads, among which a polygon of n corners is
-    n faces. Raises ModelError for polygons that are no triangles, if these are wanted.
+    ``mesh_type`` None stands for triangles if all polygons are, else for quads: then another polygon is a
+    face for each corner. Raises ModelError if triangles are wanted and others there.
     """
     known, counts, vertices = mesh.loops()
     sizes = np.full(int(known[-1]) + 1, 4, np.int64)  # of those that have no triangles
@@ -86,10 +86,7 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
 
 
 def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, owners: Int32s) -> Float64s:
-    """Return values (faces, 4, k) at the corners of faces, of values at the corners of polygons (corners, k).
-
-    A triangle's fourth corner is its third. Zeros for polygons without triangles.
-    """
+    """Return values at faces' corners (faces, 4, k), from those at polygons' corners."""
     sizes, within = np.diff(first_corners), np.arange(len(owners)) - first_faces[owners]
     polygons = np.repeat(np.arange(len(sizes)), sizes)
     sums = np.stack([np.bincount(polygons, column, len(sizes)) for column in values.T], axis=1)
@@ -256,10 +253,7 @@ def _bilinear(patches: Patches, face: int, u: float, v: float) -> tuple[float, f
 
 @kernel
 def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, barycentric: Float64s) -> None:
-    """Fill in which points of triangles (n,) are those of faces (n,) at (u, v) (n, 2); −1 for none.
-
-    They are found on the polygons' planes, and never outside of a triangle.
-    """
+    """Fill in triangles (n,), −1 for none, and points of them, of faces (n,) at (u, v) (n, 2)."""
     for n in range(faces.size):
         face = int(faces[n])
         polygon = int(patches.owners[face])
@@ -307,10 +301,7 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
 
 
 def stretches(patches: Patches, positions: Float64s) -> Float64s:
-    """Return the greatest lengths (faces, 2) of a face's derivatives along u and v, of vertices (n, 3).
-
-    A face is bilinear: those are along its edges. A triangle has its longest edge, both ways.
-    """
+    """Return faces' longest edges along u and v (faces, 2); of triangles the longest, twice."""
     first_corners, first_faces, owners = patches.first_corners, patches.first_faces, patches.owners
     corners = _at_corners(positions[patches.corners], first_corners, first_faces, owners)
     steps = (corners[:, [1, 2, 3, 2]] - corners[:, [0, 3, 0, 1]]) ** 2

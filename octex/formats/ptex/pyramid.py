@@ -27,10 +27,7 @@ class Pyramid(NamedTuple):
 
 
 def pyramid_of(values: Float32s, log2: Int8s, is_triangle: bool) -> Pyramid:
-    """Return the texels (n, columns) of faces and their means; rims are empty.
-
-    ``log2`` (faces, 2) are the texels along u and v, as powers of two.
-    """
+    """Return texels (n, columns) of faces and their means; rims are empty. ``log2`` (faces, 2)."""
     levels = int(log2.max()) + 1
     sides = np.maximum(log2[None] - np.arange(levels)[:, None, None], 0).astype(np.int8)
     counts = ((np.int64(1) << sides.astype(np.int64)) + 2).prod(axis=2)
@@ -78,10 +75,7 @@ def _fill(values: Float32s, starts: Int64s, pyramid: Pyramid, is_triangle: bool)
 
 @kernel
 def fill_rims(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bools, modes: Int64s) -> None:
-    """Fill in what lies across the edges of quads; a rim's corners are the mean of what is beside them.
-
-    ``modes`` are the border modes along u and v, by their numbers.
-    """
+    """Fill in texels across quads' edges, and corners; ``modes`` are of borders along u and v."""
     for face in range(neighbors.shape[0]):
         for level in range(pyramid.faces[face] + 1):
             u, v = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]

@@ -86,12 +86,12 @@ class PtexFile:
 
     def _open(self) -> None:
         self._size = self._file.seek(0, os.SEEK_END)
-        header = self._record(layout.HEADER, 0)
+        header = np.frombuffer(self._read(0, layout.HEADER.itemsize), layout.HEADER)[0]
         if header["magic"] != layout.MAGIC:
-            raise self._refusal("it does not begin as Ptex files do", "is no .ptx file")
+            raise self._refusal("it does not begin as Ptex files do", "is not a .ptx file")
         if header["version"] != layout.VERSION:
             raise ModelError(
-                f"{self.path.name} is of Ptex version {header['version']}; octex reads {layout.VERSION}"
+                f"{self.path.name} has Ptex version {header['version']}; octex reads {layout.VERSION}"
             )
         if header["mesh_type"] >= len(layout.MESH_TYPES) or header["data_type"] >= len(layout.DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
@@ -249,6 +249,20 @@ class PtexFile:
                     return self._halved(found, level - stored, is_multiplied=stored > 0)
         raise self._refusal(f"face {face} is not in it")
 
+    def all_texels(self) -> tuple[Array, Int8s]:
+        """Return texels (k, channels) of all faces, one of constant ones, and log2 of sides (faces, 2)."""
+        log2 = np.where(self.is_constant[:, None], np.int8(0), self.faces.log2)
+        counts = np.int64(1) << log2.sum(axis=1, dtype=np.int64)
+        if counts.sum(dtype=np.float64) * self._pixel > self.most_bytes:
+            raise self._refusal("it is too short for its texels")
+        ends = np.cumsum(counts)
+        texels = np.empty((int(ends[-1]), self.n_channels), self.dtype)
+        for face, (count, end) in enumerate(zip(counts.tolist(), ends.tolist(), strict=True)):
+            texels[end - count : end] = (
+                self.constants[face] if self.is_constant[face] else self.texels(face).reshape(count, -1)
+            )
+        return texels, log2
+
     def _halved(self, texels: Array, times: int, *, is_multiplied: bool) -> Array:
         if times and not is_multiplied and self.alpha_channel is not None:
             texels = premultiplied(texels, self.alpha_channel)
@@ -361,17 +375,12 @@ class PtexFile:
             if place > len(data) or kind >= len(layout.METADATA_TYPES):
                 raise self._refusal("an entry of the metadata ends early or is of an unknown type")
             name = key.split(b"\0", 1)[0].decode("utf-8", "replace")
-            found[name] = self._value(layout.METADATA_TYPES[kind], value)
-
-    def _value(self, kind: str, value: bytes) -> str | Array:
-        if kind == "S":
-            return value.split(b"\0", 1)[0].decode("utf-8", "replace")
-        form = np.dtype(kind)
-        count = len(value) // form.itemsize
-        return locked(np.frombuffer(value, form, count).astype(form.newbyteorder("=")))
-
-    def _record(self, form: np.dtype, at: int) -> np.void:
-        return np.frombuffer(self._read(at, form.itemsize), form)[0]  # type: ignore[no-any-return]
+            if layout.METADATA_TYPES[kind] == "S":
+                found[name] = value.split(b"\0", 1)[0].decode("utf-8", "replace")
+            else:
+                form = np.dtype(layout.METADATA_TYPES[kind])
+                array = np.frombuffer(value, form, len(value) // form.itemsize)
+                found[name] = locked(array.astype(form.newbyteorder("=")))
 
     def _read(self, at: int, size: int) -> bytes:
         if at + size > self._size:
@@ -404,21 +413,3 @@ class PtexFile:
 
     def _refusal(self, why: str, what: str = "is damaged") -> ModelError:
         return ModelError(f"{self.path.name} {what}: {why}; write it again")
-
-
-def all_texels(file: PtexFile) -> tuple[Array, Int8s]:
-    """Return the texels (k, channels) of all faces, one of constant ones, and log2 of their sides (faces, 2).
-
-    Raises ModelError for a file that is too short to hold so many.
-    """
-    log2 = np.where(file.is_constant[:, None], np.int8(0), file.faces.log2)
-    counts = np.int64(1) << log2.sum(axis=1, dtype=np.int64)
-    if counts.sum(dtype=np.float64) * file.n_channels * file.dtype.itemsize > file.most_bytes:
-        raise ModelError(f"{file.path.name} is damaged: it is too short for its texels; write it again")
-    ends = np.cumsum(counts)
-    texels = np.empty((int(ends[-1]), file.n_channels), file.dtype)
-    for face, (count, end) in enumerate(zip(counts.tolist(), ends.tolist(), strict=True)):
-        texels[end - count : end] = (
-            file.constants[face] if file.is_constant[face] else file.texels(face).reshape(count, -1)
-        )
-    return texels, log2

@@ -26,11 +26,7 @@ def colors(alpha: int) -> slice:
 
 
 def halved(texels: Array, is_triangle: bool) -> Array:
-    """Return the means (n, v/2, u/2, channels) of faces' texels (n, v, u, channels), of the same type.
-
-    Each is that of the four texels that it covers; of a triangle these are three as they stand and one the
-    other way around.
-    """
+    """Return means (n, v/2, u/2, channels) of four texels (n, v, u, channels), a triangle's as it divides."""
     values = texels if texels.dtype == np.float64 else texels.astype(np.float64)
     total = values[:, ::2, ::2] + values[:, ::2, 1::2] + values[:, 1::2, ::2]
     last = values[:, 1::2, 1::2]

@@ -15,7 +15,7 @@ from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.formats.ptex.field import TexelField
 from octex.formats.ptex.patches import check_fit, patches_of
-from octex.formats.ptex.reader import PtexFile, all_texels
+from octex.formats.ptex.reader import PtexFile
 from octex.source.base import Placeable, Source
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
@@ -69,7 +69,8 @@ def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
     others = [channel for channel in range(file.n_channels) if channel != alpha]
     if len(others) not in (1, 3):
         raise ModelError(
-            f"{file.path.name} has {file.n_channels} numbers a texel; octex knows 1 to 4: colour and alpha"
+            f"{file.path.name} has {file.n_channels} components per texel; octex reads 1 to 4: "
+            "colour and alpha"
         )
     lanes = others if len(others) == 3 else others * 3
     made = [(BASE_COLOR, lanes)]
@@ -101,7 +102,7 @@ class _PtexSource(Source):
     def __init__(self, file: PtexFile, forms: Sequence[tuple[ChannelFormat, list[int]]], mesh: Mesh) -> None:
         self._patches = patches_of(mesh, file.mesh_type)
         check_fit(mesh, self._patches, file.faces, file.path.name)
-        texels, log2 = all_texels(file)
+        texels, log2 = file.all_texels()
         columns, made = [], []
         for form, lanes in forms:
             space = form.space if texels.dtype.kind == "u" or form.space != "srgb" else "linear"

@@ -16,11 +16,7 @@ from octex.jit import inlined, kernel
 
 
 def fill_corners(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, vertices: Int64s) -> None:
-    """Fill in what corners of texels along edges have, as the rims of faces.
-
-    ``vertices`` (faces, 3) are numbers of the mesh's; those at one place are one. Edges without a neighbour
-    have the mean of the face's own texels.
-    """
+    """Fill rims with values at texels' corners along edges; ``vertices`` (faces, 3)."""
     log2 = pyramid.log2[0, :, 0].astype(np.int64)
     coarsest = np.full(int(vertices.max()) + 1, np.iinfo(np.int64).max)
     np.minimum.at(coarsest, vertices, log2[:, None])
@@ -133,10 +129,7 @@ def _triangle_texel(side: int, i: int, j: int, is_tip: bool) -> tuple[int, int]:
 def add_triangle(
     pixels: Float32s, first: int, side: int, x: float, y: float, share: np.float32, to: Float32s
 ) -> None:
-    """Add what lies at (x, y), in cells of a triangle: linear between a texel's centre and its corners.
-
-    ``first`` is the first texel of its rim.
-    """
+    """Add the value at (x, y) in cells, linear between texels' centres and corners."""
     i, j = min(int(x), side - 1), min(int(y), side - 1)
     if i + j > side - 1:  # beyond the slanted edge by rounding
         i = side - 1 - j

@@ -227,11 +227,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
 
 
 def _promise(rows: Array) -> Int64s:
-    """Return about how many bits zlib takes for rows of bytes (n, k): its fixed codes, less for repetitions.
-
-    Bytes from 144 on have codes of nine bits, others of eight; one that goes on with a run of equal ones is
-    cheap.
-    """
+    """Estimate zlib's bits for rows of bytes (n, k): 8, 9 from 144 on, 1 in runs of equal bytes."""
     bits = (rows >= 144) + np.uint8(8)
     is_same = rows[:, 1:] == rows[:, :-1]
     bits[:, 3:][is_same[:, 2:] & is_same[:, 1:-1] & is_same[:, :-2]] = 1

@@ -1,9 +1,7 @@
 """Image files and arrays as texels, RGBA with unassociated alpha and nothing lost: of two kinds.
 
-uint16 codes, which are fractions of 65535, sRGB or data as their use says; a code c of eight bits becomes
-257·c. float32 values, linear, of files and arrays that hold floats; they may be above 1 or below 0. Colour
-profiles, gamma chunks and orientation tags are ignored, as glTF asks (3.9.2). AVIF images of 10 and 12 bits
-are read as of 8.
+uint16 codes, fractions of 65535, sRGB or data as their use says; or float32 values, linear. Colour profiles,
+gamma chunks and orientation tags are ignored, as glTF asks (3.9.2). AVIF of 10 and 12 bits is read as of 8.
 """
 
 from __future__ import annotations
@@ -12,8 +10,10 @@ import ctypes
 import hashlib
 import io
 import logging
+import struct
 import threading
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -26,9 +26,11 @@ import numpy.typing as npt
 import PIL._imaging
 import PIL.Image
 
+from octex.arrays import Uint8s
 from octex.checks import as_array, as_path, is_path
 from octex.errors import ImageError, MissingExtraError
 from octex.files import open_file, read_bytes
+from octex.jit import kernel
 from octex.parallel import cpu_count
 from octex.source.images import ktx2
 from octex.source.images.openimage import (
@@ -39,7 +41,6 @@ from octex.source.images.openimage import (
     jpeg2000_header,
     spread,
 )
-from octex.source.images.png import SIGNATURE, decode_png16, is_png16, png_chunks
 from octex.source.images.pyramid import Texels
 
 Code = TypeVar("Code", bound=np.generic)
@@ -59,15 +60,17 @@ _MOST_PER_BYTE_DENSEST = 65536
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # by colour type: grey, RGB, grey and alpha, RGBA
+# First column and row, and steps, of the seven passes of an interlaced image (8.2).
+_PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+
 _lock = threading.RLock()
 
 
 @contextmanager
 def global_settings() -> Iterator[None]:
-    """Let a block change the warning filters, or another library's globals that it sets back itself.
-
-    Two threads that did so at once would restore each other's changes and leave them behind.
-    """
+    """Let a block change the warning filters or another library's globals: one thread at a time."""
     with _lock, warnings.catch_warnings():
         yield
 
@@ -75,12 +78,8 @@ def global_settings() -> Iterator[None]:
 def decode_image(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of an image file: uint16 codes, or float32 linear values.
 
-    Floats are what OpenEXR, Radiance HDR, PFM, KTX2 and TIFF images of floats give. What Pillow does not keep
-    whole is read by the extra ``images`` (see ``decode_deep``), and KTX2 by ``decode_ktx2``.
-
     Raises ImageError, with ``name``, for a damaged file, a format that octex does not read, more texels than
-    16384 × 16384 or than the file can hold, or one that is not finite; MissingExtraError where the extra is
-    needed and not installed.
+    16384 × 16384 or than the file can hold, or one that is not finite; MissingExtraError for a missing extra.
     """
     try:
         if data.startswith(ktx2.SIGNATURE):
@@ -96,7 +95,7 @@ def decode_image(data: bytes, name: str) -> Texels:
     except (ImageError, MissingExtraError):
         raise
     except MemoryError:
-        raise ImageError(f"{name}: the image needs more memory than there is") from None
+        raise ImageError(f"{name}: the image does not fit into memory") from None
     except Exception as error:  # Pillow's plugins raise nearly anything for damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, PIL.UnidentifiedImageError):
@@ -107,9 +106,8 @@ def decode_image(data: bytes, name: str) -> Texels:
 def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
     """Return the texels (height, width, 4) of a Pillow image or an array: uint16 codes, or linear float32.
 
-    Arrays have shape (height, width) or (height, width, 1 to 4), for grey, grey and alpha, RGB, RGBA: uint8
-    or uint16 codes, or floats, which are linear values with unassociated alpha. Raises ImageError for
-    anything else, and for floats that are not finite.
+    Arrays have shape (height, width) or (height, width, 1 to 4): uint8 or uint16 codes, or floats, which are
+    linear with unassociated alpha. Raises ImageError for anything else, and for floats that are not finite.
     """
     if isinstance(image, PIL.Image.Image):
         return _texels(image, b"", "the image")
@@ -124,10 +122,7 @@ def as_texels(image: npt.ArrayLike | PIL.Image.Image) -> Texels:
 
 
 def read_image(image: object) -> tuple[Texels, dict[str, str]]:
-    """Return the texels of a file, a Pillow image or an array, and its name with the hash of its content.
-
-    Raises ImageError as ``decode_image`` and ``as_texels`` do, and for a file that cannot be read.
-    """
+    """Return the texels of a file, a Pillow image or an array, and its name with the hash of its content."""
     if not is_path(image):
         texels = as_texels(image)  # type: ignore[arg-type]
         return texels, {"array": hashlib.sha256(texels.tobytes()).hexdigest()}
@@ -214,17 +209,17 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
     if image.format == "TIFF":
         with _silent_libtiff():
             image.load()
-    if data[:8] == SIGNATURE:
-        png_chunks(data, name)  # Pillow overlooks wrong checksums of texels
-    if is_png16(data):
-        return decode_png16(data, name)
+    if data[:8] == PNG_SIGNATURE:
+        chunks = png_chunks(data, name)  # Pillow overlooks wrong checksums of texels
+        if data[12:16] == b"IHDR" and data[24:25] == b"\x10":
+            return _decode_png16(data, chunks, name)
     if image.mode.startswith("I;16") or (image.mode == "I" and image.format == "PPM"):
         return as_texels(np.asarray(image).astype(np.uint16))
     if image.mode == "F":
         return _finite(spread(np.asarray(image)[:, :, None]), name)
     raw_modes = str([tile[3] for tile in getattr(image, "tile", [])])
     if image.mode == "I" or any(deep in raw_modes for deep in (";16L", ";16B", ";16N")):
-        raise ImageError(f"{name} has texels of a depth that Pillow does not keep; save it as a 16-bit PNG")
+        raise ImageError(f"{name} has a bit depth that Pillow does not read; save it as a 16-bit PNG")
     whole = image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info
     values = np.asarray(image if whole else image.convert("RGBA"))
     return spread(values[:, :, None] if values.ndim == 2 else values)
@@ -252,3 +247,90 @@ def turned(texels: npt.NDArray[Code], orientation: int) -> npt.NDArray[Code]:
     if bits & 3 in (2, 3):
         texels = texels[::-1]
     return np.ascontiguousarray(texels)
+
+
+def _decode_png16(data: bytes, chunks: list[tuple[bytes, bytes]], name: str) -> Texels:
+    width, height, _, color_type, _, _, interlaced = struct.unpack_from(">IIBBBBB", data, 16)
+    channels = _CHANNELS[color_type]
+    passes = _PASSES if interlaced else ((0, 0, 1, 1),)
+    sizes = [(max(-(-(width - x) // dx), 0), max(-(-(height - y) // dy), 0)) for x, y, dx, dy in passes]
+    expected = sum(h * (1 + w * channels * 2) for w, h in sizes if w)
+    compressed, transparent = [], None
+    for kind, body in chunks:
+        if kind == b"IDAT":
+            compressed.append(body)
+        elif kind == b"tRNS" and channels in (1, 3) and len(body) >= 2 * channels:
+            transparent = np.frombuffer(body, ">u2", channels).astype(np.uint16)
+    try:
+        raw = zlib.decompressobj().decompress(b"".join(compressed), expected)
+    except zlib.error as error:
+        raise ImageError(f"{name}: the image data are damaged ({error}); save the image again") from None
+    if len(raw) < expected:
+        raise ImageError(f"{name}: the image data are truncated; save the image again")
+    stored = np.empty((height, width, channels), np.uint16)
+    rows = np.frombuffer(bytearray(raw), np.uint8)
+    for (x, y, dx, dy), (w, h) in zip(passes, sizes, strict=True):
+        if w == 0 or h == 0:
+            continue
+        stride = 1 + w * channels * 2
+        part, rows = rows[: h * stride].reshape(h, stride), rows[h * stride :]
+        if part[:, 0].max() > 4:
+            raise ImageError(f"{name}: the image data are damaged (unknown filter); save the image again")
+        _unfilter(part, channels * 2)
+        stored[y::dy, x::dx] = np.ascontiguousarray(part[:, 1:]).view(">u2").reshape(h, w, channels)
+    texels = spread(stored)
+    if transparent is not None:
+        texels[..., 3] = np.where((stored == transparent).all(axis=2), 0, 65535)
+    return texels
+
+
+def png_chunks(data: bytes, name: str) -> list[tuple[bytes, bytes]]:
+    """Return the kinds and bodies of a PNG file's chunks up to the end of the image; refuse damaged ones."""
+    chunks: list[tuple[bytes, bytes]] = []
+    at = 8
+    while True:
+        if at + 12 > len(data):
+            raise ImageError(f"{name}: the image file is truncated; save the image again")
+        (length,) = struct.unpack_from(">I", data, at)
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
+        checksum = int.from_bytes(data[at + 8 + length : at + 12 + length], "big")
+        if (
+            kind[:1].isupper()
+            and at + 12 + length <= len(data)
+            and checksum != zlib.crc32(body, zlib.crc32(kind))
+        ):
+            raise ImageError(f"{name}: a checksum of the image file is wrong; save the image again")
+        if kind == b"IEND":
+            return chunks
+        if kind == b"IDAT" and chunks and chunks[-1][0] != kind and kind in dict(chunks):
+            raise ImageError(f"{name}: the image data are torn apart by other chunks; save the image again")
+        chunks.append((kind, body))
+        at += 12 + length
+
+
+@kernel
+def _unfilter(rows: Uint8s, step: int) -> None:
+    """Undo the filter of each row, named by its first byte, in place (9.2)."""
+    for y in range(rows.shape[0]):
+        kind = rows[y, 0]
+        for i in range(1, rows.shape[1]):
+            left = int(rows[y, i - step]) if i > step else 0
+            up = int(rows[y - 1, i]) if y > 0 else 0
+            corner = int(rows[y - 1, i - step]) if y > 0 and i > step else 0
+            guess = 0
+            if kind == 1:
+                guess = left
+            elif kind == 2:
+                guess = up
+            elif kind == 3:
+                guess = (left + up) >> 1
+            elif kind == 4:
+                from_left, from_up = abs(up - corner), abs(left - corner)
+                from_corner = abs(left + up - 2 * corner)
+                if from_left <= from_up and from_left <= from_corner:
+                    guess = left
+                elif from_up <= from_corner:
+                    guess = up
+                else:
+                    guess = corner
+            rows[y, i] = (int(rows[y, i]) + guess) & 255

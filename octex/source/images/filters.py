@@ -1,31 +1,20 @@
 """Image filters: a footprint in, weighted texels out.
 
-A footprint is a point in texture coordinates and a covariance about it: that of a box of the lookup's width
-on the surface, as it looks in the image. Every filter lists *taps*, places of stored texels, and their
-weights; images of one size under one footprint share the list.
-
-    nearest     the texel that holds the point
-    bilinear    the four around the point
-    bicubic     sixteen, by Catmull and Rom's spline; may overshoot
-    trilinear   mip levels, as coarse as the footprint is long (Williams 1983)
-    ripmap      levels as coarse as the footprint is wide and high
-    sat         the mean over the footprint's own box, by a summed-area table (Crow 1984)
-    ewa         the texels in the footprint's ellipse, weighted (Greene & Heckbert 1986)
-
-The first three read at points, whatever the footprint. The others add the footprint to what the image is: a
-surface of bilinear patches, or of flat texels where its sampler says so. Their kernels match that sum's
-variance: w²/12 for a width of w texels, and 1/6 for bilinear texels, 1/12 for flat ones. A texel of level l
-is a mean over 2ˡ texels, with a variance of (4ˡ − 1) / 12 of its own.
+Every filter lists *taps*, places of stored texels, and their weights; images of one size under one footprint
+share the list. Nearest, bilinear and bicubic read at points. The others add the footprint to what the image
+is, bilinear patches or flat texels, and match that sum's variance: w²/12 for a width of w texels, and 1/6 for
+bilinear texels, 1/12 for flat ones. A texel of level l is a mean of 2ˡ texels, of variance (4ˡ − 1) / 12.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
-from octex.source.images.lecture import areas, bicubic, ripmap, trilinear
-from octex.source.images.pyramid import AREAS, MIPS, RIPS, WHOLE, Images
+from octex.source.images.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
 from octex.source.images.taps import (
     EACH,
     MOST_TAPS,
@@ -33,12 +22,14 @@ from octex.source.images.taps import (
     SUM,
     Footprint,
     bilinear,
+    catmull_rom,
     flat_texels,
     unwrapped,
     wrapped,
 )
 
-#: The image filters, by name; the default last.
+#: The image filters, by name; the default last. Mip levels: Williams 1983; sums of areas: Crow 1984;
+#: ellipses: Greene & Heckbert 1986.
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
 NEAREST, BILINEAR, BICUBIC, TRILINEAR, RIPMAP, SAT, EWA = range(7)
 #: The levels that each reads.
@@ -70,10 +61,7 @@ def told(filter: int) -> int | None:
 def find_taps(
     images: Images, layout: int, filter: int | None, foot: Footprint, places: Int64s, weights: Float64s
 ) -> tuple[int, int, float]:
-    """List the taps of a footprint; return how many, how to cut alpha, and what to scale sums by.
-
-    ``filter`` is as `told`. The second result is NEVER, EACH or SUM.
-    """
+    """List the taps of a footprint; return how many, NEVER, EACH or SUM, and what to scale sums by."""
     row = images.layouts[layout, 0]
     xx, xy, yy = foot.xx, foot.xy, foot.yy
     u = unwrapped(foot.u, foot.wrap_u, xx, images.levels[row, 1])
@@ -91,13 +79,13 @@ def find_taps(
         return _ellipse(images, layout, foot, places, weights)
     cut = SUM
     if filter == TRILINEAR:
-        count, cut = trilinear(images, layout, foot, places, weights)
+        count, cut = _trilinear(images, layout, foot, places, weights)
     elif filter == RIPMAP:
-        count, cut = ripmap(images, layout, foot, places, weights)
+        count, cut = _ripmap(images, layout, foot, places, weights)
     elif filter == SAT:
-        count, cut = areas(images, row, foot, places, weights), NEVER
+        count, cut = _areas(images, row, foot, places, weights), NEVER
     elif filter == BICUBIC:
-        count = bicubic(images, row, foot, places, weights)
+        count = _bicubic(images, row, foot, places, weights)
     elif filter == NEAREST or foot.flat:
         count = flat_texels(images, row, foot, 0.0, 0.0, places, weights)
     else:
@@ -109,10 +97,7 @@ def find_taps(
 def footprint(
     uu: float, uv: float, vv: float, width: int, height: int
 ) -> tuple[float, float, float, float, float]:
-    """Return a covariance in texels², and its least and largest variance along any axis.
-
-    What is more than _LONGEST times as long as wide is made wider, across its long axis only.
-    """
+    """Return a covariance in texels², widened to _LONGEST at most, and its least and largest variance."""
     xx, xy, yy = uu * width * width, uv * width * height, vv * height * height
     mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     spread = math.sqrt(half * half + xy * xy)
@@ -130,8 +115,7 @@ def footprint(
 def _small(images: Images, row: int, foot: Footprint, places: Int64s, weights: Float64s) -> int:
     """List the texels of bilinear patches under a footprint of at most a texel.
 
-    The mean over a box of the footprint's width and height is exact; that it is turned or skewed is what the
-    patch's mixed slope times the covariance adds.
+    The mean over its box is exact; a skew adds the patch's mixed slope times the covariance.
     """
     xx, xy, yy = foot.xx, foot.xy, foot.yy
     if 12.0 * max(xx, yy) < 1e-4:
@@ -162,15 +146,7 @@ def _small(images: Images, row: int, foot: Footprint, places: Int64s, weights: F
     places[7], weights[7] = row2 + x1, down * middle_x
     places[8], weights[8] = row2 + x2, down * right
     a = (0 if part_y < 0.0 else 3) + (0 if part_x < 0.0 else 1)  # the patch's first texel
-    shift = xy
-    if shift > 0.0:
-        shift = min(shift, weights[a + 1], weights[a + 3])
-    else:
-        shift = -min(-shift, weights[a], weights[a + 4])
-    weights[a] += shift
-    weights[a + 1] -= shift
-    weights[a + 3] -= shift
-    weights[a + 4] += shift
+    _skew(weights, a, a + 3, xy)
     return 9
 
 
@@ -201,16 +177,21 @@ def _wide(images: Images, row: int, foot: Footprint, places: Int64s, weights: Fl
             share = (_tent(x + 0.5 * across - i0 - i) - _tent(x - 0.5 * across - i0 - i)) / across
             weights[4 * j + i] = weight * share
     a = 4 * min(max(math.floor(y) - j0, 0), 2) + min(max(math.floor(x) - i0, 0), 2)
-    shift = foot.xy
-    if shift > 0.0:
-        shift = min(shift, weights[a + 1], weights[a + 4])
-    else:
-        shift = -min(-shift, weights[a], weights[a + 5])
-    weights[a] += shift
-    weights[a + 1] -= shift
-    weights[a + 4] -= shift
-    weights[a + 5] += shift
+    _skew(weights, a, a + 4, foot.xy)
     return 16
+
+
+@inlined
+def _skew(weights: Float64s, upper: int, lower: int, shift: float) -> None:
+    """Shift weight between the corners of a patch, two of which each row begins with; none goes below 0."""
+    if shift > 0.0:
+        shift = min(shift, weights[upper + 1], weights[lower])
+    else:
+        shift = -min(-shift, weights[upper], weights[lower + 1])
+    weights[upper] += shift
+    weights[upper + 1] -= shift
+    weights[lower] -= shift
+    weights[lower + 1] += shift
 
 
 @inlined
@@ -285,3 +266,127 @@ def _ellipse(
     if not total > 0.0:
         return bilinear(images, row, foot, 1.0, places, weights, 0), NEVER, 1.0
     return count, EACH if level == 0 else NEVER, 1.0 / total
+
+
+@inlined
+def _trilinear(
+    images: Images, layout: int, foot: Footprint, places: Int64s, weights: Float64s
+) -> tuple[int, int]:
+    """List the texels of the two levels whose mixture has the variance of the footprint's long axis."""
+    base, most = images.layouts[layout, 0], foot.most
+    level, part = _level_of(most, foot.flat, images.layouts[layout, 1])
+    if level == 0 and part == 0.0 and foot.flat:
+        return flat_texels(images, base, foot, most, most, places, weights), SUM
+    count = bilinear(images, base + level, foot, 1.0 - part, places, weights, 0)
+    if part > 0.0:
+        count = bilinear(images, base + level + 1, foot, part, places, weights, count)
+    return count, NEVER if level > 0 else SUM if part == 0.0 else EACH
+
+
+@inlined
+def _level_of(variance: float, flat: bool, levels: int) -> tuple[int, float]:
+    """Return the finer of two levels, and the share of the coarser, that together have a variance."""
+    spread = 4.0 * variance + (2.0 / 3.0 if flat else 1.0)  # 4ˡ at a level read bilinearly
+    level = 0
+    while spread >= 4.0 and level < levels - 1:
+        spread *= 0.25
+        level += 1
+    if spread > 1.0 and level < levels - 1:
+        return level, (spread - 1.0) / 3.0
+    return level, 0.0
+
+
+@inlined
+def _ripmap(
+    images: Images, layout: int, foot: Footprint, places: Int64s, weights: Float64s
+) -> tuple[int, int]:
+    """List the texels of up to four levels, chosen in u and in v like a pyramid's."""
+    base, across = images.layouts[layout, 0], images.layouts[layout, 1]
+    level_x, part_x = _level_of(foot.xx, foot.flat, across)
+    level_y, part_y = _level_of(foot.yy, foot.flat, images.layouts[layout, 2])
+    whole = level_x == 0 and level_y == 0
+    if whole and part_x == 0.0 and part_y == 0.0:
+        if foot.flat:
+            return flat_texels(images, base, foot, foot.xx, foot.yy, places, weights), SUM
+        return bilinear(images, base, foot, 1.0, places, weights, 0), SUM
+    count = 0
+    for step_y in range(2 if part_y > 0.0 else 1):
+        for step_x in range(2 if part_x > 0.0 else 1):
+            weight = (part_x if step_x else 1.0 - part_x) * (part_y if step_y else 1.0 - part_y)
+            row = base + (level_y + step_y) * across + level_x + step_x
+            count = bilinear(images, row, foot, weight, places, weights, count)
+    return count, EACH if whole else NEVER
+
+
+@inlined
+def _bicubic(images: Images, row: int, foot: Footprint, places: Int64s, weights: Float64s) -> int:
+    """List the sixteen texels around a point, weighted by Catmull and Rom's spline."""
+    first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
+    x, y = foot.u * width - 0.5, foot.v * height - 0.5
+    left, top = math.floor(x), math.floor(y)
+    across, down = catmull_rom(np.float32(x - left)), catmull_rom(np.float32(y - top))
+    for j in range(4):
+        start = first + wrapped(int(top) - 1 + j, height, foot.wrap_v) * (width + 2)
+        for i in range(4):
+            places[4 * j + i] = start + wrapped(int(left) - 1 + i, width, foot.wrap_u)
+            weights[4 * j + i] = across[i] * down[j]
+    return 16
+
+
+@inlined
+def _areas(images: Images, row: int, foot: Footprint, places: Int64s, weights: Float64s) -> int:
+    """List the entries of a summed-area table that give the mean over a box; weights add up to 0."""
+    width, height = images.levels[row, 1], images.levels[row, 2]
+    texel = 1e-6 if foot.flat else 1.0
+    across, down = math.sqrt(12.0 * foot.xx + texel), math.sqrt(12.0 * foot.yy + texel)
+    at = MOST_TAPS
+    n_x = _span(foot.u * width, across, width, foot.wrap_u, at, places, weights)
+    n_y = _span(foot.v * height, down, height, foot.wrap_v, at + 8, places, weights)
+    count = 0
+    for j in range(at + 8, at + 8 + n_y):
+        for i in range(at, at + n_x):
+            places[count] = places[j] * (width + 1) + places[i]
+            weights[count] = weights[j] * weights[i]
+            count += 1
+    return count
+
+
+@inlined
+def _span(
+    middle: float, width: float, size: int, mode: int, at: int, places: Int64s, weights: Float64s
+) -> int:
+    """List, from ``at`` on, the sums that give the mean over a span, however far beyond the image."""
+    count = 0
+    for end in range(2):
+        sign = (1.0 if end else -1.0) / width
+        x = middle + (0.5 if end else -0.5) * width
+        whole = 0.0  # how often the whole image's sum counts
+        if mode == CLAMP:
+            # Beyond the border the last texel goes on.
+            if x < 0.0:
+                places[at + count], weights[at + count] = 1, sign * x
+                count += 1
+                x = 0.0
+            elif x > size:
+                places[at + count], weights[at + count] = size - 1, sign * (size - x)
+                count += 1
+                whole = 1.0 + (x - size)
+                x = 0.0
+        else:
+            period = size if mode == REPEAT else 2 * size
+            turns = math.floor(x / period)
+            x -= turns * period
+            whole = turns if mode == REPEAT else 2.0 * turns
+            if x > size:
+                whole += 2.0
+                x = 2.0 * size - x
+                sign = -sign
+                whole = -whole
+        if whole != 0.0:
+            places[at + count], weights[at + count] = size, sign * whole
+            count += 1
+        left = min(max(math.floor(x), 0), size - 1)
+        places[at + count], weights[at + count] = int(left) + 1, sign * (x - left)
+        places[at + count + 1], weights[at + count + 1] = int(left), sign * (1.0 - (x - left))
+        count += 2
+    return count

@@ -68,9 +68,8 @@ class _Header(NamedTuple):
 def decode_ktx2(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of the largest image of a KTX2 texture.
 
-    Of plain texels, lanes that the file lacks are 0, alpha is 1; ``KTXswizzle`` and ``KTXorientation`` are
-    followed. Raises ImageError for a damaged file, texels in blocks, colours multiplied by alpha, and plain
-    texels of several images; MissingExtraError where codes need the extra ``ktx2``.
+    Of plain texels, lanes that the file lacks are 0, alpha is 1. Raises ImageError, and MissingExtraError
+    where codes need the extra ``ktx2``.
     """
     header = _Header(*struct.unpack_from("<13I5Q", data, len(SIGNATURE)))
     if header.vk_format == 0:
@@ -92,7 +91,7 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     if size == 0 or len(texels) != size:
         raise ImageError(
             f"{name} is damaged: {width} × {height} texels of vkFormat {header.vk_format} take {size} bytes, "
-            "and it has others; save it again"
+            "and it has another number; save it again"
         )
     metadata = _metadata(data[header.entries : header.entries + header.entries_bytes])
     orientation = metadata.get(b"KTXorientation", b"rd")
@@ -149,5 +148,5 @@ def _universal(data: bytes, name: str, header: _Header) -> Texels:
     check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE)
     blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
     if header.unpacked_bytes > 16 * blocks:  # of the largest image
-        raise ImageError(f"{name} is damaged: its texels take more bytes than they can; save it again")
+        raise ImageError(f"{name} is damaged: its texels unpack to too many bytes; save it again")
     return spread(texture.transcode("rgba8").data)

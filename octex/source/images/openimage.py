@@ -42,7 +42,14 @@ def deep_format(data: bytes) -> str | None:
     if data.startswith(b"#?"):
         return "hdr"
     if data.startswith(_TIFF):
-        return "tif" if _tiff_is_deep(data) else None
+        directory = PIL.TiffImagePlugin.ImageFileDirectory_v2(data[: 16 if b"+" in data[2:4] else 8])
+        file = io.BytesIO(data)
+        file.seek(directory.next)
+        directory.load(file)
+        bits = tuple(directory.get(258, (1,)))
+        kind, photometric = directory.get(339, (1,))[0], directory.get(262)
+        whole = photometric == 1 and (bits, kind) in (((16,), 1), ((32,), 3))  # which Pillow reads
+        return "tif" if max(bits) > 8 and not whole else None
     if data.startswith(_JPEG2000):
         return "jp2" if any(size & 0x7F > 7 for size in jpeg2000_header(data)[2]) else None
     if data.startswith(b"8BPS"):
@@ -53,18 +60,6 @@ def deep_format(data: bytes) -> str | None:
         return "pfm"
     most = _MOST_OF_PPM.match(data[:4096])
     return "ppm" if most and len(most[1]) > 2 and int(most[1][:6]) > 255 else None
-
-
-def _tiff_is_deep(data: bytes) -> bool:
-    """Whether a TIFF image is of more than eight bits, but for what Pillow reads whole."""
-    directory = PIL.TiffImagePlugin.ImageFileDirectory_v2(data[: 16 if b"+" in data[2:4] else 8])
-    file = io.BytesIO(data)
-    file.seek(directory.next)
-    directory.load(file)
-    bits = tuple(directory.get(258, (1,)))
-    kind, photometric = directory.get(339, (1,))[0], directory.get(262)
-    whole = photometric == 1 and (bits, kind) in (((16,), 1), ((32,), 3))
-    return max(bits) > 8 and not whole
 
 
 def jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
@@ -81,14 +76,9 @@ def jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
 def decode_deep(data: bytes, ending: str, name: str) -> Texels:
     """Return the texels (height, width, 4) of an image file of a format named by ``deep_format``.
 
-    Integers come as uint16 codes, floats as float32 linear values. Colour that the file has multiplied by
-    alpha (EXR always, TIFF by its tag) is divided by it, where alpha is above 0. The first part, page or
-    picture with colour is taken, and in it the channels R, G, B or Y, with A, of no layer or else of the
-    first layer that has them; a lone channel is grey. Texels of EXR's display window outside of its data
-    window are black and transparent, those of the data window outside of the display window are left out.
-    Rows of Radiance HDR come in their order on screen; its EXPOSURE is not divided out.
-
-    Raises ImageError for a damaged file, or one of another kind; MissingExtraError without OpenImageIO.
+    Associated alpha (EXR always, TIFF by its tag) is divided out. The first part with colour is taken, and in
+    it R, G, B or Y, with A, of no layer or else of the first that has them; a lone channel is grey. EXR's
+    display window is filled with black and transparent. Radiance HDR's EXPOSURE is not divided out.
     """
     try:
         import OpenImageIO
@@ -120,9 +110,13 @@ def check_size(width: int, height: int, size: int | None, name: str, most: int =
 
 
 def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
-    """Return the texels of an open file."""
     part, spec, places = _find(file, name)
-    integers = _integers(spec, places, ending, name)
+    kinds = {str(spec.channelformats[place] if spec.channelformats else spec.format) for place in places}
+    integers = not kinds <= {"half", "float", "double"}
+    if spec.getattribute("tiff:PhotometricInterpretation") not in (*_PHOTOMETRIC, None):
+        raise ImageError(f"{name} has colours in a form that octex does not read; save it as RGB")
+    if integers and (ending == "exr" or not kinds <= {"uint8", "uint16", "uint"}):
+        raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are not colours")
     check_size(spec.width, spec.height, size, name)
     check_size(spec.full_width, spec.full_height, size, name)
     first, last = min(places), max(places) + 1
@@ -176,23 +170,8 @@ def _color_channels(names: Sequence[str]) -> list[int]:
     return []
 
 
-def _integers(spec: Any, places: Sequence[int], ending: str, name: str) -> bool:
-    """Whether the channels hold unsigned integers, not floats; refuse what is no colour."""
-    kinds = {str(spec.channelformats[place] if spec.channelformats else spec.format) for place in places}
-    floats = kinds <= {"half", "float", "double"}
-    photometric = spec.getattribute("tiff:PhotometricInterpretation")
-    if photometric not in (*_PHOTOMETRIC, None):
-        raise ImageError(f"{name} has colours in a form that octex does not read; save it as RGB")
-    if not floats and (ending == "exr" or not kinds <= {"uint8", "uint16", "uint"}):
-        raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are no colours")
-    return not floats
-
-
 def spread(values: Array) -> Texels:
-    """Return texels (height, width, 4) of grey, grey and alpha, RGB or RGBA values.
-
-    A code c of eight bits becomes 257·c, uint16 codes stay, floats become float32.
-    """
+    """Return texels (height, width, 4) of 1 to 4 lanes: codes of eight bits times 257, floats as float32."""
     channels = values.shape[2]
     integers = values.dtype.kind == "u"
     if not integers:

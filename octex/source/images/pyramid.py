@@ -1,13 +1,8 @@
 """Images as filters read them: whole, as mip pyramids, as ripmaps, or as summed-area tables.
 
-Texel centres lie at (i + 0.5) / n, u runs right and v down the rows. Every level is made from the image's
-decoded texels: linear light, fractions or directions; colours that an alpha covers are averaged with it as
-weight and stored unmultiplied, so that the colour of a texel that covers nothing leaks nowhere. A level of a
-pyramid holds half the texels of the one below it, rounded down, in each direction, a ripmap also those with
-one direction halved more than the other; each texel is the exact mean over its area, for any size.
-
-Around each level lies a rim, one texel wide, of what lies beyond the border of a clamped image: the border
-texels themselves, averaged along the border only.
+Every level is made from decoded texels, each the exact mean over its area; colours that an alpha covers are
+averaged with it as weight and stored unmultiplied. Around each level lies a rim, one texel wide: the border
+texels, averaged along the border only, for what lies beyond a clamped image.
 """
 
 from __future__ import annotations
@@ -61,10 +56,9 @@ class Picture(NamedTuple):
 
 
 class Images(NamedTuple):
-    """All images of a model with their levels, as kernels see them.
+    """All images of a model with their levels, as kernels see them; those of one size share a layout.
 
-    Images of one size share a layout. A level's rows are ``width + 2`` texels apart, its rim included, and
-    ``first`` is the place of texel (0, 0) after an image's own first.
+    A level's rows are ``width + 2`` texels apart; ``first`` is the place of texel (0, 0) in the image.
     """
 
     kinds: Uint8s  # (images,)   SRGB, DATA, FLOAT or SUMS
@@ -156,7 +150,6 @@ def _add_up(picture: Picture, sums: Float64s) -> None:
 
 
 def _fill(picture: Picture, what: int, rows: Texels) -> None:
-    """Fill in all levels of an image, with their rims, one after the other."""
     height, width = picture.texels.shape[:2]
     shapes, across, _ = _shapes(width, height, what)
     finest = _take(rows, 0, width, height)
@@ -228,7 +221,6 @@ def _decode(texels: Texels, table: Float32s, values: Float32s) -> None:
 
 
 def _encoded(values: Float32s, picture: Picture, as_floats: bool) -> Array:
-    """Return a level's values as they are stored: unmultiplied, codes or floats."""
     if picture.covered:
         values = values.copy()
         values[..., :3] /= values[..., 3:] + np.float32(FAINT)

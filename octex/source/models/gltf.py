@@ -1,21 +1,13 @@
 """glTF 2.0 and GLB models: meshes, the scene's transforms and instances, materials and their images.
 
-A channel is stated by a factor or a map that stands in the file. Beside the core's metallic-roughness
-materials: KHR_materials_unlit, which leaves only base colour and alpha; KHR_materials_emissive_strength;
-KHR_texture_transform; KHR_materials_specular and KHR_materials_ior, which say what is reflected along the
-normal, but for the texture of how strongly; and the older KHR_materials_pbrSpecularGlossiness, whose
-materials are not metallic and as rough as they are not glossy. Other extensions of materials change none of
-these channels.
-
-trimesh is not asked: beside what its accessors lose (see ``gltf_file``), it skips triangle fans and drops
-samplers, texture transforms and all texture coordinates but the first.
+A channel is stated by a factor or a map that stands in the file. trimesh is not asked: it skips triangle fans
+and drops samplers, texture transforms and all texture coordinates but the first (see also ``gltf_file``).
 """
 
 from __future__ import annotations
 
 import json
 import reprlib
-import warnings
 from collections.abc import Iterable
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -24,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float64s, Floats, Int64s
-from octex.errors import ImageError, ModelError, ModelWarning
+from octex.errors import ImageError, ModelError, damaged
 from octex.parallel import cpu_count, pool_of
 from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
@@ -40,7 +32,7 @@ from octex.source.models.gltf_file import (
     scene_nodes,
 )
 from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
-from octex.source.models.reading import Description, Options, Part, Slot, assembled
+from octex.source.models.reading import Description, Options, Part, Slot, assembled, warn
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -55,39 +47,30 @@ _FARTHEST = 1e18
 
 
 def load_gltf(path: Path, options: Options) -> Surface:
-    """Read the scene of a .gltf or .glb file; meshes that no node of it shows are left out.
+    """Read the scene of a .gltf or .glb file.
 
-    Materials of primitives in use are read as far as ``options`` wants their channels. ``uv`` of the surface
-    is TEXCOORD_0, where all primitives with textures have it. ``provenance`` holds what the file says of its
-    origin, and the digests of the files that it refers to.
-
-    Rest positions are the mesh as it is modelled, without morph targets and skins. With ``options.pose``
-    these and the nodes move the positions, as ``gltf_motion`` says.
-    Raises ModelError or ImageError, and ArgumentError for a pose that the file lacks.
+    Rest positions are the mesh as it is modelled, without morph targets and skins; ``options.pose`` moves the
+    positions, as ``gltf_motion`` says. ``uv`` is TEXCOORD_0, where all primitives with textures have it.
     """
-    document = Document(path)
-    document.refuse_extensions()
-    return _Scene(document, options).surface()
+    return _Scene(path, options).surface()
 
 
 def load_gltf_motion(path: Path, rate: float) -> Motion | None:
-    """Return the animations of a .gltf or .glb file, None if it has none: see ``gltf_motion``."""
-    document = Document(path)
-    document.refuse_extensions()
-    return _Scene(document, Options(materials=False)).motion(rate)
+    """Return how all vertices move, ``rate`` frames a second or more; None without animations."""
+    scene = _Scene(path, Options(materials=False))
+    return motion_of(scene.document, scene.shown(), rate)
 
 
 class _Scene:
-    """Collects the primitives of all nodes into one surface."""
-
-    def __init__(self, document: Document, options: Options) -> None:
-        self._document = document
+    def __init__(self, path: Path, options: Options) -> None:
+        self.document = Document(path)
+        self.document.refuse_extensions()
         self._options = options
         self._meshes: dict[int, list[Primitive]] = {}
 
     def surface(self) -> Surface:
-        document, options = self._document, self._options
-        shown = self._shown()
+        document, options = self.document, self._options
+        shown = self.shown()
         if not shown:
             raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
         known = _materials(document, (each.primitive.material for each in shown), options)
@@ -105,41 +88,32 @@ class _Scene:
         if options.pose is not None:
             pose = pose_of(document, options.pose)
             posed = np.concatenate([pose.positions(each) for each in shown])
+        asset = document.json["asset"]
+        origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
+        if isinstance(extras := asset.get("extras"), dict):
+            keys = ("author", "license", "licence")
+            origin |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
+        if document.files:
+            origin["files"] = json.dumps(document.files, sort_keys=True, ensure_ascii=False)
         return assembled(
             [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
             [each.material for each in known.values()],
             options,
             document.name,
-            provenance=self._provenance(),
+            provenance=origin,
             posed=posed,
         )
 
-    def motion(self, rate: float) -> Motion | None:
-        """Return how all vertices move, so many frames a second; None without animations."""
-        return motion_of(self._document, self._shown(), rate)
-
-    def _shown(self) -> list[Placed]:
+    def shown(self) -> list[Placed]:
         """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
         return [
             Placed(number, copy, matrix @ copy, primitive)
-            for number, node, matrix in scene_nodes(self._document)
+            for number, node, matrix in scene_nodes(self.document)
             if "mesh" in node
             for copy in self._copies(node)
             for primitive in self._mesh(node["mesh"])
             if len(primitive.triangles)
         ]
-
-    def _provenance(self) -> dict[str, str]:
-        """Return what the file says of its origin and licence, and the digests of the files it refers to."""
-        asset = self._document.json["asset"]
-        extras = asset.get("extras")
-        origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
-        if isinstance(extras, dict):
-            keys = ("author", "license", "licence")
-            origin |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
-        if self._document.files:
-            origin["files"] = json.dumps(self._document.files, sort_keys=True, ensure_ascii=False)
-        return origin
 
     def _copies(self, node: Json) -> list[Float64s]:
         """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
@@ -147,7 +121,7 @@ class _Scene:
         if instancing is None:
             return [np.eye(4)]
         columns = {
-            key: self._document.accessor(instancing["attributes"][name], (3, 4)).astype(np.float64)
+            key: self.document.accessor(instancing["attributes"][name], (3, 4)).astype(np.float64)
             for name, key in (("TRANSLATION", "translation"), ("ROTATION", "rotation"), ("SCALE", "scale"))
             if name in instancing["attributes"]
         }
@@ -156,10 +130,10 @@ class _Scene:
 
     def _mesh(self, number: int) -> list[Primitive]:
         if number not in self._meshes:
-            what = f"{self._document.name}: meshes[{number}].primitives"
+            what = f"{self.document.name}: meshes[{number}].primitives"
             entries = [
                 as_object(entry, f"{what}[{index}]")
-                for index, entry in enumerate(self._document.item("meshes", number)["primitives"])
+                for index, entry in enumerate(self.document.item("meshes", number)["primitives"])
             ]
             self._meshes[number] = [
                 self._primitive(entry, f"{what}[{index}]")
@@ -170,7 +144,7 @@ class _Scene:
         return self._meshes[number]
 
     def _primitive(self, entry: Json, name: str) -> Primitive:
-        document = self._document
+        document = self.document
         attributes = entry["attributes"]
         triangles, decoded = document.draco(entry, name) or (None, {})
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
@@ -191,12 +165,12 @@ class _Scene:
         if triangles is not None:
             indices = triangles.reshape(-1)
         elif "indices" in entry:
-            indices = self._document.accessor(entry["indices"], (1,))[:, 0]
+            indices = self.document.accessor(entry["indices"], (1,))[:, 0]
         else:
             return np.arange(count)
         if indices.dtype.kind == "f":
             what = name.replace(": ", ": the indices of ", 1)
-            raise ModelError(f"{what} are not integers; export it again")
+            raise damaged(f"{what} are not integers")
         low, high = indices.min(initial=0), indices.max(initial=0)
         if len(indices) and not 0 <= low <= high < count:
             raise ModelError(
@@ -228,10 +202,8 @@ class _Scene:
         for slot in known.slots:
             read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
             if read is None:
-                text = (
-                    f"{self._document.name}: a textured material is of meshes without {slot.name}, which read"
-                )
-                warnings.warn(text + " one texel; give them coordinates", ModelWarning, stacklevel=2)
+                what = f"{self.document.name}: a textured material is of meshes without {slot.name}"
+                warn(f"{what}, which read one texel; give them coordinates")
                 read = np.zeros((len(positions), 2))
             with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
                 coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
@@ -261,8 +233,6 @@ def _triangles(indices: Int64s, mode: int) -> Int64s:
 
 
 class _Record(NamedTuple):
-    """An object of the JSON, and its name in errors."""
-
     entry: Json
     name: str
 
@@ -279,9 +249,7 @@ class _Record(NamedTuple):
         """Return a finite number."""
         value = self.entry.get(key, default)
         if not is_number(value, _FARTHEST):
-            raise ModelError(
-                f"{self.name}.{key} must be a number, not {reprlib.repr(value)}; export it again"
-            )
+            raise damaged(f"{self.name}.{key} must be a number, not {reprlib.repr(value)}")
         return float(value)
 
     def numbers(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
@@ -296,11 +264,7 @@ _Reference = tuple[Future[Texels], int, int, bool, Slot]
 def _materials(
     document: Document, numbers: Iterable[int | None], options: Options
 ) -> dict[int | None, Description]:
-    """Return materials by number, None for glTF's default; their images are decoded in parallel, each once.
-
-    Inputs of channels that ``options`` does not want are there without their textures.
-    Raises ModelError or ImageError.
-    """
+    """Return materials by number, None for glTF's default; images are decoded in parallel, each once."""
     described = {number: _described(document, number) for number in dict.fromkeys(numbers)}
     with pool_of(cpu_count()) as pool:
         images = _Images(document, pool)
@@ -327,7 +291,7 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     )
     mode = record.entry.get("alphaMode", "OPAQUE")
     if mode not in _ALPHA_MODES:
-        raise ModelError(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}; export it again")
+        raise damaged(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}")
     inputs: dict[str, Input] = {}
     uses: dict[str, _Record] = {}
 
@@ -399,9 +363,7 @@ def _slot(use: _Record) -> Slot:
     transform = use.part("extensions").part("KHR_texture_transform")
     number = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
     if isinstance(number, bool) or not isinstance(number, int) or number < 0:
-        raise ModelError(
-            f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}; export it again"
-        )
+        raise damaged(f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}")
     return Slot(
         f"TEXCOORD_{number}",
         transform.numbers("scale", (1.0, 1.0)),
@@ -431,7 +393,7 @@ class _Images:
         wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
         for axis, code in wraps.items():
             if code not in _WRAPS:
-                raise ModelError(f"{document.name}: a sampler has an unknown {axis} {code}; export it again")
+                raise damaged(f"{document.name}: a sampler has an unknown {axis} {code}")
         wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
         return self._read(source), wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, _slot(use)
 

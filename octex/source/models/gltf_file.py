@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Float64s
-from octex.errors import ImageError, MissingExtraError, ModelError
+from octex.errors import ImageError, MissingExtraError, ModelError, damaged
 from octex.files import read_bytes, referred
 
 Json = dict[str, Any]
@@ -60,10 +60,7 @@ _KNOWN_EXTENSIONS = {
 
 
 class Document:
-    """A parsed file: its JSON, and the bytes that it refers to.
-
-    ``content`` is the file's, if it is read already.
-    """
+    """A parsed file: its JSON, and the bytes that it refers to; ``content`` is the file's, if read."""
 
     def __init__(self, path: Path, content: bytes | None = None) -> None:
         self.path = path
@@ -79,7 +76,8 @@ class Document:
             self.json = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
         except UnicodeDecodeError:
             raise ModelError(
-                f"{self.name} is not a glTF file: it is neither GLB nor JSON; name it for what it is"
+                f"{self.name} is not a glTF file: it is neither GLB nor JSON; give it the ending of its "
+                "format"
             ) from None
         except (ValueError, RecursionError) as error:
             raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None
@@ -131,9 +129,7 @@ class Document:
         """Return a top-level array, empty if it is not there."""
         items = self.json.get(kind, [])
         if not isinstance(items, list):
-            raise ModelError(
-                f"{self.name}: {kind} must be a list, not {reprlib.repr(items)}; export it again"
-            )
+            raise damaged(f"{self.name}: {kind} must be a list, not {reprlib.repr(items)}")
         return items
 
     def item(self, kind: str, index: Any) -> Json:
@@ -141,7 +137,7 @@ class Document:
         items = self.items(kind)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
             which = f"{kind}[{reprlib.repr(index)}]"
-            raise ModelError(f"{self.name} refers to {which}, which it does not have; export it again")
+            raise damaged(f"{self.name} refers to {which}, which it does not have")
         return as_object(items[index], f"{self.name}: {kind}[{index}]")
 
     def resource(self, uri: str, what: str, error_class: type[ModelError | ImageError] = ModelError) -> bytes:
@@ -209,14 +205,11 @@ class Document:
         start, length = entry.get("byteOffset", 0), entry["byteLength"]
         data = self._buffer(entry["buffer"])
         if start < 0 or length < 0 or start + length > len(data):
-            raise ModelError(f"{what} reaches outside its buffer; export it again")
+            raise damaged(f"{what} reaches outside its buffer")
         return memoryview(data)[start : start + length]
 
     def draco(self, primitive: Json, what: str) -> tuple[Array, dict[str, Array]] | None:
-        """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes by their names.
-
-        None where there are plain ones that may be read. Raises ModelError for damaged content.
-        """
+        """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes; or None."""
         extensions = as_object(primitive.get("extensions", {}), f"{what}.extensions")
         if DRACO not in extensions:
             return None
@@ -225,7 +218,27 @@ class Document:
             return None
         coded = as_object(extensions[DRACO], f"{what}.extensions.{DRACO}")
         names = as_object(coded["attributes"], f"{what}.extensions.{DRACO}.attributes")
-        return _decode_draco(bytes(self.view(coded["bufferView"])[0]), names, what)
+        data = bytes(self.view(coded["bufferView"])[0])
+        try:
+            import DracoPy
+        except ImportError:
+            raise MissingExtraError.needed(f"{what}: to decode Draco's meshes", "DracoPy", "draco") from None
+        try:
+            mesh = DracoPy.decode(data)
+            attributes = {}
+            for each in mesh.attributes:  # DracoPy gives positions as floats, also if integers were encoded
+                rows: Array = each["data"]
+                is_whole = each["data_type"] <= _LAST_INTEGERS and rows.dtype.kind == "f"
+                attributes[int(each["unique_id"])] = rows.astype(np.int64) if is_whole else rows
+            triangles = getattr(mesh, "faces", None)
+        except Exception as error:  # DracoPy has errors of its own
+            raise damaged(f"{what}: its Draco content is damaged ({_line(error)})") from None
+        if triangles is None:
+            raise damaged(f"{what}: its Draco content has no triangles")
+        for name, number in names.items():
+            if number not in attributes:
+                raise ModelError(f"{what}: its Draco content has no attribute {number}, for {name}")
+        return triangles, {name: attributes[number] for name, number in names.items()}
 
     def accessor(self, index: int, components: tuple[int, ...], decoded: Array | None = None) -> Array:
         """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
@@ -237,12 +250,12 @@ class Document:
         dtype = np.dtype(_COMPONENT_TYPES[entry["componentType"]])
         width = _COMPONENTS.get(entry["type"], 0)
         if width not in components:
-            raise ModelError(f"{what} has type {entry['type']}, which does not fit its use; export it again")
+            raise damaged(f"{what} has type {entry['type']}, which does not fit its use")
         count = entry["count"]
         if decoded is not None:
             if decoded.shape[1:] != (width,) or (decoded.dtype.kind == "f") != (dtype.kind == "f"):
                 shape = f"{decoded.dtype} {decoded.shape}"
-                raise ModelError(f"{what} does not fit what was decoded for it, {shape}; export it again")
+                raise damaged(f"{what} does not fit what was decoded for it, {shape}")
             rows = decoded.astype(dtype)
         elif "bufferView" in entry:
             rows = self._rows(entry, count, width, dtype, what)
@@ -278,7 +291,7 @@ class Document:
 def as_object(value: Any, what: str) -> Json:
     """Return a part of the JSON that must be an object, or raise ModelError."""
     if not isinstance(value, dict):
-        raise ModelError(f"{what} must be an object, not {reprlib.repr(value)}; export it again")
+        raise damaged(f"{what} must be an object, not {reprlib.repr(value)}")
     return value
 
 
@@ -286,7 +299,7 @@ def as_numbers(values: Any, count: int, what: str, limit: float) -> tuple[float,
     """Return so many numbers below a limit, or raise ModelError."""
     numbers = values if isinstance(values, (list, tuple)) else ()
     if len(numbers) != count or not all(is_number(number, limit) for number in numbers):
-        raise ModelError(f"{what} must be {count} numbers, not {reprlib.repr(values)}; export it again")
+        raise damaged(f"{what} must be {count} numbers, not {reprlib.repr(values)}")
     return tuple(map(float, numbers))
 
 
@@ -299,30 +312,6 @@ def _refuse_constant(constant: str) -> None:
     raise ValueError(f"{constant} is not JSON")
 
 
-def _decode_draco(data: bytes, names: Json, what: str) -> tuple[Array, dict[str, Array]]:
-    """Decode the triangles of a mesh, ``what`` in errors, and attributes, whose unique ids are given."""
-    try:
-        import DracoPy
-    except ImportError:
-        raise MissingExtraError.needed(f"{what}: to decode Draco's meshes", "DracoPy", "draco") from None
-    try:
-        mesh = DracoPy.decode(data)
-        attributes = {}
-        for each in mesh.attributes:  # DracoPy gives positions as floats, also if integers were encoded
-            rows: Array = each["data"]
-            is_whole = each["data_type"] <= _LAST_INTEGERS and rows.dtype.kind == "f"
-            attributes[int(each["unique_id"])] = rows.astype(np.int64) if is_whole else rows
-        triangles = getattr(mesh, "faces", None)
-    except Exception as error:  # DracoPy has errors of its own
-        raise ModelError(f"{what}: its Draco content is damaged ({_line(error)}); export it again") from None
-    if triangles is None:
-        raise ModelError(f"{what}: its Draco content has no triangles; export it again")
-    for name, number in names.items():
-        if number not in attributes:
-            raise ModelError(f"{what}: its Draco content has no attribute {number}, for {name}")
-    return triangles, {name: attributes[number] for name, number in names.items()}
-
-
 def _decode_meshopt(data: bytes, entry: Json, what: str) -> bytes:
     """Decode a buffer view, which errors call ``what``, as its extension says."""
     try:
@@ -331,18 +320,15 @@ def _decode_meshopt(data: bytes, entry: Json, what: str) -> bytes:
         raise MissingExtraError.needed(f"{what}: to decode meshopt's buffers", "meshopt", "meshopt") from None
     count, stride = entry["count"], entry["byteStride"]
     if not 0 <= count * stride <= _MOST_PER_BYTE * len(data):
-        raise ModelError(
-            f"{what}: {len(data)} bytes of meshopt content cannot hold {count} rows of {stride} bytes; "
-            "export it again"
+        raise damaged(
+            f"{what}: {len(data)} bytes of meshopt content cannot hold {count} rows of {stride} bytes"
         )
     if count == 0:
         return b""
     try:
         rows: Array = meshopt.decode_gltf_buffer(data, count, stride, entry["mode"], entry.get("filter"))
     except (ValueError, TypeError) as error:
-        raise ModelError(
-            f"{what}: its meshopt content is damaged ({_line(error)}); export it again"
-        ) from None
+        raise damaged(f"{what}: its meshopt content is damaged ({_line(error)})") from None
     return rows.tobytes()
 
 
@@ -355,15 +341,13 @@ def scene_nodes(
 ) -> Iterator[tuple[int, Json, Float64s]]:
     """Yield the scene's nodes, depth first: number, node, and the matrix (4, 4) that takes it to the world.
 
-    A file without scenes shows all its nodes. ``posed`` has fields of nodes by their numbers, instead of
-    those in the file. Raises ModelError for nodes that form no tree.
+    ``posed`` has fields of nodes by their numbers, instead of those in the file.
     """
     if document.items("scenes"):
-        number = document.json.get("scene", 0)
-        roots = _links(document, document.item("scenes", number), "nodes", f"scenes[{number}]")
+        roots = _links(document, "scenes", document.json.get("scene", 0), "nodes")
     else:
         numbers = range(len(document.items("nodes")))
-        children = {child for each in numbers for child in _children(document, each)}
+        children = {child for each in numbers for child in _links(document, "nodes", each, "children")}
         roots = [each for each in numbers if each not in children]
     seen: set[int] = set()
     stack = [(root, np.eye(4)) for root in reversed(roots)]
@@ -381,18 +365,14 @@ def scene_nodes(
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = parent @ local_matrix(node)
         yield number, node, matrix
-        stack.extend((child, matrix) for child in reversed(_children(document, number)))
+        stack.extend((child, matrix) for child in reversed(_links(document, "nodes", number, "children")))
 
 
-def _children(document: Document, number: int) -> list[int]:
-    return _links(document, document.item("nodes", number), "children", f"nodes[{number}]")
-
-
-def _links(document: Document, record: Json, field: str, place: str) -> list[int]:
-    """Return the numbers of nodes that a record lists, all of which are there."""
-    numbers = record.get(field, [])
+def _links(document: Document, kind: str, number: Any, field: str) -> list[int]:
+    """Return the numbers of nodes that a scene or a node lists, all of which are there."""
+    numbers = document.item(kind, number).get(field, [])
     if not isinstance(numbers, list):
-        raise ModelError(f"{document.name}: {place}: {field} must be a list of indices; export it again")
+        raise damaged(f"{document.name}: {kind}[{number}]: {field} must be a list of indices")
     for each in numbers:
         document.item("nodes", each)
     return numbers

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
-from octex.errors import ArgumentError, ModelError, ModelWarning
+from octex.errors import ArgumentError, ModelError, damaged
 from octex.source.models.gltf_file import Document, Json, as_object, scene_nodes
+from octex.source.models.reading import warn
 from octex.source.motion import Animation, Links, Motion
 
 _COMPONENTS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
@@ -54,25 +54,22 @@ class Sampler(NamedTuple):
                 + step * (t**3 - t**2) * d[0]
             )
             return _unit(mixed, self.turns)
-        return _slerp(a, b, t) if self.turns else (1 - t) * a + t * b
+        if not self.turns:
+            return np.asarray((1 - t) * a + t * b)
+        a, b = _unit(a, True), _unit(b, True)  # the shorter way round, at an even speed (C.3)
+        dot = float(a @ b)
+        if dot < 0:
+            b, dot = -b, -dot
+        angle = float(np.arctan2(np.linalg.norm(b - dot * a), dot))
+        if angle < 1e-6:  # where both weights are 0 / 0
+            return _unit((1 - t) * a + t * b, True)
+        return np.asarray((np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle))
 
 
 def _unit(values: Float64s, turns: bool) -> Float64s:
     """Return quaternions at length 1, other values as they are."""
     length = float(np.linalg.norm(values))
     return values / length if turns and length else values
-
-
-def _slerp(a: Float64s, b: Float64s, t: float) -> Float64s:
-    """Return the rotation between two, the shorter way round, at an even speed (C.3)."""
-    a, b = _unit(a, True), _unit(b, True)
-    dot = float(a @ b)
-    if dot < 0:
-        b, dot = -b, -dot
-    angle = float(np.arctan2(np.linalg.norm(b - dot * a), dot))
-    if angle < 1e-6:  # where both weights are 0 / 0
-        return _unit((1 - t) * a + t * b, True)
-    return np.asarray((np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle))
 
 
 class Moves:
@@ -90,13 +87,11 @@ class Moves:
                 continue
             node, chosen = target["node"], channel["sampler"]
             if "matrix" in document.item("nodes", node) and path != "weights":
-                raise ModelError(f"{what} moves nodes[{node}], which has a matrix; export it again")
+                raise damaged(f"{what} moves nodes[{node}], which has a matrix")
             if (node, path) in self._channels:
-                raise ModelError(f"{what} gives nodes[{node}] its {path} twice; export it again")
+                raise damaged(f"{what} gives nodes[{node}] its {path} twice")
             if not isinstance(chosen, int) or not 0 <= chosen < len(animation["samplers"]):
-                raise ModelError(
-                    f"{what} refers to samplers[{chosen}], which it does not have; export it again"
-                )
+                raise damaged(f"{what} refers to samplers[{chosen}], which it does not have")
             if chosen not in samplers:
                 place = f"{what}.samplers[{chosen}]"
                 samplers[chosen] = _sampler(
@@ -121,23 +116,15 @@ def _sampler(document: Document, entry: Json, path: str, what: str) -> Sampler:
     if interpolation not in _INTERPOLATIONS:
         raise ModelError(f"{what} interpolates by {interpolation!r}, which is not one of glTF's")
     if not len(times) or not np.isfinite(times).all() or times[0] < 0 or not (np.diff(times) > 0).all():
-        raise ModelError(f"{what} has times that do not ascend from 0 on; export it again")
+        raise damaged(f"{what} has times that do not ascend from 0 on")
     a_key = 3 if interpolation == "CUBICSPLINE" else 1
     width = len(values) // (a_key * len(times)) if path == "weights" else 1
     if not width or len(values) != width * a_key * len(times):
-        raise ModelError(f"{what} has {len(values)} values for {len(times)} times; export it again")
+        raise damaged(f"{what} has {len(values)} values for {len(times)} times")
     if not np.isfinite(values).all():
-        raise ModelError(f"{what} has values that are not finite; export it again")
+        raise damaged(f"{what} has values that are not finite")
     parts = (a_key, -1) if a_key > 1 else (-1,)
     return Sampler(times, values.reshape(len(times), *parts), interpolation, path == "rotation")
-
-
-def lengths_of(document: Document) -> dict[str, float]:
-    """Return how long each animation takes, in seconds, by its name, or its number if it has none.
-
-    Raises ModelError for a broken one.
-    """
-    return {name: Moves(document, n).length for n, name in enumerate(_names(document))}
 
 
 def _names(document: Document) -> list[str]:
@@ -146,10 +133,7 @@ def _names(document: Document) -> list[str]:
 
 
 def pose_of(document: Document, pose: str) -> Pose:
-    """Return the pose NAME@SECONDS; the name of an animation, or its number.
-
-    Raises ArgumentError for an animation or a time that the file lacks, ModelError for a broken animation.
-    """
+    """Return the pose NAME@SECONDS, or raise ArgumentError; NAME may be the animation's number."""
     names = _names(document)
     name, at, seconds = pose.rpartition("@")
     if not names:
@@ -170,8 +154,8 @@ def pose_of(document: Document, pose: str) -> Pose:
             return Pose(document, moves.fields_at(time))
         last = np.float32(moves.length)
         fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
-    lengths = lengths_of(document).items()
-    listing = ", ".join(f"{each} (0 to {np.float32(length)} s)" for each, length in lengths)
+    lengths = {each: np.float32(Moves(document, n).length) for n, each in enumerate(names)}
+    listing = ", ".join(f"{each} (0 to {length} s)" for each, length in lengths.items())
     raise ArgumentError(f"{document.name}{fault}; it has {listing}")
 
 
@@ -205,10 +189,7 @@ class Primitive(NamedTuple):
             if attribute in target:
                 offsets, count = self.document.accessor(target[attribute], (3,)), len(self.positions)
                 if len(offsets) != count:
-                    raise ModelError(
-                        f"{self.name}: targets[{number}] moves {len(offsets)} of {count} vertices; "
-                        "export it again"
-                    )
+                    raise damaged(f"{self.name}: targets[{number}] moves {len(offsets)} of {count} vertices")
             yield offsets
 
 
@@ -233,10 +214,7 @@ class Pose:
         self._joints: dict[int, Float64s] = {}
 
     def positions(self, placed: Placed) -> Float64s:
-        """Return where the vertices (n, 3) of a primitive are: moved by targets, then by a skin or the node.
-
-        Raises ModelError for weights and joints that do not fit.
-        """
+        """Return where the vertices (n, 3) are: moved by targets, then by a skin or the node."""
         bones = self.bones(placed)
         moved = placed.primitive.positions
         for weight, offsets in zip(self.weights(placed), placed.primitive.offsets("POSITION"), strict=True):
@@ -272,9 +250,9 @@ class Pose:
         mesh = self._document.item("meshes", record["mesh"])
         weights: list[float] = (record if "weights" in record else mesh).get("weights", [0.0] * count)
         if len(weights) != count:
-            raise ModelError(
+            raise damaged(
                 f"{placed.primitive.name} has {count} morph targets, and nodes[{placed.node}] weights of "
-                f"{len(weights)}; export it again"
+                f"{len(weights)}"
             )
         return weights
 
@@ -286,19 +264,14 @@ class Pose:
             nodes = skin["joints"]
             lacking = [each for each in nodes if each not in self._matrices]
             if lacking:
-                raise ModelError(
-                    f"{what} has joint nodes[{lacking[0]}], which the scene does not show; export it again"
-                )
+                raise damaged(f"{what} has joint nodes[{lacking[0]}], which the scene does not show")
             if not nodes:
-                raise ModelError(f"{what} has no joints; export it again")
+                raise damaged(f"{what} has no joints")
             inverses = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
             if "inverseBindMatrices" in skin:
                 rows = self._document.accessor(skin["inverseBindMatrices"], (16,)).astype(np.float64)
                 if len(rows) < len(nodes):
-                    raise ModelError(
-                        f"{what} has {len(rows)} inverse bind matrices for {len(nodes)} joints; "
-                        "export it again"
-                    )
+                    raise damaged(f"{what} has {len(rows)} inverse bind matrices for {len(nodes)} joints")
                 inverses = rows[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1)
             self._joints[number] = np.stack([self._matrices[each] for each in nodes]) @ inverses
         return self._joints[number]
@@ -307,9 +280,7 @@ class Pose:
 def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     """Return the joints (n, k) that move vertices, of all sets of four, and weights (n, k) with sums of 1.
 
-    Weights with another sum are normalized, as viewers do, with ModelWarning; where all are 0 the first joint
-    alone moves the vertex. Raises ModelError for weights that are no such numbers, and joints that are not
-    there.
+    Weights with another sum are normalized, as viewers do; where all are 0 the first joint has all.
     """
     what = primitive.name
     joints: list[Array] = []
@@ -317,11 +288,11 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     while (numbers := primitive.attribute(f"JOINTS_{len(joints)}", (4,))) is not None:
         weight = primitive.attribute(f"WEIGHTS_{len(joints)}", (4,))
         if weight is None:
-            raise ModelError(f"{what} has JOINTS_{len(joints)} without weights; export it again")
+            raise damaged(f"{what} has JOINTS_{len(joints)} without weights")
         joints.append(numbers)
         every.append(weight)
     if not joints:
-        raise ModelError(f"{what} has a skin but no JOINTS_0; export it again")
+        raise damaged(f"{what} has a skin but no JOINTS_0")
     numbers, weights = np.concatenate(joints, axis=1), np.concatenate(every, axis=1)
     sums = weights.sum(axis=1)
     bad = ~((weights >= 0).all(axis=1) & np.isfinite(sums))
@@ -333,15 +304,15 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
         )
     off = np.count_nonzero(np.abs(sums - 1) > _ROUNDING)
     if off:
-        text = f"{what}: the weights of {off:,} of {len(sums):,} vertices do not sum to 1; "
-        warnings.warn(text + "octex normalizes them", ModelWarning, stacklevel=2)
+        count = f"{off:,} of {len(sums):,}"
+        warn(f"{what}: the weights of {count} vertices do not sum to 1; octex normalizes them")
         weights[sums == 0, 0] = 1.0
         sums[sums == 0] = 1.0
     if not (numbers < n_joints).all():
         first = int(np.argmax((numbers >= n_joints).any(axis=1)))
-        raise ModelError(
+        raise damaged(
             f"{what}: vertex {first} is moved by joint {int(numbers[first].max())}, but its skin has "
-            f"{n_joints}; export it again"
+            f"{n_joints}"
         )
     return numbers.astype(np.int64), weights / sums[:, None]
 
@@ -349,8 +320,7 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
 def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
     """Return how the vertices of primitives move, one after another; None if the file has no animations.
 
-    ``rate`` is how many frames a second has at least. Raises ModelError for skins and targets that are
-    broken; of animations that are, the motion has ``faults``.
+    ``rate`` is how many frames a second has at least. Broken animations are listed in ``faults``.
     """
     names = _names(document)
     if not names:
@@ -406,7 +376,7 @@ class _Bones:
         )[:, :3]
         weights = np.array([w for _, each in self._weights.values() for w in pose.weights(each)], np.float64)
         if not (np.isfinite(bones).all() and np.isfinite(weights).all()):
-            raise ModelError("moves vertices beyond all numbers; export it again")
+            raise damaged("moves vertices to infinity")
         return bones, weights
 
     def links(self) -> tuple[Links, Links, Float64s]:
@@ -427,7 +397,7 @@ class _Bones:
                 sizes = np.linalg.norm(normals @ upright, axis=1)[:, None, None]
                 turned = _offsets(primitive, "NORMAL") @ upright / np.where(sizes > 0, sizes, np.inf)
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
-                raise ModelError(f"{primitive.name} has targets that are not finite; export it again")
+                raise damaged(f"{primitive.name} has targets that are not finite")
             moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
             every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
             targets.append(_entries(moves, every, offsets))
@@ -441,13 +411,11 @@ def _entries(chosen: Bools, numbers: Int64s, shares: Float64s) -> tuple[Int64s, 
 
 
 def _links(parts: Sequence[tuple[Int64s, Int64s, Float64s]]) -> Links:
-    """Return the entries of one part after another."""
     counts, numbers, shares = map(np.concatenate, zip(*parts, strict=True))
     return Links(np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), numbers, shares)
 
 
 def _offsets(primitive: Primitive, attribute: str) -> Float64s:
-    """Return what the targets of a primitive add to its vertices' attribute (n, targets, 3)."""
     offsets = np.zeros((len(primitive.positions), len(primitive.targets), 3))
     for number, added in enumerate(primitive.offsets(attribute)):
         if added is not None:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
-from octex.errors import ModelError
+from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors
 from octex.source.images.decode import global_settings
@@ -35,7 +35,7 @@ def load_stl(path: Path, options: Options) -> Surface:
     data = read_bytes(path)
     if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):  # not of the binary kind
         if b"endsolid" not in data.lower():
-            raise ModelError(f"{path.name} is truncated, or not an STL file; export it again")
+            raise damaged(f"{path.name} is truncated, or not an STL file")
         # For text that is not UTF-8 trimesh asks a package that need not be there.
         data = data.decode("latin-1").encode()
     with global_settings():
@@ -45,19 +45,14 @@ def load_stl(path: Path, options: Options) -> Surface:
         try:
             mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
         except (DeprecationWarning, ValueError):
-            raise ModelError(
-                f"{path.name}: a facet's vertices are not three times three numbers; export it again"
-            ) from None
+            raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
     faces = np.array(mesh.faces, np.int64)
     shape = cut_shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
     return colored_surface(path.name, options, shape, None)
 
 
 def load_off(path: Path, options: Options) -> Surface:
-    """Read an OFF model: colours of vertices, or else of faces, are sRGB values. Raises ModelError.
-
-    It has vertices, with colours if its first word says so, and faces, with colours after their corners.
-    """
+    """Read an OFF model; its colours, of vertices or else of faces, are sRGB values."""
     name = path.name
     lines = read_bytes(path).decode("latin-1").splitlines()
     lines = [line.partition("#")[0] if "#" in line else line for line in lines]
@@ -78,11 +73,11 @@ def load_off(path: Path, options: Options) -> Surface:
     vertices = _rows(lines[:n_vertices], name)
     faces = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
     if len(vertices.counts) and vertices.counts.min() < 3:
-        raise ModelError(f"{name}: a vertex has less than three numbers; export it again")
+        raise damaged(f"{name}: a vertex has less than three numbers")
     positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
     sizes = whole_numbers(faces.values[faces.starts])
     if not ((sizes >= 0) & (sizes < faces.counts)).all():
-        raise ModelError(f"{name}: a face has fewer corners than it says; export it again")
+        raise damaged(f"{name}: a face has fewer corners than it says")
     within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
     shape = cut_shape(name, positions, indices, sizes)
@@ -101,8 +96,6 @@ def _whole_faces(lines: list[str], count: int) -> list[str]:
 
 
 class _Rows(NamedTuple):
-    """Numbers by lines."""
-
     values: Float64s
     starts: Int64s
     counts: Int64s
@@ -112,16 +105,12 @@ def _rows(lines: list[str], name: str) -> _Rows:
     counts = np.array([len(line.split()) for line in lines], np.int64)
     values = parse_numbers(" ".join(lines))
     if values is None or values.size != counts.sum():
-        raise ModelError(f"{name}: a vertex or a face is not numbers; export it again")
+        raise damaged(f"{name}: a vertex or a face is not numbers")
     return _Rows(values, np.cumsum(counts) - counts, counts)
 
 
 def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
-    """Return the linear colours after ``skip`` numbers of each row; white where less than three are left.
-
-    Values are 0 … 255 if any is above 1, else 0 … 1. One number alone is a place in a colour map that the
-    file does not hold. None if no row has a colour.
-    """
+    """Return the linear colours after ``skip`` numbers of each row, white where there are none; or None."""
     left = rows.counts - skip - tail
     colored = left >= 3
     if not colored.any():

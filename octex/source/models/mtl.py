@@ -1,29 +1,7 @@
 """MTL files: the materials of OBJ models.
 
-The MTL specification (Alias|Wavefront, 1995) leaves open what a number means, and programs have added words
-to it. The field's practice is followed:
-
-    base_color  Kd, map_Kd                      emissive    Ke, map_Ke, map_emissive
-    specular    Ks, map_Ks                      metallic    Pm, map_Pm, map_metallic
-    alpha       d or 1 − Tr, map_d              roughness   Pr, map_Pr, map_roughness, else Ns
-    normal      norm, map_Kn, map_tangentSpaceNormal, else map_Bump, bump
-    occlusion   map_ao
-
-* Colours are sRGB values, as they look on a screen; a Ke above 1 cannot be one and is linear light.
-* A colour multiplies its map, and d multiplies map_d (the specification); but zero beside a map means
-  nothing: exporters write it for "unset". Pr and Pm give way to their maps: Blender writes leftovers there.
-* The alpha of a colour map is not opacity. map_d is: by the image's alpha if any texel is translucent (the
-  specification's default), else by its red. Other single values are red too, unless -imfchan says r, g, b,
-  m (alpha) or l (luminance); z, depth, is no part of image files and counts as unsaid.
-* A map_Bump that is grey (within JPEG's noise), or whose -imfchan is said, holds heights: -bm × height in
-  0 … 1, in texels. Other images are tangent-space normal maps, green up, as exporters write them there; -bm
-  scales their x and y.
-* Ns is roughness 1 − √(Ns / 1000), as Blender has it. Nearly every file has Ns and Ks, most of them
-  leftovers: without a map or a Pr in any material in use, they make a channel only if asked for by name.
-* -mm base gain makes base + gain · t of the stored values t, kept in 0 … 1. -s and then -o change a map's
-  coordinates, -clamp on repeats the image's edge. Left out, as elsewhere: -t (turbulence), -blendu, -blendv,
-  -boost, -cc, -colorspace, -texres, -type; map_Ns (exponents, gloss or roughness, as the program likes),
-  map_Ka, disp, decal, refl, Ni, Tf, illum, and sheen, clear coat and anisotropy (Ps, Pc, Pcr, aniso, anisor).
+The specification (Alias|Wavefront, 1995) leaves open what numbers mean; the field's practice is followed, as
+the documentation's page on models says. Colours and the other values are as they look on a screen.
 """
 
 from __future__ import annotations
@@ -67,9 +45,7 @@ class Library(NamedTuple):
 def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may hold blanks, or several. Images are read of the channels that
-    ``options`` asks for. A missing file is named in the result. Raises ModelError for a line that cannot be
-    read, ImageError for an image that is missing or cannot be read.
+    Each line names one file, whose name may hold blanks, or several. A missing file is named in the result.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, Description] = {}
@@ -78,7 +54,18 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
         file = beside(path.parent, line)
         for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
             if each is not None:
-                materials |= _parse(each, wanted, images, options)
+                data = read_bytes(each)
+                images.note(each, data)
+                entries: dict[str, str] = {}
+                name = None
+                for entry in [*wavefront_lines(data, each), "newmtl"]:
+                    key, _, rest = entry.partition(" ")
+                    if key == "newmtl":
+                        if name is not None and name in wanted:
+                            materials[name] = _Describer(entries, name, each, images, options).describe()
+                        name, entries = rest.strip(), {}
+                    elif rest.strip():
+                        entries[key.lower()] = rest.strip()
             elif line not in missing:
                 missing.append(line)
     stated = set(options.channels or ())
@@ -123,27 +110,7 @@ def beside(folder: Path, name: str) -> Path | None:
     return None
 
 
-def _parse(path: Path, wanted: set[str], images: ImageFiles, options: Options) -> dict[str, Description]:
-    """Read the wanted materials of an MTL file."""
-    data = read_bytes(path)
-    images.note(path, data)
-    materials: dict[str, Description] = {}
-    entries: dict[str, str] = {}
-    name = None
-    for line in [*wavefront_lines(data, path), "newmtl"]:
-        key, _, rest = line.partition(" ")
-        if key == "newmtl":
-            if name is not None and name in wanted:
-                materials[name] = _Describer(entries, name, path, images, options).describe()
-            name, entries = rest.strip(), {}
-        elif rest.strip():
-            entries[key.lower()] = rest.strip()
-    return materials
-
-
 class _Map(NamedTuple):
-    """A line of a texture map."""
-
     file: str
     slot: Slot = Slot()
     wrap: int = REPEAT
@@ -240,7 +207,6 @@ class _Describer:
         return Input((opacity or 1.0,), texture, (lane,))
 
     def _normal(self) -> Input | None:
-        """Return a normal map, or one made of a height map."""
         normal_map = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
         image = normal_map or self._map("map_Bump", "bump")
         if image is None:
@@ -276,7 +242,7 @@ class _Describer:
         path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
-                f"{self._where}: the image {image.file} is missing; put it beside {self._path.name}"
+                f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}"
             )
         return path, f"{self._where}: {image.file}"
 
@@ -387,8 +353,7 @@ def is_grey(texels: Texels) -> bool:
 def normals_of_heights(heights: Array, strength: float, wrap: int) -> Uint16s:
     """Return the tangent-space normal map (height, width, 4) of a height map (height, width), rows down.
 
-    The slopes are central differences, per texel, of ``strength`` × height; at the border the image is
-    continued by ``wrap``, REPEAT or CLAMP. Codes are (x + 1) / 2 of 65535, x right, y up, z out.
+    The slopes are central differences, per texel, of ``strength`` × height. x right, y up, z out.
     """
     height, width = heights.shape
     texels = np.full((height, width, 4), 65535, np.uint16)

@@ -1,27 +1,23 @@
 """Wavefront OBJ models.
 
-Read here and not by trimesh, which takes relative indices as counted from the end of the file, cuts concave
-polygons into overlapping fans, and loses which face had which material.
-
-The colours that some programs append to vertices are sRGB values, as they look on a screen. Normals count
-only below normal maps; faces without them are flat there, whatever their smoothing group.
+trimesh is not asked: it counts relative indices from the end of the file, cuts concave polygons into
+overlapping fans, and loses which face had which material. Colours appended to vertices are sRGB values.
 """
 
 from __future__ import annotations
 
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s, Uint8s
-from octex.errors import ModelError, ModelWarning
+from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.jit import kernel
 from octex.source.colors import guessed_colors
 from octex.source.corners import Corners, Creases
-from octex.source.models.mtl import Library, load_materials, wavefront_lines
+from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
     Description,
     Options,
@@ -31,6 +27,7 @@ from octex.source.models.reading import (
     frames_below,
     parse_numbers,
     slot_coordinates,
+    warn,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
@@ -38,12 +35,7 @@ _LISTED = 5
 
 
 def load_obj(path: Path, options: Options) -> Surface:
-    """Read an OBJ model with what ``options`` asks for of its materials (``mtl`` says how).
-
-    Lines, points, curves and groups are left out. ``provenance`` names the other files that were read. Warns
-    with ModelWarning of material files that are missing and of materials that none defines: they are white.
-    Raises ModelError or ImageError.
-    """
+    """Read an OBJ model, without lines, points, curves and groups; materials that are missing are white."""
     text = _Text(path)
     name = path.name
     vertices = _numbers(text.vertices, 3, name, "v")
@@ -84,8 +76,6 @@ def load_obj(path: Path, options: Options) -> Surface:
 
 
 class _Text:
-    """An OBJ file cut into its lines by kind."""
-
     def __init__(self, path: Path) -> None:
         self.vertices: list[str] = []
         self.coordinates: list[str] = []
@@ -138,9 +128,7 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
             named[kind].append(numbers)
             sharpness[kind].append(sharp)
         except (IndexError, ValueError):
-            raise ModelError(
-                f"{name}: a line 't {tag[:40]}' is no tag of a crease; export it again"
-            ) from None
+            raise damaged(f"{name}: a line 't {tag[:40]}' is not a crease tag") from None
     if not any(named.values()):
         return None
     return Creases(
@@ -193,15 +181,14 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
 
 def _check(used: Int64s, limit: int, name: str, what: str) -> None:
     if used.size and not -1 <= used.min() <= used.max() < limit:
-        raise ModelError(f"{name}: a face uses a {what} that is not among the {limit}; export it again")
+        raise damaged(f"{name}: a face uses a {what} that is not among the {limit}")
 
 
 @kernel
 def _parse_corners(text: Uint8s, bases: Int64s, corners: Int64s, sizes: Int64s) -> int:
     """Parse ``vertex[/[coordinates][/[normal]]]`` words; return how many, or −1 − the first bad line.
 
-    Indices count from 1; negative ones back from ``bases``, what had been read at the face. −1 stands for no
-    coordinates or normal, −2 for an index that cannot be.
+    Negative indices count back from ``bases``. −1 stands for none, −2 for an index that cannot be.
     """
     count = line = size = at = 0
     while at < len(text):
@@ -257,35 +244,29 @@ def _bind(
     library = load_materials(path, libraries, set(names), options)
     lost = [name for name in names if name not in library.materials]
     if lost:
-        warnings.warn(_without_materials(path.name, lost, library, libraries), ModelWarning, stacklevel=2)
+        more = f" and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
+        listing = ", ".join(each or "without a name" for each in lost[:_LISTED]) + more
+        what, are = (f"material {listing}", "is") if len(lost) == 1 else (f"materials {listing}", "are")
+        lie, them = ("are", "them") if len(library.missing) > 1 else ("is", "it")
+        fault = f"{', '.join(libraries)} does not define the {what}, which {are} white; add what is missing"
+        if library.missing:
+            files = " and ".join(library.missing)
+            fault = f"{files} {lie} missing, so the {what} {are} white; put {them} next to the model"
+        warn(f"{path.name}: {fault}")
     known += [library.materials.get(name, Description()) for name in names]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
     return known, numbers[polygons], library.files
 
 
-def _without_materials(name: str, lost: list[str], library: Library, libraries: list[str]) -> str:
-    more = f" and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
-    listing = ", ".join(each or "without a name" for each in lost[:_LISTED]) + more
-    materials, are = (f"material {listing}", "is") if len(lost) == 1 else (f"materials {listing}", "are")
-    if library.missing:
-        files, lie, them = " and ".join(library.missing), "is", "it"
-        if len(library.missing) > 1:
-            lie, them = "are", "them"
-        return f"{name}: {files} {lie} missing, so the {materials} {are} white; put {them} beside the model"
-    files = ", ".join(libraries)
-    return f"{name}: {files} does not define the {materials}, which {are} white; add what is missing"
-
-
 def _coordinates(
     text: _Text, known: list[Description], numbers: Int32s, rows: Int64s, name: str
 ) -> tuple[Float64s, Int32s]:
-    """Return texture coordinates (n, 2), v up, and the row of each corner."""
     textured = np.array([bool(each.slots) for each in known])[numbers]
     lacking = int((rows[textured] < 0).any(axis=1).sum())
     if lacking:
-        said = f"{name} has {lacking} textured triangles without texture coordinates: they read one texel"
-        warnings.warn(said + "; give them some", ModelWarning, stacklevel=2)
+        what = f"{name} has {lacking} textured triangles without texture coordinates"
+        warn(f"{what}: they read one texel; give them some")
     plain = _numbers(text.coordinates, 1, name, "vt")
     if plain.shape[1] == 1:
         plain = np.append(plain, np.zeros_like(plain), axis=1)

@@ -6,7 +6,6 @@ Read here and not by trimesh, which knows no binary faces of mixed sizes and dro
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ONE
-from octex.errors import ImageError, ModelError, ModelWarning
+from octex.errors import ImageError, ModelError, damaged
 from octex.files import read_bytes, referred
 from octex.jit import kernel
 from octex.source.colors import screen_colors
@@ -29,6 +28,7 @@ from octex.source.models.reading import (
     cut_shape,
     opaque,
     parse_numbers,
+    warn,
     whole_numbers,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
@@ -42,24 +42,6 @@ _CODES = {"u1": 255.0, "u2": 65535.0}
 _COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green", "diffuse_blue", "alpha"),
                ("r", "g", "b", "a"))  # fmt: skip
-
-
-def load_ply(path: Path, options: Options) -> Surface:
-    """Read a PLY model: colours of vertices, or else of faces, and the images of its TextureFile comments.
-
-    Faces are polygons, or strips of triangles where there are none, as range scans have them.
-    Colours are sRGB values; texture coordinates, of vertices or of faces, have v up.
-    Raises ModelError or ImageError.
-    """
-    return _Ply(path).surface(options)
-
-
-def ply_points(path: Path) -> tuple[Float64s, Float32s, Float64s | None]:
-    """Read the vertices of a PLY file as points (n, 3), linear colours and alpha (n, 4), and normals (n, 3).
-
-    Raises ModelError for a file without vertices or without their colours.
-    """
-    return _Ply(path).points()
 
 
 class _Property(NamedTuple):
@@ -78,7 +60,7 @@ class _Values(NamedTuple):
     type: str
 
 
-class _Ply:
+class Ply:
     """A PLY file: its header and the elements that are read."""
 
     def __init__(self, path: Path) -> None:
@@ -122,10 +104,9 @@ class _Ply:
         self._order = ">" if encoding == "binary_big_endian" else "<"
 
     def _read(self) -> dict[str, dict[str, _Values]]:
-        """Read the properties of all elements up to the faces."""
         numbers = parse_numbers(self._body.decode("latin-1") if self._ascii else "")
         if numbers is None:
-            raise ModelError(f"{self.name}: its data are not all numbers; export it again")
+            raise damaged(f"{self.name}: its data are not all numbers")
         available = len(numbers) if self._ascii else len(self._body)
         raw = np.frombuffer(self._body, np.uint8)
         elements: dict[str, dict[str, _Values]] = {}
@@ -183,6 +164,7 @@ class _Ply:
         return np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
 
     def points(self) -> tuple[Float64s, Float32s, Float64s | None]:
+        """Return points (n, 3), linear colours and alpha (n, 4), and normals (n, 3)."""
         positions, vertex = self._positions(), self._numbers("vertex")
         colors = _element_colors(vertex)
         if colors is None:
@@ -195,6 +177,7 @@ class _Ply:
         return positions, colors, normals
 
     def surface(self, options: Options) -> Surface:
+        """Return the polygons, or strips, with colours of vertices, or else of faces, and images."""
         vertex, face = self._numbers("vertex"), self._numbers("face")
         lists = self.data.get("face", {})
         positions = self._positions()
@@ -208,10 +191,8 @@ class _Ply:
         if not options.wants("base_color") or not self.images:
             return colored_surface(self.name, options, shape, colors, coordinates=coordinates)
         if coordinates is None:
-            text = (
-                f"{self.name} names the image {self.images[0]} but has no texture coordinates to read it at"
-            )
-            warnings.warn(text + ", so it is left out; give it some", ModelWarning, stacklevel=2)
+            what = f"{self.name} names the image {self.images[0]} but has no texture coordinates"
+            warn(f"{what} to read it at, so it is left out; give it some")
             return colored_surface(self.name, options, shape, colors)
         textures = [Texture(self._image(image)) for image in self.images]
         numbers = None
@@ -250,7 +231,7 @@ class _Ply:
             data = read_bytes(referred(self.path.parent, image))
         except OSError as error:
             raise ImageError(
-                f"{what} cannot be read: {error.strerror or error}; put it beside the model"
+                f"{what} cannot be read: {error.strerror or error}; put it next to the model"
             ) from None
         texels = decode_image(data, what)
         texels[..., 3] = ONE[texels.dtype.name]
@@ -299,9 +280,9 @@ def _walk(
     starts: Int64s,
     sizes: Int64s,
 ) -> int:
-    """Find where each property of each row starts, and the sizes of lists; return where the last row ends.
+    """Find where each property of each row starts, and the sizes of lists; return the end, −1 if data lack.
 
-    ``layout`` holds the width of a value and of a list's length, 0 if it is no list. −1: the data end before.
+    ``layout`` holds the width of a value and of a list's length, 0 if it is no list.
     """
     for row in range(starts.shape[0]):
         for column in range(starts.shape[1]):

@@ -1,14 +1,12 @@
 """3MF packages: meshes as the build places them, with their colours.
 
-Core Specification 1.3, Materials and Properties 1.2, Production 1.1. Positions are the file's own numbers,
-whatever their unit. Colour groups, base materials and textures are read; of composites and multi-properties,
-which blend these, the material with the largest share and the last layer, with ModelWarning.
+Core Specification 1.3, Materials and Properties 1.2, Production 1.1. Positions are in the file's own unit. Of
+composites and multi-properties the material with the largest share and the last layer are read.
 """
 
 from __future__ import annotations
 
 import io
-import warnings
 import zipfile
 from pathlib import Path
 from typing import NamedTuple
@@ -19,14 +17,14 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.channels import ONE
-from octex.errors import ModelError, ModelWarning
+from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import screen_colors
 from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_shape, winding
+from octex.source.models.reading import Options, colored_surface, cut_shape, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -45,7 +43,7 @@ def load_3mf(path: Path, options: Options) -> Surface:
     try:
         package = zipfile.ZipFile(io.BytesIO(data))
     except zipfile.BadZipFile:
-        raise ModelError(f"{path.name} is damaged, or no 3MF package; export it again") from None
+        raise damaged(f"{path.name} is damaged, or is not a 3MF package") from None
     with package:
         return _Package(package, path.name, options, len(data)).surface()
 
@@ -60,8 +58,6 @@ class _Group(NamedTuple):
 
 
 class _Mesh(NamedTuple):
-    """Triangles, and what is bound to them."""
-
     positions: Float64s
     triangles: Int64s  # (m, 3)
     rows: Int64s  # (m, 3)   of the tables, of each corner
@@ -112,22 +108,22 @@ class _Package:
         try:
             entry = self._package.getinfo(part.lstrip("/"))
         except KeyError:
-            raise ModelError(f"{self._name} has no part {part}; export it again") from None
+            raise damaged(f"{self._name} has no part {part}") from None
         if entry.file_size > self._most:
-            raise ModelError(
-                f"{self._name}: {part} unpacks to {entry.file_size:,} bytes, more than {_UNPACKED} times the "
-                "file, as no model does; export it again"
+            raise damaged(
+                f"{self._name}: {part} unpacks to {entry.file_size:,} bytes, more than {_UNPACKED} times "
+                "the file, as no model does"
             )
         return self._package.read(entry)
 
     def _parsed(self, part: str) -> Element:
         data = self._read(part)
         if b"<!DOCTYPE" in data:  # the specification has none, and they may blow up
-            raise ModelError(f"{self._name}: {part} has a document type, which 3MF forbids; export it again")
+            raise damaged(f"{self._name}: {part} has a document type, which 3MF forbids")
         try:
             return ElementTree.fromstring(data)
         except ElementTree.ParseError as error:
-            raise ModelError(f"{self._name}: {part} is damaged ({error}); export it again") from None
+            raise damaged(f"{self._name}: {part} is damaged ({error})") from None
 
     def _part(self, part: str) -> Element:
         """Return a model part, whose objects and groups are known from then on."""
@@ -196,9 +192,7 @@ class _Package:
         self._part(part)
         number = item.get("objectid", "")
         if depth > _NESTED or (part, number) not in self._objects:
-            raise ModelError(
-                f"{self._name}: object {number!r} is missing, or contains itself; export it again"
-            )
+            raise damaged(f"{self._name}: object {number!r} is missing, or contains itself")
         entry = self._objects[part, number]
         meshes = [
             mesh
@@ -241,8 +235,7 @@ class _Package:
             group = self._groups.get((part, str(number)))
             if group is not None:
                 if group.is_blended:
-                    text = f"{self._name}: of materials that are blended one is read; bake them to a texture"
-                    warnings.warn(text, ModelWarning, stacklevel=2)
+                    warn(f"{self._name}: of materials that are blended one is read; bake them to a texture")
                 its = groups == number
                 rows[its] = group.first + self._checked(chosen[its], group.size)
                 images[its] = group.image
@@ -253,7 +246,7 @@ class _Package:
 
     def _checked(self, chosen: Int64s, count: int) -> Int64s:
         if chosen.size and not 0 <= chosen.min() <= chosen.max() < count:
-            raise ModelError(f"{self._name}: a property {chosen.max()} is used of {count}; export it again")
+            raise damaged(f"{self._name}: a property {chosen.max()} is used of {count}")
         return chosen
 
 
@@ -277,5 +270,4 @@ def _path(element: Element, part: str) -> str:
 
 
 def _color(code: str) -> tuple[int, ...]:
-    """Return the four bytes of a colour #RRGGBB or #RRGGBBAA."""
     return tuple(bytes.fromhex(code.lstrip("#").ljust(8, "F"))[:4])

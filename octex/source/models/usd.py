@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,21 +18,23 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
-from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
+from octex.errors import ImageError, MissingExtraError, ModelError, damaged
 from octex.files import is_absolute
 from octex.source.corners import Corners, Polygons
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.polygons import cut_polygons, triangulate
 from octex.source.models.reading import (
     Description,
     Options,
     Part,
     Slot,
     assembled,
+    cut_polygons,
     frames_below,
     slot_coordinates,
+    triangulate,
+    warn,
 )
 from octex.source.surface import Surface, flip_v
 
@@ -53,13 +54,10 @@ _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
 
 def load_usd(path: Path, options: Options) -> Surface:
-    """Read the meshes of a USD stage that are shown, with what ``options`` asks for of their materials.
+    """Read the meshes of a USD stage that are shown, with their materials.
 
-    ``uv`` is ``st``, or what the first image is read at, where all meshes have it. ``provenance`` holds the
-    digests of the images. Point instancers and shapes that are no meshes are left out, materials other than
-    UsdPreviewSurface are white, and where coordinates are missing images are read at (0, 0), as the
-    specification says, with ModelWarning. Raises ModelError, ImageError, or MissingExtraError without
-    usd-core.
+    Point instancers, shapes that are no meshes and materials other than UsdPreviewSurface are left out, with
+    ModelWarning; without coordinates images are read at (0, 0). ``uv`` is ``st`` or the first read.
     """
     try:
         from pxr import Tf, Usd, UsdUtils
@@ -77,11 +75,10 @@ def load_usd(path: Path, options: Options) -> Surface:
         faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
         if faults:
             more = f" … and {len(faults) - 1} more like that" if len(faults) > 1 else ""
-            text = f"{path.name} is not whole: {next(iter(faults))[:200]}{more}"
-            warnings.warn(text, ModelWarning, stacklevel=2)
+            warn(f"{path.name} is not whole: {next(iter(faults))[:200]}{more}")
         return _Scene(stage, path.name, options).surface()
     except Tf.ErrorException:
-        raise ModelError(f"{path.name} is damaged, or no USD stage; export it again") from None
+        raise damaged(f"{path.name} is damaged, or is not a USD stage") from None
     finally:
         del quiet
 
@@ -108,8 +105,8 @@ class _Scene:
         parts = [part for prim in prims if len((part := self._part(*prim, has_frames=has_frames)).triangles)]
         for name, meshes in self._lacking.items():
             more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
-            text = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
-            warnings.warn(f"{text}: images are read at (0, 0) there", ModelWarning, stacklevel=2)
+            what = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
+            warn(f"{what}: images are read at (0, 0) there")
         if not parts:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not points or curves")
         files = self._materials.files
@@ -119,7 +116,6 @@ class _Scene:
         )  # fmt: skip
 
     def _shown(self) -> list[Any]:
-        """Return the meshes that are visible and meant for renders."""
         from pxr import Usd, UsdGeom
 
         meshes = []
@@ -128,15 +124,12 @@ class _Scene:
         for prim in every:
             if prim.IsA(UsdGeom.PointInstancer):
                 every.PruneChildren()
-                text = f"{self._name}: {prim.GetPath()} is a point instancer, which octex leaves out"
-                warnings.warn(text, ModelWarning, stacklevel=2)
+                warn(f"{self._name}: {prim.GetPath()} is a point instancer, which octex leaves out")
             elif prim.IsA(UsdGeom.Gprim):
                 seen = UsdGeom.Imageable(prim)
+                purposes = UsdGeom.Tokens.default_, UsdGeom.Tokens.render
                 is_hidden = seen.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
-                if is_hidden or seen.ComputePurpose() not in (
-                    UsdGeom.Tokens.default_,
-                    UsdGeom.Tokens.render,
-                ):
+                if is_hidden or seen.ComputePurpose() not in purposes:
                     continue
                 if prim.IsA(UsdGeom.Mesh):
                     meshes.append(prim)
@@ -144,8 +137,7 @@ class _Scene:
                     others[prim.GetTypeName()] += 1
         if others:
             listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
-            text = f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes"
-            warnings.warn(text, ModelWarning, stacklevel=2)
+            warn(f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes")
         return meshes
 
     def _placed(self, prim: Any) -> Float64s:
@@ -160,10 +152,7 @@ class _Scene:
         return np.asarray(placed, np.float64)
 
     def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
-        """Return the faces of a mesh that materials other than its own are for, and all of its materials.
-
-        These are by number; the mesh's own comes first.
-        """
+        """Return the faces of a mesh by their materials' numbers, and these; the mesh's own comes first."""
         from pxr import UsdGeom, UsdShade
 
         api = UsdShade.MaterialBindingAPI(prim)
@@ -189,9 +178,7 @@ class _Scene:
         if not np.isfinite(positions).all():
             raise ModelError(f"{what} has points that are not finite; repair the model")
         if sizes.min(initial=0) < 0 or sizes.sum() != len(corners):
-            raise ModelError(
-                f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}; export it again"
-            )
+            raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
         _check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
         polygons = cut_polygons(cut, owners, sizes)
@@ -289,9 +276,9 @@ class _Primvars:
         if array.ndim < 2 and array.size % width == 0:  # one for all, or numbers alone
             array = array.reshape(-1, width)
         if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "fiu":
-            raise ModelError(f"{self.what}: its primvar {name} has not {width} numbers each; export it again")
+            raise damaged(f"{self.what}: its primvar {name} has not {width} numbers each")
         if spread not in _SPREADS:
-            raise ModelError(f"{self.what}: its primvar {name} is spread by {spread!r}; export it again")
+            raise damaged(f"{self.what}: its primvar {name} is spread by {spread!r}")
         rows = self._rows[spread]
         if indices is not None:
             listed = np.asarray(indices, np.int64)
@@ -302,7 +289,6 @@ class _Primvars:
 
 
 def _rows(values: Any, width: int | None = None) -> Array:
-    """Return an attribute's array (n,) or (n, width), empty if it is not there."""
     if values is None:
         return np.empty((0,) if width is None else (0, width), np.float32)
     return np.asarray(values)
@@ -339,9 +325,8 @@ class _Materials:
     def _described(self, material: Any) -> Description:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
-            place = material.GetPath()
-            text = f"{self._name}: the material {place} is no UsdPreviewSurface, so it is white; convert it"
-            warnings.warn(text, ModelWarning, stacklevel=2)
+            what = f"{self._name}: the material {material.GetPath()}"
+            warn(f"{what} is not a UsdPreviewSurface, so it is white; convert it")
             return _plain()
         inputs: dict[str, Input] = {"base_color": Input(_GREY)}
         slots: dict[Slot, int] = {}
@@ -365,8 +350,7 @@ class _Materials:
             elif value is not None and channel != "normal":
                 inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
             if node is not None and kind not in _READ:
-                text = f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it"
-                warnings.warn(text, ModelWarning, stacklevel=2)
+                warn(f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it")
         cutoff = float(_value(shader, "opacityThreshold", 0.0))
         reads_opacity = "alpha displayOpacity" in vertex
         mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
@@ -389,8 +373,7 @@ class _Materials:
             lanes *= 3
         asset = _value(node, "file", None)
         if asset is None or not asset.path:
-            text = f"{self._name}: {node.GetPath()} names no image, so it is its fallback"
-            warnings.warn(text, ModelWarning, stacklevel=2)
+            warn(f"{self._name}: {node.GetPath()} names no image, so it is its fallback")
             fallback = np.array(_value(node, "fallback", (0.0, 0.0, 0.0, 1.0)), np.float64)
             return None if channel == "normal" else Input(tuple(fallback[list(lanes)].tolist()))
         factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
@@ -426,7 +409,7 @@ class _Materials:
         if (place, "") not in self._texels:
             file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
             if file is None:
-                raise ImageError(f"{what}: its image {asset.path} is not there; put it beside the model")
+                raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
             data = bytes(file.GetBuffer())
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
             self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
@@ -451,10 +434,7 @@ def _plain() -> Description:
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
-    """Return the shader and the output that an input is connected to, or None, "" and its value.
-
-    None for an input that is not there, or has neither.
-    """
+    """Return the shader and output that an input is connected to, or None, "" and its value; or None."""
     from pxr import UsdShade
 
     entry = shader.GetInput(name)
@@ -470,7 +450,6 @@ def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
 
 
 def _value(shader: Any, name: str, default: Any) -> Any:
-    """Return the value of an input, the default where none is given."""
     producer = _producer(shader, name)
     return default if producer is None or producer[2] is None else producer[2]
 

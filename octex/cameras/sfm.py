@@ -1,0 +1,255 @@
+"""Cameras of structure from motion: Meshroom's .sfm, OpenMVG's and OpenSfM's JSON, Bundler's .out.
+
+All but Bundler's have axes like OpenCV's. Pixels' centres of Meshroom and OpenMVG are whole numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from octex.arrays import Float64s
+from octex.cameras.camera import intrinsics
+from octex.cameras.fields import BrokenError, Record, within
+from octex.cameras.frames import (
+    Frame,
+    Optics,
+    centred,
+    is_file,
+    picture_path,
+    rigid,
+    rotation_of,
+    view_of,
+)  # fmt: skip
+from octex.cameras.lens import DistortionModel
+from octex.files import read_bytes
+
+BUNDLER_MARK = b"# Bundle file"
+#: From y up and z backward to OpenCV's axes, and back.
+_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+#: How many numbers a camera of Bundler's has.
+_WIDTH = 15
+#: How many numbers a distortion of Meshroom's has, by its name and by the camera's type of older versions.
+_MESHROOM = {
+    "none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4,
+    "pinhole": 0, "radial1": 1, "radial3": 3,
+}  # fmt: skip
+#: OpenMVG's distortions by their fields: octex's model, how many numbers it has, where those of the field go.
+_OPENMVG: dict[str, tuple[DistortionModel, int, list[int]]] = {
+    "disto_k1": ("opencv", 5, [0]),
+    "disto_k3": ("opencv", 5, [0, 1, 4]),
+    "disto_t2": ("opencv", 5, [0, 1, 4, 2, 3]),
+    "fisheye": ("fisheye", 4, [0, 1, 2, 3]),
+}
+#: OpenSfM's distortions by projection_type: octex's model, and the fields of its numbers in its order.
+_OPENSFM: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
+    **dict.fromkeys(("perspective", "simple_radial", "radial"), ("opencv", ("k1", "k2"))),
+    "brown": ("opencv", ("k1", "k2", "p1", "p2", "k3")),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), ("fisheye", ("k1", "k2", "k3", "k4"))),
+}
+
+
+def _view_from(rotation: Float64s, center: Float64s) -> Float64s:
+    """Return the view of a camera that sees X at R(X − C)."""
+    return view_of(rigid(rotation, -rotation @ center))
+
+
+def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
+    """Read the cameras of all views of AliceVision's JSON that are placed; its numbers are texts.
+
+    From version 1.2.3 on, meshes are written with y and z turned round, poses are not.
+    """
+    scene = Record(document, are_texts=True)
+    version = scene.numbers("version", 3).tolist()
+    optics = {each.key("intrinsicId"): each for each in scene.records("intrinsics")}
+    poses = {each.key("poseId"): each for each in scene.records("poses")}
+    frames = []
+    for number, record in enumerate(scene.records("views")):
+        with within(f"view {number}"):
+            name = record.text("path")
+        pose, lens = poses.get(str(record.find("poseId"))), optics.get(str(record.find("intrinsicId")))
+        if pose is None or lens is None:
+            continue  # not placed
+        with within(f"view {name!r}"):
+            if "rigId" in record and str(record.find("isPoseIndependant", True)).lower() in ("false", "0"):
+                raise BrokenError("belongs to a rig, which octex does not read; leave the rig out")
+            with within("pose"):
+                placed = pose.record("pose").record("transform")
+                rotation = placed.numbers("rotation", 9).reshape(3, 3).T
+                view = _view_from(rotation, placed.numbers("center", 3))
+            if version >= [1, 2, 3]:
+                view = view @ _TURN
+            with within("intrinsics"):
+                shared = _meshroom_optics(lens, version)
+            frames.append(Frame(name, path, shared, view, picture_path(path, name)))
+    return frames
+
+
+def _meshroom_optics(record: Record, version: list[float]) -> Optics:
+    size = record.size()
+    kind = record.text("type")
+    if version >= [1, 2, 8]:
+        kinds = [kind, record.text("distortionType"), record.text("undistortionType")]
+        kind = kinds[1] if kinds[::2] == ["pinhole", "none"] else ", ".join(kinds)
+    if kind not in _MESHROOM:
+        raise BrokenError(
+            f"type {kind!r} is not known; octex knows pinholes with radial, brown or fisheye distortion"
+        )
+    center = record.numbers("principalPoint", 2)
+    if version >= [1, 2, 1]:
+        center += np.array(size) / 2
+    across, down = _meshroom_focal(record, version, size[0])
+    if not min(across, down) > 0.0:
+        raise BrokenError(f"the focal length must be above zero, not {min(across, down):g}")
+    count = _MESHROOM[kind]
+    numbers: list[float] = record.numbers("distortionParams", count).tolist() if count else []
+    K = intrinsics(across, down, center[0] + 0.5, center[1] + 0.5)
+    if kind == "fisheye":
+        return Optics(size, K, tuple(numbers), "fisheye")
+    k1, k2, k3, p1, p2 = [*numbers, *[0.0] * (5 - count)]
+    return Optics(size, K, (k1, k2, p1, p2, k3))
+
+
+def _meshroom_focal(record: Record, version: list[float], width: int) -> tuple[float, float]:
+    if version < [1, 2, 0]:
+        focal = record.number("pxFocalLength")
+        return focal, focal
+    if version < [1, 2, 2]:
+        across, down = record.numbers("pxFocalLength", 2).tolist()
+        return across, down
+    sensor, ratio = record.number("sensorWidth", 36.0), record.number("pixelRatio", 1.0)
+    if not (sensor > 0.0 and ratio > 0.0):
+        raise BrokenError("sensorWidth and pixelRatio must be above zero")
+    focal = record.number("focalLength") / sensor * width
+    if version < [1, 2, 5]:
+        return focal, focal / ratio
+    return (focal, focal * ratio) if version < [1, 2, 11] else (focal / ratio, focal)
+
+
+def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
+    """Read the cameras of all views of sfm_data.json that are placed."""
+    scene = Record(document)
+    poses = {each.key("key"): each.record("value") for each in scene.records("extrinsics")}
+    optics = {each.key("key"): each for each in scene.records("intrinsics")}
+    root = str(scene.find("root_path", "")).rstrip("/")
+    frames = []
+    for number, record in enumerate(scene.records("views")):
+        with within(f"view {number}"):
+            seen = _openmvg_data(record)
+            name = seen.text("filename")
+        pose, lens = poses.get(str(seen.find("id_pose"))), optics.get(str(seen.find("id_intrinsic")))
+        if pose is None or lens is None:
+            continue  # not placed
+        with within(f"view {name!r}"):
+            with within("intrinsics"):
+                shared = _openmvg_optics(_openmvg_data(lens))
+            view = _view_from(pose.matrix("rotation", (3, 3)), pose.numbers("center", 3))
+        folders = root, str(seen.find("local_path", "")).strip("/")
+        image = picture_path(path, "/".join([*filter(None, folders), name]))
+        frames.append(Frame(name, path, shared, view, image))
+    return frames
+
+
+def _openmvg_data(record: Record) -> Record:
+    """Return the object that a pointer points at; older versions hold shared fields in ``value0``."""
+    data = record.record("value").record("ptr_wrapper").record("data")
+    return data.over(data.record("value0")) if "value0" in data else data
+
+
+def _openmvg_optics(record: Record) -> Optics:
+    if "focal_length" not in record:
+        raise BrokenError("focal_length is missing; undistort pictures of panoramas")
+    size, focal = record.size(), record.positive("focal_length")
+    center = record.numbers("principal_point", 2) + 0.5
+    K = intrinsics(focal, focal, *center.tolist())
+    for field, (model, count, places) in _OPENMVG.items():
+        if field in record:
+            numbers = np.zeros(count)
+            numbers[places] = record.numbers(field, len(places))
+            return Optics(size, K, tuple(numbers.tolist()), model)
+    return Optics(size, K)
+
+
+def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Frame]:
+    """Read the cameras of the first, the largest reconstruction of reconstruction.json, of OpenDroneMap too.
+
+    A camera sees X at R·X + t, R by its axis and angle.
+    """
+    frames = []
+    scene = Record(reconstructions[0])
+    cameras, shots = scene.record("cameras"), scene.record("shots")
+    for name in shots:
+        with within(f"shot {name!r}"):
+            shot = shots.record(name)
+            camera = shot.text("camera")
+            with within(f"camera {camera!r}"):
+                optics = _opensfm_optics(cameras.record(camera))
+            axis = shot.numbers("rotation", 3)
+            angle = float(np.linalg.norm(axis))
+            quaternion = np.append(np.cos(angle / 2), np.sinc(angle / 2 / np.pi) / 2 * axis)
+            view = rigid(rotation_of(quaternion, "rotation"), shot.numbers("translation", 3))
+            image = picture_path(path, f"images/{name}")
+            frames.append(Frame(name, path, optics, view_of(view), image))
+    return frames
+
+
+def _opensfm_optics(record: Record) -> Optics:
+    """Return a camera, whose focal lengths and centres are parts of the picture's longer side."""
+    kind = record.text("projection_type") if "projection_type" in record else "perspective"
+    if kind not in _OPENSFM:
+        raise BrokenError(
+            f"projection_type {kind!r} is not known; octex knows {', '.join(_OPENSFM)}: undistort the "
+            "pictures"
+        )
+    width, height = size = record.size()
+    side = max(size)
+    x, y = ("focal", "focal") if "focal" in record else ("focal_x", "focal_y")
+    center_x, center_y = (record.number(field, 0.0) * side for field in ("c_x", "c_y"))
+    focal_x, focal_y = (record.positive(field) * side for field in (x, y))
+    K = intrinsics(focal_x, focal_y, width / 2 + center_x, height / 2 + center_y)
+    model, fields = _OPENSFM[kind]
+    return Optics(size, K, tuple(record.number(field, 0.0) for field in fields), model)
+
+
+def read_bundler(path: Path, content: bytes) -> list[Frame]:
+    """Read the cameras of Bundler, RealityCapture, VisualSFM and others that have a focal length.
+
+    A camera sees X at R·X + t, looking along −z with y up; f·(1 + k1·s + k2·s²) times what it sees at (x, y),
+    s = x² + y², are pixels from the middle of the picture. Pictures' names stand in a list beside the file.
+    """
+    words = content.decode("utf-8", errors="replace").partition("\n")[2].split()
+    what = "the number of cameras"
+    count = Record({what: words[0] if words else None}, are_texts=True).number(what)
+    if not (0 <= 2 + _WIDTH * count <= len(words) and count.is_integer()):
+        raise BrokenError(f"the number of cameras, {count:g}, is more than the file has room for")
+    names: list[str] = []
+    lists = (path.with_name(name) for name in (f"{path.stem}.list.txt", f"{path.stem}_list.txt", "list.txt"))
+    listed = next(filter(is_file, lists), None)
+    if listed is not None:
+        lines = read_bytes(listed).decode("utf-8", errors="replace").splitlines()
+        # Bundler's own lists say zero and a focal length after a name.
+        names = [re.sub(r"\s+0\s+\S+$", "", line.strip()) for line in lines if line.strip()]
+    if names and len(names) != count:
+        raise BrokenError(f"its list names {len(names)} pictures for {count:g} cameras; export both again")
+    frames = []
+    for number in range(int(count)):
+        with within(f"camera {number}"):
+            f, k1, k2, *pose = words[2 + _WIDTH * number : 2 + _WIDTH * (number + 1)]
+            fields = {"f": f, "k1": k1, "k2": k2, "R": pose[:9], "t": pose[9:]}
+            record = Record(fields, are_texts=True)
+            focal, *bends = (record.number(field) for field in ("f", "k1", "k2"))
+            rotation, shift = record.numbers("R", 9), record.numbers("t", 3)
+            if focal == 0.0:
+                continue  # not placed
+            if focal < 0.0:
+                raise BrokenError(f"f must be above zero, not {focal:g}")
+            view = view_of(_TURN @ rigid(rotation.reshape(3, 3), shift))
+        name = names[number] if names else str(number)
+        optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
+        image = picture_path(path, name) if names else None
+        frames.append(Frame(name, path, optics, view, image, is_named=bool(names)))
+    return frames
