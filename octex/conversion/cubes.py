@@ -97,7 +97,6 @@ class CubeLookups(NamedTuple):
         self,
         values: Float32s,
         targets: Float32s,
-        mixed: Float32s,
         shares: Float32s,
         components: int,
         is_light: int,
@@ -106,7 +105,7 @@ class CubeLookups(NamedTuple):
         rows = np.empty((self.samples.size, 4), np.float32)
         for cubes in self.cubes:
             place = cubes, self.firsts, self.axes, self.coverage
-            _residuals(*place, values, targets, mixed, shares, components, is_light, rows)
+            _residuals(*place, values, targets, shares, components, is_light, rows)
         return rows
 
     def equations(self) -> Equations:
@@ -200,7 +199,6 @@ def _residuals(
     coverage: Float32s,
     values: Float32s,
     targets: Float32s,
-    mixed: Float32s,
     shares: Float32s,
     components: int,
     is_light: int,
@@ -228,7 +226,7 @@ def _residuals(
                 axes[n, 9] = inverse
                 share = shares[n] if total > zero else zero
                 found = x * inverse, y * inverse, z * inverse
-                write_residual(found, targets, mixed, share, components, is_light, sample, rows)
+                write_residual(found, targets, share, components, is_light, sample, rows)
         for entry in range(begin, end):
             to = np.uint64(4) * np.uint64(cubes.places[entry])
             for part in range(4):

@@ -19,7 +19,6 @@ from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.cubes import CubeLookups, Heads
-from octex.conversion.facings import facings_of
 from octex.conversion.numbering import Leaves, Outside, members_of, number
 from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
 from octex.conversion.solve import (
@@ -28,10 +27,10 @@ from octex.conversion.solve import (
     approach,
     covered,
     diagonal,
-    group_means,
     residuals,
     sweep,
     transpose,
+    weigh,
 )
 from octex.field.field import Field
 from octex.jit import kernel
@@ -128,19 +127,17 @@ class Lookups(NamedTuple):
     weights: Float32s  # (taps,)
     cells: Int64s  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
     unknowns: int  # how many of them are solved for
-    firsts: Int64s  # (groups + 1,)   the first sample of each leaf, or of each of its sides
 
     def residuals(
         self,
         values: Float32s,
         targets: Float32s,
-        mixed: Float32s,
         shares: Float32s,
         components: int,
         is_light: int,
     ) -> Float32s:
         """Return the residuals of values. See `solve.residuals`."""
-        task = values, targets, mixed, shares, components, is_light
+        task = values, targets, shares, components, is_light
         return residuals(self.starts, self.leaves, self.weights, *task)
 
     def equations(self) -> Equations:
@@ -283,12 +280,13 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         if group.format.name not in job.unfitted:
             means = _four(values[:, group.columns])
             found = means.copy()
-            mixed = group_means(lookups.firsts, shares, wanted) if is_light else wanted
-            rows = lookups.residuals(found, wanted, mixed, shares, components, is_light)
+            rows = lookups.residuals(found, wanted, shares, components, 0)
             equations = equations or lookups.equations()
             approach(equations, rows, found)
             found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
-            rows = lookups.residuals(found, wanted, mixed, shares, components, is_light)
+            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            if is_light:
+                weigh(equations, rows, wanted, shares, components)
             sums, is_flat = diagonal(equations, rows, wanted)
             sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
@@ -316,17 +314,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     own = leaves.numbers(first, end)
     outside = Outside.of(0)
     ring = leaves.with_samples(np.arange(first, end))
-    samples, strides, changes, starts = [], [], [], [np.zeros(1, np.int64)]
+    samples, strides, starts = [], [], [np.zeros(1, np.int64)]
     numbers, weights = [], []
     n_taps = unknowns = 0
     for _ in range(RINGS + 1):
         known = int(outside.total[0])
         unknowns = len(own) + known
         members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
-        groups = np.searchsorted(leaves.firsts, members, side="right")
-        if job.is_facing:
-            groups = 6 * groups + facings_of(job.samples.normals[members])
-        changes.append(np.diff(groups, prepend=-1) != 0)
         samples.append(members)
         strides.append(stride)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
@@ -351,7 +345,6 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate(weights),
         np.concatenate([own, outside.found()]),
         unknowns,
-        np.append(np.flatnonzero(np.concatenate(changes)), sum(map(len, samples))),
     )
 
 

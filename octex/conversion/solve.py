@@ -19,6 +19,8 @@ from octex.jit import add_to_rows, inlined, kernel, part, weighted_rows
 
 #: λ: holds what the samples hardly see near its mean.
 SHRINK = np.float32(0.01)
+#: Samples of whose variance less than the first part remains are shown; of more than the second, hidden.
+_SHOWN, _HIDDEN = np.float32(0.05), np.float32(0.15)
 #: Smaller weights are left out of the steps, but not of the residuals that they start from: of 13 a sample
 #: six are left, which hold 99.7 % of the squares.
 LEAST_WEIGHT = np.float32(0.03)
@@ -95,34 +97,9 @@ def by_unknown(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int)
     return Equations(firsts[: unknowns + 1], samples, found)
 
 
-@kernel
-def group_means(firsts: Int64s, shares: Float32s, targets: Float32s) -> Float32s:
-    """Return the mean target (n, 4) of each sample's group.
-
-    Group g has the samples ``firsts[g]`` … ``firsts[g + 1]`` − 1: those of one leaf, or of one side of it. A
-    leaf cannot show how they differ, only their mean in linear light.
-    """
-    means = targets.copy()
-    for group in range(firsts.size - 1):
-        first, end = firsts[group], firsts[group + 1]
-        total = x = y = z = _ZERO
-        for sample in range(first, end):
-            share = shares[sample]
-            total += share
-            x += share * targets[sample, 0]
-            y += share * targets[sample, 1]
-            z += share * targets[sample, 2]
-        if end - first > 1 and total > _ZERO:
-            for sample in range(first, end):
-                means[sample, 0], means[sample, 1], means[sample, 2] = x / total, y / total, z / total
-    return means
-
-
 @inlined
-def _curve(target: np.float32, found: np.float32) -> np.float32:
+def _secant(target: np.float32, found: np.float32) -> np.float32:
     """Weight with which (found − target)² has the gradient of the square on sRGB's curve.
-
-    ``target`` is the mean of the leaf's samples: to weigh each by its own value would darken their mean.
 
     It is the curve's slope at what is found, times that of the secant to the target; from 1 on, where the
     curve becomes a logarithm, less. (Slopes at the target alone misjudge a hard edge by up to 8 dB.)
@@ -137,7 +114,6 @@ def _curve(target: np.float32, found: np.float32) -> np.float32:
 def write_residual(
     found: tuple[np.float32, np.float32, np.float32],
     targets: Float32s,
-    mixed: Float32s,
     weight: np.float32,
     components: int,
     is_light: int,
@@ -148,11 +124,11 @@ def write_residual(
     x, y, z = found
     a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
     if is_light:
-        slope = _curve(mixed[sample, 0], x)
+        slope = _secant(x, x)
         if components > 1:
-            slope += _curve(mixed[sample, 1], y)
+            slope += _secant(y, y)
         if components > 2:
-            slope += _curve(mixed[sample, 2], z)
+            slope += _secant(z, z)
         weight *= slope
     rows[sample, 0] = weight * (x - a)
     rows[sample, 1] = weight * (y - b)
@@ -167,7 +143,6 @@ def residuals(
     weights: Float32s,
     values: Float32s,
     targets: Float32s,
-    mixed: Float32s,
     shares: Float32s,
     components: int,
     is_light: int,
@@ -175,14 +150,59 @@ def residuals(
     """Return (samples, 4): the weighted residuals of up to three components, and the weight.
 
     ``values`` (leaves, 4) and ``targets`` (samples, 4) have zeros where there is no component. The weight is
-    the sample's share, times what sRGB's curve makes of ``mixed``, the targets' `group_means`, if
-    ``is_light``.
+    the sample's share, times the squared slope of sRGB's curve at the field's value if ``is_light``.
     """
     rows = np.empty((starts.size - 1, 4), np.float32)
     for sample in range(starts.size - 1):
         x, y, z, _ = weighted_rows(values, leaves, weights, starts[sample], starts[sample + 1])
-        write_residual((x, y, z), targets, mixed, shares[sample], components, is_light, sample, rows)
+        write_residual((x, y, z), targets, shares[sample], components, is_light, sample, rows)
     return rows
+
+
+@kernel
+def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float32s, components: int) -> None:
+    """Weigh light as on sRGB's curve, in the ``rows`` of residuals whose weights are its slope's square.
+
+    What the leaves around a sample can show weighs by the curve between it and the field. What they cannot
+    show must keep its mean light, which it does if dark and bright samples near each other weigh alike: by
+    the mean weight around these leaves. What remains of the variance of the samples tells how much is which.
+    """
+    starts, samples, weights = equations
+    lights, squares = np.zeros((shares.size, 4), np.float32), np.empty((shares.size, 4), np.float32)
+    sums = np.zeros((shares.size, 4), np.float32)  # of mean weights, of what remains, of the leaves' own; 1
+    for n in range(shares.size):
+        share, weight = shares[n], rows[n, 3]
+        inverse = np.float32(1) / weight if weight > _ZERO else _ZERO
+        missed = square = _ZERO
+        for column in range(components):
+            lights[n, column] = share * targets[n, column]
+            square += targets[n, column] * targets[n, column]
+            missed += rows[n, column] * rows[n, column]
+        missed *= inverse * inverse
+        squares[n, 0], squares[n, 1] = weight, share
+        squares[n, 2], squares[n, 3] = share * missed, share * square
+        sums[n, 3] = np.float32(1)
+    for leaf in range(starts.size - 1):
+        first, end = starts[leaf], starts[leaf + 1]
+        weight, share, missed, square = weighted_rows(squares, samples, weights, first, end)
+        if share > _ZERO:
+            x, y, z, _ = weighted_rows(lights, samples, weights, first, end)
+            variance = square - (x * x + y * y + z * z) / share
+            part = missed / variance if variance > missed else np.float32(1)
+            add_to_rows(sums, samples, weights, first, end, (weight / share, part, np.float32(1), _ZERO))
+    for n in range(shares.size):
+        weight, total = rows[n, 3], sums[n, 2]
+        if not (weight > _ZERO and total > _ZERO):
+            continue
+        part = (sums[n, 1] / total - _SHOWN) / (_HIDDEN - _SHOWN)
+        part = min(max(part, _ZERO), np.float32(1))
+        own = _ZERO
+        for column in range(components):
+            target = targets[n, column]
+            own += _secant(target, target + rows[n, column] / weight)
+        factor = shares[n] * (own + part * (sums[n, 0] / total - own)) / weight
+        for column in range(4):
+            rows[n, column] *= factor
 
 
 @kernel

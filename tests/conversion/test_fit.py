@@ -255,15 +255,32 @@ def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_th
     assert fitted < (1.02 if depth < 3 else 1.0) * plain
 
 
+def checkers(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Black and white squares, 96 along an edge."""
+    return np.repeat(np.floor(points[:, :2] * 96).sum(axis=1)[:, None] % 2, 3, axis=1)
+
+
 @pytest.mark.parametrize("depth", range(7))
 def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth: int) -> None:
-    def checkers(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return np.repeat(np.floor(points[:, :2] * 96).sum(axis=1)[:, None] % 2, 3, axis=1)
-
     surface = tiles(96).with_sources({"base_color": checkers})
     points = surface.scatter(20_000, seed=1)
-    texture = octex.convert(surface, depth, channels=["base_color"], dtype="float32")
-    assert abs(texture.sample(points.rest).mean() - 0.5) < 0.01
+    plain, fitted = (
+        texture.sample(points.rest)[:, 0] - 0.5
+        for texture in pair(surface, depth, channels=["base_color"], dtype="float32")
+    )
+    assert abs(fitted.mean()) < 0.002
+    assert np.sqrt(np.mean(fitted**2)) < 1.6 * np.sqrt(np.mean(plain**2)) + 0.001
+
+
+@pytest.mark.parametrize("depth", range(3, 7))
+def test_a_function_read_at_one_point_a_cell_keeps_its_mean_light(depth: int) -> None:
+    surface = Surface.from_arrays(SQUARE, HALVES).with_sources({"base_color": checkers})
+    points = surface.scatter(20_000, seed=1)
+    plain, fitted = (
+        abs(texture.sample(points.rest).mean() - 0.5)
+        for texture in pair(surface, depth, channels=["base_color"], dtype="float32")
+    )
+    assert fitted < max(1.5 * plain, 0.01)
 
 
 def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light() -> None:
