@@ -101,7 +101,8 @@ class Run:
         return as_progress(self.progress)
 
 
-_BY_DEFAULT = Run()
+#: A run of which nothing is set.
+DEFAULT = Run()
 
 
 def folder_of(run: Run, default: Path) -> Path:
@@ -117,7 +118,7 @@ def as_run(run: Run | None, threads: int | None = None, progress: Progress | Non
 
     ``uses`` are those of memory, folder and resume that the function has a use for.
     """
-    run = _BY_DEFAULT if run is None else run
+    run = DEFAULT if run is None else run
     if not isinstance(run, Run):
         raise ArgumentError(f"run must be an octex.Run, not {run!r}")
     for name in ("memory", "folder", "resume"):
@@ -228,7 +229,7 @@ class _Here(Executor):
 
 
 @contextmanager
-def workers(run: Run = _BY_DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
+def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
     """Yield who does so many ``tasks``, None being many: an executor, or threads that end with the block.
 
     These are as many as the run says, for None a thread for each processor; the calling thread alone for one

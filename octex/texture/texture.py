@@ -30,7 +30,7 @@ from octex.field.field import Field
 from octex.field.listing import TapList, list_blends
 from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
-from octex.parallel import Run, as_run
+from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import NO_GRADIENTS, Channel, as_channels, make_unit, mixed_cells, stored
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
@@ -262,7 +262,8 @@ class OctreeTexture:
         if self.source.path:  # not memory
             here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
-        task = given, answers.arrays, look_up_block, as_run(run, threads)
+        how = DEFAULT if threads is run is None else as_run(run, threads)
+        task = given, answers.arrays, look_up_block, how
         is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
         if is_crowded:
             here._field.prepare(FILTERS.index(filter))

@@ -19,7 +19,7 @@ from tests.make.small_surfaces import tetrahedron
 WRONG: list[tuple[dict[str, Any], str]] = [
     *[({"threads": each}, "threads must be a whole number from 1") for each in (0, -1, 1.5, "2", True)],
     ({"executor": 4}, r"executor must be a concurrent\.futures\.Executor, not 4"),
-    ({"memory": "2 elephants"}, "memory: '2 elephants' is no size"),
+    ({"memory": "2 elephants"}, "memory: '2 elephants' is not a size"),
     ({"memory": 0}, "memory must be"),
     ({"folder": "."}, "folder needs memory"),
     ({"folder": 3, "memory": 1}, "folder must be a path, not 3"),
@@ -61,7 +61,7 @@ def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path: Path) -> None
 
 def test_what_a_function_cannot_do_with_a_run_is_refused(tmp_path: Path) -> None:
     for wrong in (octex.Run(resume="a"), octex.Run(memory=1)):
-        with pytest.raises(ArgumentError, match=r"resume of run has no meaning|memory needs a path"):
+        with pytest.raises(ArgumentError, match=r"resume of run is not used here|memory needs a path"):
             octex.convert(tetrahedron(), 2, run=wrong)
     with pytest.raises(ArgumentError, match="folder: no/such is not a folder; name an existing one"):
         octex.convert(tetrahedron(), 2, path=tmp_path / "a.octex", run=octex.Run(memory=1, folder="no/such"))
