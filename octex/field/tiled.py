@@ -121,6 +121,7 @@ def look_up_tiled(
     flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
     ahead = Ahead(bytes_of(channel.codes.values), bytes_of(alpha), flags, search.by.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
+    first = np.int64(0)  # a constant would have numba compile `find_taps` again for it
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
         end = min(begin + step, all_points)
@@ -138,7 +139,7 @@ def look_up_tiled(
         else:
             starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
             taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)
-            _, more, rest = find_taps(search.tiles, search.filter_code, search.is_off, batch, taps, 0)
+            _, more, rest = find_taps(search.tiles, search.filter_code, search.is_off, batch, taps, first)
             if gradient:
                 hold_outside(taps, here)
             if adds or sees:
