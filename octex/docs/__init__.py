@@ -15,7 +15,7 @@ GROUPS = {
         "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "
         "processing baking ptex files large remote"
     ),
-    "about": "figures limits contributing",
+    "about": "figures limits contributing changelog",
 }
 TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 
