@@ -115,7 +115,7 @@ def bake(
     run = as_run(run, threads, progress)
     other = None
     if source is None:
-        surface = surface.placed_in(texture)
+        surface = surface.placed_on(texture)
     else:
         other = _Other.of(as_surface(source, "source"), texture, distance)
     with workers(run) as given, sharing(given) as pool:
@@ -219,7 +219,7 @@ class _Other(NamedTuple):
             nearest = Triangles.of(surface.rest, surface.triangles)
         except ModelError as error:
             raise ModelError(f"{surface.name}: {error}") from None
-        placed = surface.placed_in(texture)
+        placed = surface.placed_on(texture)
         return cls(placed, nearest, unit(area_vectors(placed.rest[placed.triangles])), distance)
 
 

@@ -85,7 +85,7 @@ def bake_vertices(
         longest = as_number(subdivide, "subdivide", 0.0, np.inf)
     error = as_number(max_error, "max_error", 0.0, 255.0) / 255.0
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
-    surface = surface.placed_in(texture)
+    surface = surface.placed_on(texture)
     points, triangles = _undivided(texture, surface)
     cell = texture.placement.size / 2**texture.tree.max_depth
     shortest = _FINEST * cell

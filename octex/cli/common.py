@@ -276,7 +276,7 @@ class Reporter:
         warnings.simplefilter("always", ModelWarning)
         self._show_warning, warnings.showwarning = warnings.showwarning, self._warn
         if self._announce and not self._quiet:
-            text = "compiling: half a minute or more, this once (octex warm-up does it ahead)"
+            text = "compiling this command's code, once (octex warm-up compiles all)"
             self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 

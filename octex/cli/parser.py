@@ -132,6 +132,8 @@ class Parser:
                     self.error(f"{word} needs a value, {option.value}")
                 value = left.popleft()  # which may begin with a minus
             read = self._read(option.read, word, value)
+            if found[option.name] is not None and not option.repeats:
+                self.error(f"{word} is given twice; it takes one value")
             found[option.name] = [*found[option.name], read] if option.repeats else read
         found.update(self._files(files))
         return Options(**found)

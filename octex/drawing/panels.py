@@ -88,7 +88,7 @@ def draw_preview(
     """Return the picture of ``write_preview``; ``note`` is added to the texture's caption."""
     room = caption_height(size[1])
     if surface is not None:
-        placed = surface if texture is None else surface.placed_in(texture)
+        placed = surface if texture is None else surface.placed_on(texture)
         channel, looks = shaders_of(texture, placed, channel, light is not None, bump)
         captions = [source_caption(placed, channel)]
         if texture is not None:

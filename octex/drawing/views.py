@@ -85,7 +85,7 @@ def render(
         if texture is None:
             look = source_shader(surface, channel, materials=materials, bump=bump)
         else:
-            surface = surface.placed_in(texture)
+            surface = surface.placed_on(texture)
             shown = texture if level is None else texture.level(level)
             look = texture_shader(shown, channel, materials=materials, bump=bump)
         picture = render_surface(surface, camera, look, supersample, light)
@@ -111,7 +111,7 @@ def camera_of(
     """Return a camera that sees a model, or without one the leaves of a texture."""
     if surface is not None:
         look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
-        placed = surface if texture is None else surface.placed_in(texture)
+        placed = surface if texture is None else surface.placed_on(texture)
         return surface_camera(placed, look, size, view=view)
     assert texture is not None
     return leaf_camera([texture], channel, size, view=view)
@@ -138,7 +138,7 @@ def draw_paintable(
 
     look: Shader = grey
     if texture is not None:
-        surface = surface.placed_in(texture)
+        surface = surface.placed_on(texture)
         look = texture_shader(texture, channel, materials=light is not None, bump=bump)
     codes = np.zeros((camera.height, camera.width, 4), np.uint8)
     if lit:

@@ -121,7 +121,7 @@ def look_up_tiled(
     flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
     ahead = Ahead(bytes_of(channel.codes.values), bytes_of(alpha), flags, search.by.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
-    first = np.int64(0)  # a constant would have numba compile `find_taps` again for it
+    first = int(np.int64(0))  # a constant would have numba compile `find_taps` again for it
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
         end = min(begin + step, all_points)

@@ -347,6 +347,13 @@ class Surface(Mesh):
             )
         return self._separated(separation)
 
+    def placed_on(self, texture: OctreeTexture) -> Surface:
+        """Return the surface ``placed_in`` a texture, or raise ArgumentError if they share no point."""
+        placed = self.placed_in(texture)
+        if not texture.contains(placed.scatter(100_000, seed=0).rest).any():
+            raise ArgumentError(f"{self.name} has no point in the texture; is it of another model?")
+        return placed
+
     def rest_positions(self, texture: OctreeTexture) -> Float64s:
         """Return the vertices' positions (n, 3) in a texture: the texture coordinates for lookups.
 

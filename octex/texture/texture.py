@@ -262,7 +262,7 @@ class OctreeTexture:
         if self.source.path:  # not memory
             here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
         look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
-        how = DEFAULT if threads is run is None else as_run(run, threads)
+        how = DEFAULT if threads is None and run is None else as_run(run, threads)
         task = given, answers.arrays, look_up_block, how
         is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
         if is_crowded:

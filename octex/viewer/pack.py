@@ -160,7 +160,7 @@ def pack(
     that is not the texture's.
     """
     if surface is not None:
-        surface = surface.placed_in(texture)
+        surface = surface.placed_on(texture)
     texture, header = prepared(texture)
     notes = header["notes"]
     streams: dict[str, bytes] = {}

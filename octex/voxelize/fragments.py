@@ -224,7 +224,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: Run, depth: int) -
     members = np.empty(run.most, np.int32)
     barycentric = np.empty((run.most, 3), np.float64)
     areas = np.empty(run.most, np.float64)
-    n_fragments = np.int64(0)  # a constant would have numba compile `clip_to_columns` again for it
+    n_fragments = int(np.int64(0))  # a constant would have numba compile `clip_to_columns` again for it
     for block in range(run.first_block, run.last_block):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         first_fragment = n_fragments

@@ -6,6 +6,7 @@ import json
 import re
 import sys
 import urllib.parse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -937,3 +938,15 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "exists" in capsys.readouterr().err
     assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2
     assert "is not a .octex file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bake", [octex.bake, octex.bake_vertices])
+def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surface]) -> None:
+    surface = whole()
+    texture = octex.convert(surface, 3)
+    other = Surface.from_arrays(surface.vertices + 10.0, surface.triangles)
+    with pytest.raises(ArgumentError, match="has no point in the texture; is it of another model"):
+        bake(texture, other)
+    if bake is octex.bake:
+        with pytest.raises(ArgumentError, match="has no point in the texture"):
+            bake(texture, surface, source=other)

@@ -48,6 +48,10 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ("a.glb b.octex --dept 3", "--dept is not an option: do you mean --depth; see octree-convert --help"),
         ("a.glb b.octex --depth x", "--depth: 'x' is not a whole number; see octree-convert --help"),
         ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
+        (
+            "a.glb b.octex --depth 3 --depth 4",
+            "--depth is given twice; it takes one value; see octree-convert --help",
+        ),
         ("a.glb b.octex --cell x", "--cell: 'x' is not a number; see octree-convert --help"),
         (
             "a.glb b.octex --cell 0",

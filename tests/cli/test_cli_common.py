@@ -178,9 +178,7 @@ def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> No
         for number in range(2):
             numba.njit(lambda value: value + number)(1)  # noqa: B023
     expected = (
-        []
-        if jit.DISABLED
-        else ["octree-x: compiling: half a minute or more, this once (octex warm-up does it ahead)"]
+        [] if jit.DISABLED else ["octree-x: compiling this command's code, once (octex warm-up compiles all)"]
     )
     assert capsys.readouterr().err.splitlines() == expected
 

@@ -141,7 +141,7 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    options = ["--camera", scene.cameras, "--camera", f"{scene.cameras}#square.png", "--threads", 1]
+    options = ["--camera", f"{scene.cameras}#square.png", "--threads", 1]
     text = result(capsys, scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
     assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
     assert text.splitlines()[1] == f"{file}: its camera"
@@ -770,7 +770,8 @@ def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
     message = f"{model}: there is no frame 'back'; there are: 'front'"
     look = ["--camera", f"{model}#back"]
     assert complaint(capsys, model, VIEW, picture, *look, "--camera-out", tmp_path / "c.json") == message
-    assert complaint(capsys, model, VIEW, picture, *look, "--as", "view") == message
+    assert octex_main(["draw", str(model), str(picture), *look]) == ExitCode.REFUSED
+    assert capsys.readouterr().err.endswith(f": error: {message}\n")
 
 
 # --- only what was drawn

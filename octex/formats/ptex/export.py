@@ -75,7 +75,7 @@ def write_ptex(
     surface without area; OutputError if the file cannot be written. (Burley & Lacewell, EGSR 2008.)
     """
     as_texture(texture)
-    surface = as_surface(surface).placed_in(texture)
+    surface = as_surface(surface).placed_on(texture)
     path = as_path(path)
     if path.suffix.lower() != ENDING:
         raise ArgumentError(f"{path.name} must end in {ENDING}")
