@@ -193,6 +193,7 @@ def calls() -> list[Call]:
         (w.surface.overlapping_parts, {"margin": 0.1}),
         (w.surface.separated, {"margin": 0.1}),
         (w.surface.placed_in, one),
+        (w.surface.placed_on, one),
         (w.surface.rest_positions, one),
         (w.surface.areas, {}),
         (w.surface.scatter, {"n": 3}),
