@@ -27,9 +27,9 @@ from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTa
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 from octex.voxelize.fragments import (
+    BlockRange,
     Blocks,
     Fragments,
-    Run,
     bin_triangles,
     cut,
     even_runs,
@@ -223,7 +223,7 @@ def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) 
     return each if isinstance(first, list) else type(first)(*each)
 
 
-def _convert_run(job: Job, run: Run) -> Part:
+def _convert_run(job: Job, run: BlockRange) -> Part:
     """Convert a run of blocks."""
     surface = job.surface
     fragments = cut(job.grid, surface.triangles, job.blocks, run, job.depth)

@@ -111,7 +111,7 @@ def camera_of(
     """Return a camera that sees a model, or without one the leaves of a texture."""
     if surface is not None:
         look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
-        placed = surface if texture is None else surface.placed_on(texture)
+        placed = surface if texture is None else surface.placed_in(texture)
         return surface_camera(placed, look, size, view=view)
     assert texture is not None
     return leaf_camera([texture], channel, size, view=view)

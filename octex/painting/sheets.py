@@ -26,8 +26,8 @@ from octex.tree.octree import distinct
 from octex.tree.placement import Placement
 from octex.tree.split import bits_of
 from octex.voxelize.fragments import (
+    BlockRange,
     Blocks,
-    Run,
     bin_triangles,
     cut,
     even_runs,
@@ -140,7 +140,7 @@ def sheets_of(
 
 
 def _columns_of(
-    grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: Run
+    grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: BlockRange
 ) -> Columns:
     """Cut what lies in some blocks, and in the region if one is given."""
     pieces = cut(grid, faces, blocks, run, level)

@@ -30,6 +30,9 @@ from octex.source.parts import SEPARATION, Overlaps, separated_rest, separation_
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
+#: The level whose cells say whether a surface and a texture share points.
+_COARSE = 6
+
 
 class Surface(Mesh):
     """A triangle mesh with a source of values: materials, images, functions.
@@ -350,7 +353,8 @@ class Surface(Mesh):
     def placed_on(self, texture: OctreeTexture) -> Surface:
         """Return the surface ``placed_in`` a texture, or raise ArgumentError if they share no point."""
         placed = self.placed_in(texture)
-        if not texture.contains(placed.scatter(100_000, seed=0).rest).any():
+        coarse = texture.level(_COARSE)  # of a remote texture little is read
+        if not coarse.contains(placed.scatter(10_000, seed=0).rest).any():
             raise ArgumentError(f"{self.name} has no point in the texture; is it of another model?")
         return placed
 

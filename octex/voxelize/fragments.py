@@ -54,7 +54,7 @@ class Fragments(NamedTuple):
     areas: Float64s  # (fragments,)   in cell faces
 
 
-class Run(NamedTuple):
+class BlockRange(NamedTuple):
     """The work of one task: a run of blocks, with a bound of their fragments."""
 
     first_block: int
@@ -202,7 +202,7 @@ def block_levels(depth: int) -> list[int]:
 
 
 @kernel
-def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: Run, depth: int) -> Fragments:
+def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth: int) -> Fragments:
     """Cut the triangles of a run of blocks along the cells of ``depth``."""
     shift = GRID_BITS - depth
     corners = np.empty((3, 3), np.int64)
@@ -304,7 +304,7 @@ def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
     return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
 
 
-def even_runs(bounds: Int64s) -> list[Run]:
+def even_runs(bounds: Int64s) -> list[BlockRange]:
     """Cut blocks into runs of about TASK_FRAGMENTS or less, by the bounds of their fragments."""
     totals = np.cumsum(bounds)
     size = min(max(int(totals[-1]) // _TASKS, _LEAST_FRAGMENTS), TASK_FRAGMENTS)
@@ -312,4 +312,4 @@ def even_runs(bounds: Int64s) -> list[Run]:
     ends = np.unique(np.append(ends, len(totals)))
     starts = np.append(0, ends[:-1])
     most = np.add.reduceat(bounds, starts)
-    return [Run(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]
+    return [BlockRange(*row) for row in zip(starts.tolist(), ends.tolist(), most.tolist(), strict=True)]

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
-from octex.voxelize.fragments import Blocks, Fragments, Run, bin_triangles, block_levels, cut, most_fragments
+from octex.voxelize.fragments import (
+    BlockRange,
+    Blocks,
+    Fragments,
+    bin_triangles,
+    block_levels,
+    cut,
+    most_fragments,
+)
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
 
@@ -33,7 +41,7 @@ def cut_blocks(
     depth: int,
 ) -> Fragments:
     most = int(most_fragments(grid, triangles, blocks, depth)[first:last].sum())
-    return cut(grid, triangles, blocks, Run(first, last, most), depth)
+    return cut(grid, triangles, blocks, BlockRange(first, last, most), depth)
 
 
 def check(triangles: list[list[Corner]], depth: int) -> None:

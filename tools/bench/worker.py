@@ -28,7 +28,7 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.voxelize.fragments import Run, bin_triangles, cut, most_fragments
+from octex.voxelize.fragments import BlockRange, bin_triangles, cut, most_fragments
 from octex.voxelize.grid import on_grid
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
@@ -74,7 +74,7 @@ def keys(around: int, across: int, depth: int) -> Callable[[], Answer]:
         grid = on_grid(vertices.astype(np.float64), UNIT_CUBE)
         blocks = bin_triangles(grid, triangles, depth)
         most = int(most_fragments(grid, triangles, blocks, depth).sum())
-        return cut(grid, triangles, blocks, Run(0, len(blocks.codes), most), depth).codes
+        return cut(grid, triangles, blocks, BlockRange(0, len(blocks.codes), most), depth).codes
 
     def task() -> Answer:
         spent, codes = timed(build)
