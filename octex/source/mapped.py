@@ -6,7 +6,6 @@ towards the viewer of a plane. A picture has u to the right and v down, and span
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import os
@@ -175,19 +174,15 @@ class MappedSource(SpatialSource):
 
     def with_rest(self, rest: Float64s) -> MappedSource:
         """Return the same mapping of space on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._rest = rest
-        if self._frames is not None:
-            other._frames = carried(self._frames, self._triangles, self._rest, rest)
-        return other
+        frames = self._frames and carried(self._frames, self._triangles, self._rest, rest)
+        return self._changed(_rest=rest, _frames=frames)
 
     def with_filter(self, name: str) -> MappedSource:
         """Return the same source with its image read by another filter."""
-        other = copy.copy(self)
-        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
-        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
-            other._images, _ = store([self._picture], LEVELS_OF[other._filter])
-        return other
+        number, images = FILTERS.index(as_choice(name, FILTERS, "filter")), self._images
+        if LEVELS_OF[number] != LEVELS_OF[self._filter]:
+            images, _ = store([self._picture], LEVELS_OF[number])
+        return self._changed(_filter=number, _images=images)
 
 
 def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:

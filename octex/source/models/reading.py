@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from octex.source.materials import AlphaMode, Input, Material, MaterialSource, T
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
 from octex.source.vectors import Vector, cross_product, dot_product, minus, row_of
-
-AnyArray = TypeVar("AnyArray", Float32s, Float64s, Int32s)
 
 
 class Options(NamedTuple):
@@ -116,14 +114,9 @@ def slot_coordinates(
     bound = []
     for place in range(max(len(each.slots) for each in known.values())):
         values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
-        readers: dict[Slot, list[int]] = {}
-        for number, each in known.items():
-            if place < len(each.slots):
-                readers.setdefault(each.slots[place], []).append(number)
-        for slot, materials in readers.items():
-            is_read = np.zeros(max(known) + 1, np.bool_)
-            is_read[materials] = True
-            chosen = is_read[numbers]
+        reading = {number: each.slots[place] for number, each in known.items() if place < len(each.slots)}
+        for slot in dict.fromkeys(reading.values()):
+            chosen = np.isin(numbers, [number for number, read_slot in reading.items() if read_slot == slot])
             if chosen.any():
                 coordinates, of_corners = read(slot.name)
                 values.append(flip_v(slot.applied(coordinates)))
@@ -211,8 +204,8 @@ def assembled(
     """
     parts = [part.placed() for part in parts]
     firsts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    positions = _concatenated([part.positions for part in parts])
-    triangles = _concatenated(
+    positions = np.concatenate([part.positions for part in parts])
+    triangles = np.concatenate(
         [part.triangles + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     )
 
@@ -226,7 +219,7 @@ def assembled(
             for part, each in zip(parts, attributes, strict=True)
         ]
         if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
-            return Corners(_concatenated([each.values for each in every]), triangles)
+            return Corners(np.concatenate([each.values for each in every]), triangles)
         return Corners.joined(every)
 
     is_smooth = any(part.is_smooth for part in parts)
@@ -235,7 +228,7 @@ def assembled(
     frames = Frames(*(Corners.joined(each) for each in zip(*shaded, strict=True))) if shaded else None
     source = MaterialSource(
         materials,
-        _concatenated([part.materials for part in parts]),
+        np.concatenate([part.materials for part in parts]),
         positions,
         triangles,
         colors=joined([part.colors for part in parts], 1.0),
@@ -262,11 +255,6 @@ def assembled(
         name=name,
         provenance=provenance,
     )
-
-
-def _concatenated(arrays: Sequence[AnyArray]) -> AnyArray:
-    """Return arrays as one; a lone one is not copied."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 class Shape(NamedTuple):
