@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,11 @@ from octex.source.surface import Surface
 
 def _load_usd(path: Path, options: Options) -> Surface:
     try:
-        from octex.source.models.usd import load_usd
+        import_module("pxr")
     except ImportError:
         raise MissingExtraError.needed(f"{path.name}: to read USD", "usd-core", "usd") from None
+    from octex.source.models.usd import load_usd
+
     return load_usd(path, options)
 
 

@@ -111,12 +111,11 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
 
     A tag is its kind, how many whole numbers, fractions and words it has, like 2/1/0, and these.
     """
-    #: Vertices of edges, and vertices; and how sharp each is.
-    named: dict[str, list[list[int]]] = {"crease": [], "corner": []}
-    sharpness: dict[str, list[float]] = {"crease": [], "corner": []}
+    edges: list[tuple[list[int], float]] = []  # vertices, and how sharp they are
+    points: list[tuple[list[int], float]] = []
     for tag in tags:
         kind, *words = tag.split() or [""]
-        if kind not in named:
+        if kind not in ("crease", "corner"):
             continue
         try:
             wholes, fractions, _ = (int(count) for count in words[0].split("/"))
@@ -125,16 +124,17 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
             is_sound = len(numbers) == (2 if kind == "crease" else 1) and 0 <= sharp < np.inf
             if not is_sound or not all(0 <= each < vertices for each in numbers):
                 raise ValueError
-            named[kind].append(numbers)
-            sharpness[kind].append(sharp)
+            (edges if kind == "crease" else points).append((numbers, sharp))
         except (IndexError, ValueError):
             raise damaged(f"{name}: a line 't {tag[:40]}' is not a crease tag") from None
-    if not any(named.values()):
+    if not edges and not points:
         return None
     return Creases(
-        np.array(named["crease"], np.int32).reshape(-1, 2), np.array(sharpness["crease"], np.float32),
-        np.array(named["corner"], np.int32).reshape(-1), np.array(sharpness["corner"], np.float32),
-    )  # fmt: skip
+        np.array([each for each, _ in edges], np.int32).reshape(-1, 2),
+        np.array([sharp for _, sharp in edges], np.float32),
+        np.array([each for each, _ in points], np.int32).reshape(-1),
+        np.array([sharp for _, sharp in points], np.float32),
+    )
 
 
 def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:
@@ -229,12 +229,8 @@ def _bind(
     text: _Text, path: Path, polygons: Int64s, faces: int, options: Options
 ) -> tuple[list[Description], Int32s, dict[str, str]]:
     """Return the materials in use, the number of each triangle's, and the digests of the files read."""
-    starts = [first for first, _ in text.uses]
-    uses = [
-        (first, end, material)
-        for first, end, (_, material) in zip(starts, [*starts[1:], faces], text.uses, strict=True)
-        if first < end
-    ]
+    ends = [*(first for first, _ in text.uses[1:]), faces]
+    uses = [(first, end, name) for (first, name), end in zip(text.uses, ends, strict=True) if first < end]
     numbers = np.zeros(faces, np.int32)
     known = [Description()]
     if not text.libraries:  # no materials are promised
