@@ -293,15 +293,8 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     inputs: dict[str, Input] = {}
     uses: dict[str, _Record] = {}
 
-    def state(
-        name: str,
-        factor: tuple[float, ...],
-        holder: _Record,
-        key: str,
-        lanes: tuple[int, ...] = (0, 1, 2),
-        offset: tuple[float, ...] = (),
-    ) -> None:
-        inputs[name] = Input(factor, None, lanes, offset)
+    def state(name: str, stated: Input, holder: _Record, key: str) -> None:
+        inputs[name] = stated
         if holder.states(key):
             uses[name] = holder.part(key)
 
@@ -314,9 +307,9 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     else:
         pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
         color = pbr.numbers("baseColorFactor", (1.0,) * 4)
-    state("base_color", color[:3], pbr, texture)
+    state("base_color", Input(color[:3]), pbr, texture)
     if mode != "OPAQUE":
-        state("alpha", color[3:], pbr, texture, (3,))
+        state("alpha", Input(color[3:], None, (3,)), pbr, texture)
     name = record.entry.get("name")
     material = Material(
         inputs,
@@ -330,30 +323,32 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     if is_older:
         texture = "specularGlossinessTexture"
         inputs["metallic"] = Input((0.0,))
-        state("roughness", (-pbr.number("glossinessFactor", 1.0),), pbr, texture, (3,), (1.0,))
+        rough = Input((-pbr.number("glossinessFactor", 1.0),), None, (3,), (1.0,))
+        state("roughness", rough, pbr, texture)
         if pbr.states("specularFactor", texture):
-            state("specular", pbr.numbers("specularFactor", (1.0,) * 3), pbr, texture)
+            state("specular", Input(pbr.numbers("specularFactor", (1.0,) * 3)), pbr, texture)
     else:
         texture = "metallicRoughnessTexture"
         for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
             if pbr.states(key, texture):
-                state(name, (pbr.number(key, 1.0),), pbr, texture, (lane,))
+                state(name, Input((pbr.number(key, 1.0),), None, (lane,)), pbr, texture)
         if extensions.states("KHR_materials_specular", "KHR_materials_ior"):
             layer, ior = extensions.part("KHR_materials_specular"), extensions.part("KHR_materials_ior")
             index = max(ior.number("ior", 1.5), 0.0)  # 0 reflects all
             first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
             tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
-            state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
+            state("specular", Input(tuple(tint.tolist())), layer, "specularColorTexture")
     if record.states("occlusionTexture"):
         strength = record.part("occlusionTexture").number("strength", 1.0)
-        state("occlusion", (strength,), record, "occlusionTexture", (0,), (1.0 - strength,))
+        occlusion = Input((strength,), None, (0,), (1.0 - strength,))
+        state("occlusion", occlusion, record, "occlusionTexture")
     if record.states("emissiveFactor", "emissiveTexture"):
         strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
         light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
-        state("emissive", light, record, "emissiveTexture")
+        state("emissive", Input(light), record, "emissiveTexture")
     if record.states("normalTexture"):
         scale = record.part("normalTexture").number("scale", 1.0)
-        state("normal", (scale, scale, 1.0), record, "normalTexture")
+        state("normal", Input((scale, scale, 1.0)), record, "normalTexture")
     return material, uses
 
 

@@ -24,10 +24,10 @@ from octex.source.models.reading import (
     Part,
     assembled,
     cut_shape,
-    frames_below,
     parse_numbers,
     slot_coordinates,
     warn,
+    with_frames,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
@@ -43,7 +43,7 @@ def load_obj(path: Path, options: Options) -> Surface:
     indices, sizes = _faces(text, name)
     shape = cut_shape(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
     triangles, corners = shape.triangles, shape.corners
-    colors = uv = frames = None
+    colors = uv = None
     if vertices.shape[1] >= 6:
         colors = Corners(guessed_colors(vertices[:, 3:6]), triangles)
     numbers, known = np.zeros(len(triangles), np.int32), [Description()]
@@ -59,12 +59,12 @@ def load_obj(path: Path, options: Options) -> Surface:
         coordinates = slot_coordinates(described, numbers, lambda _: (upright, bound))
     is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
-    if is_mapped or normals is not None:
-        frames = frames_below(described, numbers, positions, triangles, normals, coordinates, uv)
     part = Part(
-        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None, frames,
-        normals is not None, shape.polygons,
+        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None,
+        polygons=shape.polygons,
     )  # fmt: skip
+    if is_mapped or normals is not None:
+        part = with_frames(part, described, normals, uv)
     return assembled(
         [part],
         [each.material for each in known],

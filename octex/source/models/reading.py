@@ -126,25 +126,6 @@ def slot_coordinates(
     return bound
 
 
-def frames_below(
-    known: Mapping[int, Description],
-    numbers: Int32s,
-    positions: Float64s,
-    triangles: Int32s,
-    normals: Corners | None,
-    coordinates: Sequence[Corners],
-    otherwise: Corners | None,
-) -> Frames:
-    """Return frames at corners: along the coordinates of normal maps, along ``otherwise`` without one."""
-    slots = np.full(max(known) + 1, -1)
-    for number, each in known.items():
-        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
-    mapped = None
-    if otherwise is not None and (slots >= 0).any():
-        mapped = Corners.chosen([*coordinates, otherwise], slots[numbers])
-    return corner_frames(positions, triangles, normals, None, mapped)
-
-
 class Part(NamedTuple):
     """A mesh in its own space, what is bound to its corners, and where a scene shows it."""
 
@@ -181,6 +162,20 @@ class Part(NamedTuple):
             frames=self.frames and Frames(*map(ordered, transformed(self.frames, linear))),
             polygons=self.polygons and self.polygons._replace(corners=self.polygons.corners[:, order]),
         )
+
+
+def with_frames(
+    part: Part, known: Mapping[int, Description], normals: Corners | None, otherwise: Corners | None
+) -> Part:
+    """Return a part with frames: along the coordinates of normal maps, along ``otherwise`` without one."""
+    slots = np.full(max(known) + 1, -1)
+    for number, each in known.items():
+        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
+    mapped = None
+    if otherwise is not None and (slots >= 0).any():
+        mapped = Corners.chosen([*part.coordinates, otherwise], slots[part.materials])
+    frames = corner_frames(part.positions, part.triangles, normals, None, mapped)
+    return part._replace(frames=frames, is_smooth=normals is not None)
 
 
 def winding(linear: Float64s) -> slice:

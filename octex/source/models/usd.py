@@ -32,10 +32,10 @@ from octex.source.models.reading import (
     Slot,
     assembled,
     cut_polygons,
-    frames_below,
     slot_coordinates,
     triangulate,
     warn,
+    with_frames,
 )
 from octex.source.surface import Surface, flip_v
 
@@ -192,17 +192,13 @@ class _Scene:
             return read or nowhere
 
         coordinates = slot_coordinates(known, part.materials, read)
-        normals = primvars.normals() if has_frames else None
         uv = primvars.corners(next((slot.name for each in known.values() for slot in each.slots), "st"), 2)
-        return part._replace(
+        part = part._replace(
             colors=self._colors(part.materials, known, primvars),
             coordinates=coordinates,
             uv=uv and uv._replace(values=flip_v(uv.values)),
-            frames=frames_below(known, part.materials, positions, triangles, normals, coordinates, nowhere)
-            if has_frames
-            else None,
-            is_smooth=normals is not None,
         )
+        return with_frames(part, known, primvars.normals(), nowhere) if has_frames else part
 
     def _colors(self, numbers: Int32s, known: dict[int, Description], primvars: _Primvars) -> Corners | None:
         """Return displayColor and displayOpacity where a material reads them; white elsewhere."""
