@@ -129,7 +129,7 @@ class _Describer:
         self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
         self._images, self._options = images, options
-        self._slots: list[Slot] = []
+        self._slots: dict[Slot, int] = {}
 
     def describe(self) -> Description:
         """Return the material."""
@@ -234,9 +234,8 @@ class _Describer:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
-        if image.slot not in self._slots:
-            self._slots.append(image.slot)
-        return Texture(texels, image.wrap, image.wrap, slot=self._slots.index(image.slot))
+        place = self._slots.setdefault(image.slot, len(self._slots))
+        return Texture(texels, image.wrap, image.wrap, slot=place)
 
     def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
         path = beside(self._path.parent, image.file)

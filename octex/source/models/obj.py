@@ -21,9 +21,8 @@ from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
     Description,
     Options,
-    Part,
     assembled,
-    cut_shape,
+    cut_part,
     parse_numbers,
     slot_coordinates,
     warn,
@@ -41,28 +40,22 @@ def load_obj(path: Path, options: Options) -> Surface:
     vertices = _numbers(text.vertices, 3, name, "v")
     positions = np.ascontiguousarray(vertices[:, :3])
     indices, sizes = _faces(text, name)
-    shape = cut_shape(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
-    triangles, corners = shape.triangles, shape.corners
-    colors = uv = None
+    part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
     if vertices.shape[1] >= 6:
-        colors = Corners(guessed_colors(vertices[:, 3:6]), triangles)
-    numbers, known = np.zeros(len(triangles), np.int32), [Description()]
-    files: dict[str, str] = {}
+        part = part._replace(colors=Corners(guessed_colors(vertices[:, 3:6]), part.triangles))
+    known, files = [Description()], {}
     if options.materials and text.uses:
-        known, numbers, files = _bind(text, path, shape.numbers, len(sizes), options)
-    coordinates: list[Corners] = []
+        known, numbers, files = _bind(text, path, polygons, len(sizes), options)
+        part = part._replace(materials=numbers)
     rows = indices[corners, 1]
-    described = dict(enumerate(known))
+    described, uv = dict(enumerate(known)), None
     if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
-        upright, bound = _coordinates(text, known, numbers, rows, name)
+        upright, bound = _coordinates(text, known, part.materials, rows, name)
         uv = Corners(flip_v(upright), bound)
-        coordinates = slot_coordinates(described, numbers, lambda _: (upright, bound))
+        coordinates = slot_coordinates(described, part.materials, lambda _: (upright, bound))
+        part = part._replace(coordinates=coordinates, uv=uv if (rows >= 0).all() else None)
     is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
-    part = Part(
-        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None,
-        polygons=shape.polygons,
-    )  # fmt: skip
     if is_mapped or normals is not None:
         part = with_frames(part, described, normals, uv)
     return assembled(

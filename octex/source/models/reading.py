@@ -252,46 +252,39 @@ def assembled(
     )
 
 
-class Shape(NamedTuple):
-    """Polygons, cut into triangles."""
+def cut_part(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> tuple[Part, Int64s, Int64s]:
+    """Cut polygons, of so many of the vertices ``indices`` each, into triangles of one material.
 
-    positions: Float64s
-    triangles: Int32s
-    corners: Int64s  # (triangles, 3)   which of all corners of polygons each corner is
-    numbers: Int64s  # (triangles,)     the polygon of each
-    polygons: Polygons | None
-
-    def colors(self, of_vertices: Float32s | None, of_polygons: Float32s | None) -> Corners | None:
-        """Bind the colours of vertices, or else of polygons."""
-        if of_vertices is not None:
-            return Corners(of_vertices, self.triangles)
-        if of_polygons is not None:
-            return Corners(of_polygons, np.repeat(self.numbers.astype(np.int32), 3).reshape(-1, 3))
-        return None
-
-
-def cut_shape(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> Shape:
-    """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
+    Returns which of ``indices`` each corner (m, 3) is, and the polygon of each triangle (m,), too.
+    """
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
         text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
         raise ModelError(text)
     corners, numbers = triangulate(positions, indices, sizes)
     if len(corners) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    triangles = indices[corners].astype(np.int32)
-    return Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
+    polygons = cut_polygons(corners, numbers, sizes)
+    materials = np.zeros(len(corners), np.int32)
+    part = Part(positions, indices[corners].astype(np.int32), materials, polygons=polygons)
+    return part, corners, numbers
+
+
+def with_colors(
+    part: Part, numbers: Int64s, of_vertices: Float32s | None, of_polygons: Float32s | None
+) -> Part:
+    """Return a part with the colours of its vertices, or else of its triangles' polygons (m,)."""
+    if of_vertices is not None:
+        return part._replace(colors=Corners(of_vertices, part.triangles))
+    if of_polygons is None:
+        return part
+    return part._replace(colors=Corners(of_polygons, np.repeat(numbers.astype(np.int32), 3).reshape(-1, 3)))
 
 
 def colored_surface(
-    name: str,
-    options: Options,
-    shape: Shape,
-    colors: Corners | None,
-    textures: Sequence[Texture | None] = (None,),
-    numbers: Int32s | None = None,
-    coordinates: Corners | None = None,
+    name: str, options: Options, part: Part, textures: Sequence[Texture | None] = (None,)
 ) -> Surface:
     """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
+    colors = part.colors
     if colors is not None and not colors.values[colors.rows, 3].any():
         colors = colors._replace(values=opaque(colors.values, name))
     is_translucent = colors is not None and (colors.values[:, 3] < 1).any()
@@ -300,12 +293,7 @@ def colored_surface(
         Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
         for each in textures
     ]
-    if numbers is None:
-        numbers = np.zeros(len(shape.triangles), np.int32)
-    slots = () if coordinates is None else (coordinates,)
-    part = Part(
-        shape.positions, shape.triangles, numbers, colors, slots, coordinates, polygons=shape.polygons
-    )
+    part = part._replace(colors=colors, coordinates=() if part.uv is None else (part.uv,))
     return assembled([part], materials, options, name)
 
 

@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_shape, warn, winding
+from octex.source.models.reading import Options, colored_surface, cut_part, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -94,15 +94,15 @@ class _Package:
         firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
         positions = np.concatenate([mesh.positions for mesh in meshes])
-        shape = cut_shape(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
-        rows = np.concatenate([mesh.rows for mesh in meshes]).ravel()[shape.corners].astype(np.int32)
-        images = np.concatenate([mesh.images for mesh in meshes])[shape.numbers]
-        return colored_surface(
-            self._name, self._options, shape,
-            Corners(np.concatenate(self._colors), rows) if rows.any() else None,
-            self._images, images,
-            Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
-        )  # fmt: skip
+        part, _, _ = cut_part(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
+        rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
+        images = np.concatenate([mesh.images for mesh in meshes])
+        part = part._replace(
+            materials=images,
+            colors=Corners(np.concatenate(self._colors), rows) if rows.any() else None,
+            uv=Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
+        )
+        return colored_surface(self._name, self._options, part, self._images)
 
     def _read(self, part: str) -> bytes:
         try:
