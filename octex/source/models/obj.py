@@ -43,7 +43,8 @@ def load_obj(path: Path, options: Options) -> Surface:
     part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
     if vertices.shape[1] >= 6:
         part = part._replace(colors=Corners(guessed_colors(vertices[:, 3:6]), part.triangles))
-    known, files = [Description()], {}
+    known = [Description()]
+    files: dict[str, str] = {}
     if options.materials and text.uses:
         known, numbers, files = _bind(text, path, polygons, len(sizes), options)
         part = part._replace(materials=numbers)
