@@ -232,20 +232,14 @@ def _ellipse(
         rest, dx = 1.0 - dy * dy * per_row, i0 - middle
         if count + tries > MOST_TAPS:
             break
-        if i0 >= 0 and i0 + tries <= wide:
-            for i in range(i0, i0 + tries):
-                weight = rest - dx * dx * per_column
-                dx += 1.0
-                places[count], weights[count] = start + i, weight
-                total += max(weight, 0.0)
-                count += weight > 0.0
-        else:
-            for i in range(i0, i0 + tries):
-                weight = rest - dx * dx * per_column
-                dx += 1.0
-                places[count], weights[count] = start + wrapped(i, wide, foot.wrap_u), weight
-                total += max(weight, 0.0)
-                count += weight > 0.0
+        is_inside = i0 >= 0 and i0 + tries <= wide
+        for i in range(i0, i0 + tries):
+            weight = rest - dx * dx * per_column
+            dx += 1.0
+            place = i if is_inside else wrapped(i, wide, foot.wrap_u)
+            places[count], weights[count] = start + place, weight
+            total += max(weight, 0.0)
+            count += weight > 0.0
     if not total > 0.0:
         return bilinear(images, row, foot, 1.0, places, weights, 0), NEVER, 1.0
     return count, EACH if level == 0 else NEVER, 1.0 / total
