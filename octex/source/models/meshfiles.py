@@ -11,7 +11,6 @@ import re
 import warnings
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -78,20 +77,20 @@ def load_off(path: Path, options: Options) -> Surface:
         raise ModelError(f"{name}: the numbers of vertices and faces are missing") from None
     if n_vertices < 0 or n_faces < 0 or n_vertices + n_faces > len(lines):
         raise ModelError(f"{name} is truncated: it has fewer lines than vertices and faces")
-    vertices = _rows(lines[:n_vertices], name)
-    faces = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
-    if len(vertices.counts) and vertices.counts.min() < 3:
+    values, starts, counts = _rows(lines[:n_vertices], name)
+    if len(counts) and counts.min() < 3:
         raise damaged(f"{name}: a vertex has less than three numbers")
-    positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
-    sizes = whole_numbers(faces.values[faces.starts])
-    if not ((sizes >= 0) & (sizes < faces.counts)).all():
+    positions, first = values[starts[:, None] + np.arange(3)], 6 if head[3] else 3
+    of_vertices = _off_colors(values, starts + first, counts - first - (2 if head[1] else 0))
+    values, starts, counts = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
+    sizes = whole_numbers(values[starts])
+    if not ((sizes >= 0) & (sizes < counts)).all():
         raise damaged(f"{name}: a face has fewer corners than it says")
     within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
+    indices = whole_numbers(values[np.repeat(starts + 1, sizes) + within])
     part, _, numbers = cut_part(name, positions, indices, sizes)
-    before_colors = np.full(len(positions), 6 if head[3] else 3)
-    of_vertices = _off_colors(vertices, before_colors, 2 if head[1] else 0)
-    part = with_colors(part, numbers, of_vertices, _off_colors(faces, sizes + 1, 0))
+    of_faces = _off_colors(values, starts + 1 + sizes, counts - 1 - sizes)
+    part = with_colors(part, numbers, of_vertices, of_faces)
     return colored_surface(name, options, part)
 
 
@@ -104,28 +103,22 @@ def _whole_faces(lines: list[str], count: int) -> list[str]:
     return [" ".join(face) for face in faces]
 
 
-class _Rows(NamedTuple):
-    values: Float64s
-    starts: Int64s
-    counts: Int64s
-
-
-def _rows(lines: list[str], name: str) -> _Rows:
+def _rows(lines: list[str], name: str) -> tuple[Float64s, Int64s, Int64s]:
+    """Return the numbers of all lines, where each line's start, and how many it has."""
     counts = np.array([len(line.split()) for line in lines], np.int64)
     values = parse_numbers(" ".join(lines))
     if values is None or values.size != counts.sum():
         raise damaged(f"{name}: a vertex or a face is not numbers")
-    return _Rows(values, np.cumsum(counts) - counts, counts)
+    return values, np.cumsum(counts) - counts, counts
 
 
-def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
-    """Return the linear colours after ``skip`` numbers of each row, white where there are none; or None."""
-    left = rows.counts - skip - tail
-    colored = left >= 3
+def _off_colors(values: Float64s, starts: Int64s, counts: Int64s) -> Float32s | None:
+    """Return linear colours of so many numbers each, white where there are fewer than three; or None."""
+    colored = counts >= 3
     if not colored.any():
         return None
-    colors = np.full((len(left), 4), np.nan)
+    colors = np.full((len(counts), 4), np.nan)
     for column in range(4):
-        has_column = colored & (left > column)
-        colors[has_column, column] = rows.values[(rows.starts + skip)[has_column] + column]
+        has_column = colored & (counts > column)
+        colors[has_column, column] = values[starts[has_column] + column]
     return guessed_colors(colors)

@@ -71,33 +71,25 @@ def load_obj(path: Path, options: Options) -> Surface:
 
 class _Text:
     def __init__(self, path: Path) -> None:
-        self.vertices: list[str] = []
-        self.coordinates: list[str] = []
-        self.normals: list[str] = []
-        self.faces: list[str] = []
-        self.libraries: list[str] = []
-        self.tags: list[str] = []
+        lines: dict[str, list[str]] = {key: [] for key in ("f", "v", "vt", "vn", "mtllib", "t")}
+        self.faces, self.vertices, self.coordinates, self.normals, self.libraries, self.tags = lines.values()
         # Numbers of faces, vertices, coordinates and normals read where faces begin to follow other lines:
         # what relative indices count from.
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
-        counted = {"v": self.vertices, "vt": self.coordinates, "vn": self.normals}
-        others = {"mtllib": self.libraries, "t": self.tags}
         moved = True
         for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
-            if key in counted:
-                counted[key].append(rest)
-                moved = True
-            elif key == "f":
+            if key == "f":
                 if moved:
-                    self.runs.append([len(lines) for lines in (self.faces, *counted.values())])
+                    self.runs.append([len(lines[each]) for each in ("f", "v", "vt", "vn")])
                     moved = False
                 self.faces.append(rest)
+            elif key in lines:
+                lines[key].append(rest)
+                moved = True
             elif key == "usemtl":
                 self.uses.append((len(self.faces), rest.strip()))
-            elif key in others:
-                others[key].append(rest)
 
 
 def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
