@@ -68,8 +68,11 @@ class Source(ABC):
     def _reading(self, inputs: Sequence[Source]) -> Self:
         return self._changed(_inputs=tuple(inputs))
 
-    def _changed(self, **attributes: Any) -> Self:
+    def _changed(self, *stale: str, **attributes: Any) -> Self:
+        """Return a copy with other values of attributes, and without what was made of the old ones."""
         other = copy.copy(self)
+        for name in stale:
+            vars(other).pop(name, None)
         vars(other).update(attributes)
         return other
 

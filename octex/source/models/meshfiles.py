@@ -70,9 +70,9 @@ def load_off(path: Path, options: Options) -> Surface:
         raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
     if head[4] or head[5] or "BINARY" in first:
         raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
-    counts = first[1:] or (lines.pop(0).split() if lines else [])
+    words = first[1:] or (lines.pop(0).split() if lines else [])
     try:
-        n_vertices, n_faces = int(counts[0]), int(counts[1])
+        n_vertices, n_faces = int(words[0]), int(words[1])
     except (IndexError, ValueError):
         raise ModelError(f"{name}: the numbers of vertices and faces are missing") from None
     if n_vertices < 0 or n_faces < 0 or n_vertices + n_faces > len(lines):
@@ -80,8 +80,8 @@ def load_off(path: Path, options: Options) -> Surface:
     values, starts, counts = _rows(lines[:n_vertices], name)
     if len(counts) and counts.min() < 3:
         raise damaged(f"{name}: a vertex has less than three numbers")
-    positions, first = values[starts[:, None] + np.arange(3)], 6 if head[3] else 3
-    of_vertices = _off_colors(values, starts + first, counts - first - (2 if head[1] else 0))
+    positions, skip = values[starts[:, None] + np.arange(3)], 6 if head[3] else 3
+    of_vertices = _off_colors(values, starts + skip, counts - skip - (2 if head[1] else 0))
     values, starts, counts = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
     sizes = whole_numbers(values[starts])
     if not ((sizes >= 0) & (sizes < counts)).all():
