@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.layout import Block
-from octex.arrays import Int32s, Int64s, Uint32s, Uint64s
+from octex.arrays import Int32s, Uint32s, Uint64s
 from octex.jit import inlined, kernel, part, popcount
 from octex.tree.children import children
 from octex.tree.layout import MAX_CELLS, TreeArrays
@@ -93,15 +93,12 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
     return low
 
 
+@kernel
 def around_nodes(arrays: TreeArrays, block: Block) -> Uint32s:
     """Return a row for each of a block's nodes (n, 13). Reads the levels above."""
-    return _around_nodes(arrays.groups, arrays.level_nodes, block.level, block.first, block.last)
-
-
-@kernel
-def _around_nodes(groups: Uint64s, level_nodes: Int64s, level: int, first: int, last: int) -> Uint32s:
+    groups, level_nodes, level = arrays.groups, arrays.level_nodes, block.level
     runs = np.empty((level + 1, 2), np.int64)
-    runs[level, 0], runs[level, 1] = first, last
+    runs[level, 0], runs[level, 1] = block.first, block.last
     for above in range(level - 1, -1, -1):
         low, high = level_nodes[above], level_nodes[above + 1]
         runs[above, 0] = _parent(groups, low, high, runs[above + 1, 0])
@@ -117,15 +114,14 @@ def _around_nodes(groups: Uint64s, level_nodes: Int64s, level: int, first: int, 
 
 
 @kernel
-def around_children(
-    groups: Uint64s, first: int, last: int, around: Uint32s, begin: int, rows: Int32s
-) -> None:
-    """Write a row for each child of the nodes of a block, in order; its first is cell ``begin``."""
-    count = last - first
+def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s:
+    """Return a row for each child of the nodes of a block, in order."""
+    first, begin, count = block.first, block.begin.cell, block.last - block.first
+    rows = np.empty((block.end.cell - begin, 4), np.int32)
     stored, firsts = np.empty(count, np.uint8), np.empty(count, np.int32)
     has_nodes = np.empty(count, np.uint8)
     for n in range(count):
-        inner, mask, _, cell = children_of(groups, first + n)
+        inner, mask, _, cell = children_of(arrays.groups, first + n)
         has_nodes[n], stored[n], firsts[n] = inner != 0, mask, cell - begin
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
     t = 0
@@ -154,3 +150,4 @@ def around_children(
             rows[row, ABOUT] = about
             left -= 1
             t += 1
+    return rows

@@ -5,22 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from octex.archive.around import NO_NODE, NODES, OWN, before, children_of, lowest, ones
-from octex.archive.entropy import DECODES, FAULT, Coder, Model, code_bit, code_symbol, new_model, wide
-from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
+from octex.archive.entropy import DECODES, FAULT, Coder, code_bit, code_symbol, wide
+from octex.archive.layout import Block
+from octex.arrays import Int64s, Uint32s
 from octex.jit import inlined, kernel
-from octex.tree.layout import FACING_FLAGS
+from octex.tree.layout import FACING_FLAGS, TreeArrays
 
-#: Contexts of symbols: of the four lower octants 2¹⁰, of the upper 2¹¹.
-_SYMBOLS = 3 << 10
-# Where those of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
+# Where contexts of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
 _LEAVES, _ALIKE, _FACINGS, _SPLIT, _KEPT, _BITS = 0, 8, 16, 64, 82, 84
+#: Contexts of symbols, of the four lower octants 2¹⁰, of the upper 2¹¹; and of bits.
+CONTEXTS = 3 << 10, _BITS
 #: The most bits of a node: 8 children with a leaf, six facings and two other flags.
 MOST = 8 * 9 + 3
-
-
-def model() -> Model:
-    """Return what a stream of structure begins with."""
-    return new_model(_SYMBOLS, _BITS)
 
 
 @inlined
@@ -31,24 +27,20 @@ def _mask(masks: Int64s, node: int) -> int:
 
 
 @kernel
-def code_structure(
-    groups: Uint64s,
-    flags: Uint8s,
-    first: int,
-    last: int,
-    next_node: int,
-    next_cell: int,
-    end_node: int,
-    end_cell: int,
-    may_be_nodes: bool,
-    around: Uint32s,
-    coder: Coder,
-) -> None:
-    """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
+def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Coder) -> None:
+    """Note or decode the children of a block's nodes, around which lie cells and nodes.
 
-    Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
-    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
+    Decoding, it writes their masks and the groups' ranks, and their flags. What goes beyond the block's ends
+    sets FAULT.
     """
+    groups, flags, first, last = arrays.groups, arrays.flags, block.first, block.last
+    next_node, next_cell, end_node, end_cell = (
+        block.begin.node,
+        block.begin.cell,
+        block.end.node,
+        block.end.cell,
+    )
+    may_be_nodes = block.level + 3 < arrays.level_cells.size
     decodes = coder.work == DECODES
     # Of the block's nodes: which children they have, and which is the first.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)

@@ -311,7 +311,7 @@ def test_a_full_disk_under_an_archive_names_the_folder(
 
     shell(5).save(tmp_path / "a.octz")
     fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
-    monkeypatch.setattr("octex.archive.head.zeros", partial(arrays.zeros, most_in_memory=0))
+    monkeypatch.setattr("octex.archive.read.zeros", partial(arrays.zeros, most_in_memory=0))
     monkeypatch.setattr(arrays, "zeros_in", full)
     for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
         with pytest.raises(OutputError, match=r"has no room for .* bytes: No space left on device"):
