@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN, ones
 from octex.archive.entropy import DECODES, Coder, code_token, wide
+from octex.archive.structure import ABOUT, OWN
 from octex.arrays import Int32s, Uint8s, Uint32s
-from octex.jit import inlined, kernel
+from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, TreeArrays
 
 _PARTS = 6
 #: Contexts: 21 of which cells are around, 3 of how many children are left, 4 each of the largest area beside
 #: and of that along the axis, parts of the area that is left; then those of split rows.
 _SHAPES = 21 * 3 * 4 * 4 + 3
-CONTEXTS = _SHAPES * _PARTS
+CONTEXTS = _SHAPES * _PARTS, 0
 _BITS = 30  # of an area of one
 #: From so many steps of area below all of it on, what is left is a smaller part.
 _STEPS = 4, 9, 17, 25, 36
@@ -102,7 +102,7 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
         if axis < 3:
             pairs = about >> 8 & 63
             pair = pairs >> 2 * axis & 3
-            shape = 5 * pair + ones(pairs) - ones(pair)
+            shape = 5 * pair + popcount(pairs) - popcount(pair)
             if pair == 0:
                 guess = across if across > 0 else whole
             elif pair < 3 and along > 0:

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from octex.archive import areas, structure, values
-from octex.archive.around import around_children, around_nodes
 from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
 from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, DamagedError, owners_of
-from octex.arrays import Int32s, Uint32s
+from octex.arrays import Array
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
@@ -29,19 +28,20 @@ def code_block(
     level of one block. They are copied, or if the block is its level's only one, go on.
     """
     arrays, found = content.arrays, []
-    around = around_nodes(arrays, block)
+    around = structure.around_nodes(arrays, block)
     rows, owners = np.empty((0, 4), np.int32), np.empty(0, np.uint32)
     is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
     for kind in kinds:
         if kind != STRUCTURE and not rows.size:  # once which children there are is known
-            rows, owners = around_children(arrays, block, around), owners_of(content.split, block)
-        model = models.get(kind) or _new_model(kind, codings)
+            rows, owners = structure.around_children(arrays, block, around), owners_of(content.split, block)
+        contexts, most_notes = _extent(kind, codings, block)
+        model = models.get(kind) or new_model(*contexts)
         if is_only:
             models[kind] = model
         else:
             model = Model(model.numbers.copy(), model.odds.copy())
         if streams is None:
-            coder = noter(model, _most_notes(kind, codings, block))
+            coder = noter(model, most_notes)
         else:
             place, stream = next(streams)
             coder = decoder(model, stream)
@@ -63,21 +63,16 @@ def code_block(
     return found
 
 
-def _new_model(kind: str, codings: Mapping[str, Coding]) -> Model:
-    if kind in codings:
-        return new_model(*values.contexts_of(codings[kind].form))
-    return new_model(areas.CONTEXTS) if kind == AREAS else new_model(*structure.CONTEXTS)
-
-
-def _most_notes(kind: str, codings: Mapping[str, Coding], block: Block) -> int:
-    """Return how many notes a stream may have."""
+def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tuple[int, int], int]:
+    """Return how many contexts of symbols, and of bits, a stream has, and how many notes it may have."""
     _, cell, _, row, kept = block.counts
     if kind == STRUCTURE:
-        return structure.MOST * (block.last - block.first)
+        return structure.CONTEXTS, structure.MOST * (block.last - block.first)
     if kind == AREAS:
-        return cell + row
+        return areas.CONTEXTS, cell + row
     form = codings[kind].form
-    return (cell + row + kept) * (form.components * (1 if form.size == 1 else 9) + 1)
+    contexts = values.SETS * form.components * values.CONTEXTS, 4
+    return contexts, (cell + row + kept) * (form.components * (1 if form.size == 1 else 9) + 1)
 
 
 def _list_flagged(content: Content, block: Block) -> None:
@@ -98,12 +93,7 @@ def _list_flagged(content: Content, block: Block) -> None:
 
 
 def _code_channel(
-    content: Content,
-    name: str,
-    coding: Coding,
-    block: Block,
-    found: tuple[Uint32s, Int32s, Uint32s],
-    coder: Coder,
+    content: Content, name: str, coding: Coding, block: Block, found: tuple[Array, ...], coder: Coder
 ) -> None:
     """Note or decode the values of a channel, those of cells, of rows of split cells, and of kept nodes."""
     form, (owners, rows, around), begin, end = coding.form, found, block.begin, block.end

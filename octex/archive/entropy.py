@@ -24,6 +24,7 @@ _LEAST = 1 << 31  # a state is this or more between two symbols
 NOTES, DECODES = 0, 1  # what a coder does
 # What a coder's state holds, after the states of rANS, that which is next first.
 PLACE, FAULT = 2, 3
+_BEGIN = [_LEAST] * STATES + [0, 0]
 
 #: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
 #: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
@@ -51,7 +52,7 @@ class Model(NamedTuple):
     odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
 
 
-def new_model(symbols: int, bits: int = 0) -> Model:
+def new_model(symbols: int, bits: int) -> Model:
     """Return a model of so many contexts of symbols, and of bits."""
     return Model(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
 
@@ -65,19 +66,15 @@ class Coder(NamedTuple):
     model: Model
 
 
-def _coder(work: int, stream: Int64s, model: Model) -> Coder:
-    return Coder(work, np.array([_LEAST] * STATES + [0, 0], np.int64), stream, model)
-
-
 def noter(model: Model, most: int) -> Coder:
     """Return a coder that notes, with room for so many notes."""
-    return _coder(NOTES, np.empty(most, np.int64), model)
+    return Coder(NOTES, np.array(_BEGIN, np.int64), np.empty(most, np.int64), model)
 
 
 def decoder(model: Model, content: bytes) -> Coder:
     """Return a coder that reads a stream's bytes; a zero ends its words. These begin with the states."""
     words = np.frombuffer(content, "<u4", len(content) // 4)
-    coder = _coder(DECODES, np.append(words, np.uint32(0)).astype(np.int64), model)
+    coder = Coder(DECODES, np.array(_BEGIN, np.int64), np.append(words, np.uint32(0)).astype(np.int64), model)
     if words.size >= 2 * STATES:
         coder.state[:STATES] = words[: 2 * STATES].view("<i8")
         coder.state[PLACE] = 2 * STATES
@@ -200,18 +197,6 @@ def _code_long(value: int, count: int, coder: Coder) -> int:
         found |= _code(0, ONE, value >> done & (1 << some) - 1, some, coder) << done
         done += some
     return found
-
-
-@inlined
-def folded(off: int) -> int:
-    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
-    return wide(off << 1 ^ off >> 63)
-
-
-@inlined
-def unfolded(number: int) -> int:
-    """Return what was folded."""
-    return wide(number >> 1 ^ -(number & 1))
 
 
 @kernel

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex import container
-from octex.archive.around import OWN, around_nodes
 from octex.archive.blocks import code_block
 from octex.archive.entropy import Model
 from octex.archive.layout import (
@@ -44,6 +43,7 @@ from octex.archive.layout import (
     pieces_of,
     runs,
 )
+from octex.archive.structure import OWN, around_nodes
 from octex.arrays import Array, Bools, Int64s, zeros
 from octex.channels import ONE
 from octex.errors import ArgumentError, TextureFileError
@@ -215,18 +215,16 @@ class Decoding:
             flat[begin:end] = np.frombuffer(found, np.uint8)
         self.is_whole = True
 
-    def decode_structure(self, level: int) -> bool:
-        """Decode structure, flags and tables down to a level; say whether there was anything to do."""
-        return self._decode({STRUCTURE: np.array([block.level < level for block, _ in self._parts], bool)})
-
-    def decode(self, wanted: Mapping[str, Sequence[tuple[str, Int64s]]]) -> bool:
+    def decode(self, wanted: Mapping[str, Sequence[tuple[str, Int64s]]], level: int = 0) -> bool:
         """Decode AREAS and channels: of each kind rows of tables, which are named as in `Place`.
 
-        Says as ``decode_structure`` whether there was anything to do.
+        Structure, flags and tables are decoded down to these, and at least to a ``level``. Says whether there
+        was anything to do.
         """
         marked = {kind: self._marked(rows) for kind, rows in wanted.items()}
-        level = max((self.level_of(*rows) for each in wanted.values() for rows in each), default=0)
-        was_more = self.decode_structure(level)
+        level = max([level, *(self.level_of(*rows) for each in wanted.values() for rows in each)])
+        above = np.array([block.level < level for block, _ in self._parts], np.bool_)
+        was_more = self._decode({STRUCTURE: above})
         for kind, blocks in marked.items():
             blocks &= ~self._done[kind]
             for number in range(blocks.size - 1, -1, -1):  # with what they are guessed from, levels above

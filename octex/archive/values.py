@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import DECODES, Coder, code_bit, code_number, folded, unfolded, wide
+from octex.archive.entropy import DECODES, Coder, code_bit, code_number, wide
 from octex.archive.layout import CLASSES, TERMS, WEIGHT_BITS, Form
+from octex.archive.structure import ABOUT, OWN
 from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
@@ -38,11 +38,6 @@ _CONTEXT_OF = np.searchsorted([1, 2, 3, 6, 10, 16, 24, 36, 52, 80], np.arange(25
 PART_OF = np.array([0, *(65536 // n for n in range(1, 9))], np.int64)
 #: By how many bits terms are shifted before they are added to the weights of a class.
 _SHIFTS = np.array([9, 8, 7, 5, 3], np.int64)
-
-
-def contexts_of(form: Form) -> tuple[int, int]:
-    """Return how many contexts of symbols a stream of a channel has, and of bits."""
-    return SETS * form.components * CONTEXTS, 4
 
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
@@ -95,9 +90,9 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
             off = (number - guess + form.error) // step
             off = off + steps if off < -half else off - steps if off >= steps - half else off
     unit, is_byte = form.unit + 4 * (form.size > 1), form.size == 1
-    sign, about = code_number(folded(off), unit, is_byte, context, coder)
+    sign, about = code_number(off << 1 ^ off >> 63, unit, is_byte, context, coder)  # 0, −1, 1, −2 … from 0 on
     if coder.work == DECODES:  # else what comes next need not wait
-        off = unfolded(sign)
+        off = wide(sign >> 1 ^ -(sign & 1))
     noise = (about + 1 & -2) * step >> form.unit
     number = guess + off * step
     if form.error == 0:
@@ -112,6 +107,7 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
 class _Room(NamedTuple):
     """What is known of a node, by component, and of a child."""
 
+    numbers: Uint32s  # of all cells by component; at the end the node's own, for cells that are not there
     sides: Int64s  # (components · 6,)   what the cells around have more than the node's
     values: Int64s  # of the node's cell
     total: Int64s  # of ``sides``
@@ -129,13 +125,7 @@ class _Room(NamedTuple):
 
 @kernel
 def code_values(
-    rows: Int32s,
-    around: Uint32s,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    weights: Int64s,
-    coder: Coder,
+    rows: Int32s, around: Uint32s, raw: Uint8s, numbers: Uint32s, form: Form, weights: Int64s, coder: Coder
 ) -> None:
     """Note or decode the values of a block's cells, around which lie ``rows`` and ``around``.
 
@@ -145,40 +135,31 @@ def code_values(
     each, free = np.zeros((9, 4), np.int64), weights.copy()
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
     known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
-    room = _Room(sides, *known, terms, places, free)
-    flat = numbers.reshape(-1)
+    room = _Room(numbers.reshape(-1), sides, *known, terms, places, free)
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
-        _code_values(rows, around, raw, flat, Form(3, 1, 0, 0, 0), room, coder)
+        _code_values(rows, around, raw, Form(3, 1, 0, 0, 0), room, coder)
     elif is_plain and form.components == 1:
-        _code_values(rows, around, raw, flat, Form(1, 1, 0, 0, 0), room, coder)
+        _code_values(rows, around, raw, Form(1, 1, 0, 0, 0), room, coder)
     else:
-        _code_values(rows, around, raw, flat, form, room, coder)
+        _code_values(rows, around, raw, form, room, coder)
 
 
 @inlined
-def _code_values(
-    rows: Int32s,
-    around: Uint32s,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    room: _Room,
-    coder: Coder,
-) -> None:
+def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _Room, coder: Coder) -> None:
     node, left, flat, was_flat = wide(-1), wide(1), wide(0), wide(0)
     for t in range(np.uint64(rows.shape[0])):
         about = wide(rows[t, ABOUT])
         if left == 1:
             node += 1
             own = around[np.uint64(node)]
-            flat = _begin_node(wide(t), about, own, was_flat, raw, numbers, form, room, coder)
+            flat = _begin_node(wide(t), about, own, was_flat, raw, form, room, coder)
             was_flat = was_flat if flat < 0 else flat
         left = about & 15
         if flat > 0:
             for j in range(form.components):
-                numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
+                room.numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
         part = PART_OF[np.uint64(left)]
         spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
@@ -187,29 +168,21 @@ def _code_values(
             room.places[axis] = 2 * axis + (about >> 5 + axis & 1)
             room.places[3 + axis] = (other if other >= 0 else spare) * form.components
         # Each component has code of its own, in which its number is known.
-        noise = _code_component(wide(t), 0, part, 0, numbers, form, room, coder)
+        noise = _code_component(wide(t), 0, part, 0, form, room, coder)
         if form.components > 1:
-            noise = _code_component(wide(t), 1, part, noise, numbers, form, room, coder)
+            noise = _code_component(wide(t), 1, part, noise, form, room, coder)
         if form.components > 2:
-            noise = _code_component(wide(t), 2, part, noise, numbers, form, room, coder)
+            noise = _code_component(wide(t), 2, part, noise, form, room, coder)
         if form.components > 3:
-            noise = _code_component(wide(t), 3, part, noise, numbers, form, room, coder)
+            noise = _code_component(wide(t), 3, part, noise, form, room, coder)
 
 
 @inlined
 def _begin_node(
-    t: int,
-    about: int,
-    around: Uint32s,
-    was_flat: int,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    room: _Room,
-    coder: Coder,
+    t: int, about: int, around: Uint32s, was_flat: int, raw: Uint8s, form: Form, room: _Room, coder: Coder
 ) -> int:
     """Look around a node; return whether its children are as the cells around, −1 if these differ."""
-    differ = wide(0)
+    differ, numbers = wide(0), room.numbers
     for j in range(form.components):
         value, total, sum_ = _number_at(raw, wide(around[OWN]), j, form), wide(0), wide(0)
         for k in range(6):
@@ -246,19 +219,10 @@ def _term(difference: int, form: Form) -> int:
 
 
 @inlined
-def _code_component(
-    t: int,
-    j: int,
-    part: int,
-    noise: int,
-    numbers: Uint32s,
-    form: Form,
-    room: _Room,
-    coder: Coder,
-) -> int:
+def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Room, coder: Coder) -> int:
     """Note or decode component ``j`` of a child; return how much the components so far were off."""
     components, own = form.components, np.uint64(j)
-    terms, weights, value = room.terms, room.weights, room.values[own]
+    terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[own]
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from octex import container
-from octex.archive.around import ABOUT, OWN, around_children, around_nodes
 from octex.archive.blocks import code_block
 from octex.archive.entropy import Model
 from octex.archive.layout import (
@@ -38,6 +37,7 @@ from octex.archive.layout import (
     pieces_of,
     runs,
 )
+from octex.archive.structure import ABOUT, OWN, around_children, around_nodes
 from octex.archive.values import CLASS_OF, PART_OF, numbers_of
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, zeros
 from octex.files import replacing

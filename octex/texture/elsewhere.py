@@ -108,13 +108,12 @@ class Archive:
         rows = _Wanted(self)
         gather(rows)
         with self._decoded():
-            was_more = self.decoding.decode_structure(rows.level)
-            return self.decoding.decode(rows.tables) or was_more
+            return self.decoding.decode(rows.tables, rows.level)
 
     def fetch_tables(self, _tree: Octree, level: int) -> bool:
         """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
         with self._decoded():
-            return self.decoding.decode_structure(level)
+            return self.decoding.decode({}, level)
 
     def fetch_all(self) -> None:
         """Fetch all of it."""
