@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.arrays import Array, Int64s, Uint8s
 from octex.errors import MissingExtraError, OutputError, TextureFileError
 
 #: Bytes fetched at least.
@@ -83,7 +83,7 @@ class RemoteFile:
             wanted &= self._is_here == 0
             if not wanted.any():
                 return False
-            runs = _runs(wanted)
+            runs = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2) * BLOCK
             begin = size = 0
             for last, (first, end) in enumerate(runs.tolist(), 1):
                 size += end - first
@@ -174,12 +174,6 @@ class RemoteFile:
         return TextureFileError(f"{self.address}: cannot be read: {what}")
 
 
-def _runs(wanted: Bools) -> Int64s:
-    """Return where runs of blocks begin and end, in bytes."""
-    found: Int64s = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2) * BLOCK
-    return found
-
-
 def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:
     """Make the local file, or find it in the ``cache``; return it, and which blocks are here."""
     blocks = -(-size // BLOCK)
@@ -194,10 +188,12 @@ def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -
         if not old.name.startswith(f"{name}-{version}."):
             old.unlink(missing_ok=True)
     opened: list[BinaryIO] = []
+    is_new = False  # then no block is here, whatever is said
     for ending, length in (("part", size), ("blocks", blocks)):
         path = cache / f"{name}-{version}.{ending}"
         file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b", 0)
-        if path.stat().st_size != length:
+        if is_new or path.stat().st_size != length:
+            is_new = True
             file.truncate(0)
             file.truncate(length)
         opened.append(file)

@@ -75,7 +75,9 @@ class _Wanted(Rows):
     def nodes(self, groups: Array, nodes: Int64s) -> None:
         """Add the groups of some nodes."""
         if groups.size and nodes.size:
-            self.level = max(self.level, self._archive.level_of_node(int(nodes.max())) + 1)
+            firsts = self._archive.level_nodes
+            last = min(int(nodes.max()), int(firsts[-1]) - 1)
+            self.level = max(self.level, int(np.searchsorted(firsts, last, "right")))
 
 
 class Archive:
@@ -90,7 +92,7 @@ class Archive:
         with self._decoded():
             self.decoding = Decoding(remote.mapping, self._fetch)
         tensors = self.decoding.contents.tensors
-        self._level_nodes = tensors[_LEVEL_NODES]
+        self.level_nodes = tensors[_LEVEL_NODES]
         coded = known_names(tensors, self.decoding.channels)
         self._places = sorted(
             (array.ctypes.data, array.ctypes.data + array.nbytes, name, array.nbytes // len(array))
@@ -132,11 +134,6 @@ class Archive:
                 if begin <= address < end:
                     return name, (address - begin) // length
         return None, 0
-
-    def level_of_node(self, node: int) -> int:
-        """Return the level of a node."""
-        last = int(self._level_nodes[-1]) - 1
-        return int(np.searchsorted(self._level_nodes, min(node, last), "right")) - 1
 
     def _fetch(self, ranges: Sequence[tuple[int, int]]) -> None:
         self._remote.fetch(np.array(ranges, np.int64).reshape(-1, 2))

@@ -12,12 +12,12 @@ import numpy as np
 
 from octex import container
 from octex.archive.layout import MAGIC
-from octex.arrays import Array, Int64s
+from octex.arrays import Int64s
 from octex.field.tiles import can_be_tiled
 from octex.texture.channel import Channel
 from octex.texture.elsewhere import Archive, Elsewhere, RenderFile, fetch_arrays
 from octex.texture.file import Source
-from octex.texture.lookup import Given, Lens
+from octex.texture.lookup import Question
 from octex.texture.spans import add_reads, cells_of, lookup_reads, nodes_read
 from octex.texture.texture import OctreeTexture, opened
 from octex.tree.morton import encode_cells
@@ -64,6 +64,8 @@ class RemoteSource(Source):
     What a field has indexed of a texture does not change: when more has come, there is a new one.
     """
 
+    is_here = False
+
     def __init__(self, here: OctreeTexture, file: Elsewhere) -> None:
         super().__init__(here.source.path)
         self.file = file
@@ -96,45 +98,38 @@ class RemoteSource(Source):
             return self._here
 
     def prepare(
-        self,
-        _texture: OctreeTexture,
-        _count: int,
-        channel: str | list[str] | tuple[str, ...] | None = None,
-        lens: Lens | None = None,
-        given: Callable[[], Given] = dict,
-        /,
+        self, _texture: OctreeTexture, _count: int, question: Callable[[], Question], /
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
         with self._fetching, self.file.checked_once():
-            if channel is None or lens is None:
-                return self._fetched_around(given()["points"])
-            return self._fetched(channel, lens, given())
+            found = question()
+            return self._fetched_around(found) if found.channel is None else self._fetched(found)
 
-    def _fetched(self, channel: str | list[str] | tuple[str, ...], lens: Lens, given: Given) -> OctreeTexture:
+    def _fetched(self, question: Question) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
 
         What says which cells there are around the points comes first, level by level, then what these are
         said to hold. Coarse cells that mix facings leave looks to finer ones: so again until all is here.
         """
+        given, _, lens = question
         has_tables = lens.has_footprints(given) or "normals" in given or not can_be_tiled(self._here.tree)
         is_first = is_more = True
         while is_more and not self.file.is_whole:
-            reads = lookup_reads(self._here, channel, lens, given, cells_alone=is_first)
+            reads = lookup_reads(self._here, question, cells_alone=is_first)
             cells = cells_of(reads.values())
             is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
             is_more |= self._fetch_nodes(cells, lens.filter)
             if not (is_first or is_more):
-                gather = partial(add_reads, self._here, reads, lens, given)
-                is_more = self.file.fetch_rows(gather)
+                is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, question))
             self._renew(is_more)
             is_more |= is_first
             is_first = False
         return self.whole(self._here) if self.file.is_whole else self._here
 
-    def _fetched_around(self, points: Array) -> OctreeTexture:
+    def _fetched_around(self, question: Question) -> OctreeTexture:
         """Fetch what says which points leaves hold, and return the texture that says so."""
         origin, size = self._here.placement
-        places = np.clip(np.nan_to_num((points - np.array(origin)) / size), 0.0, 1.0)
+        places = np.clip(np.nan_to_num((question.given["points"] - np.array(origin)) / size), 0.0, 1.0)
         depth = self._here.tree.max_depth
         cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
         self._renew(self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest"))

@@ -241,6 +241,15 @@ def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Pa
     assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
+def test_a_cache_without_its_bytes_is_fetched_again(server: Server, large: Path, tmp_path: Path) -> None:
+    server.content = large.read_bytes()
+    octex.open(server.address, cache=tmp_path).rows()
+    (part,) = tmp_path.glob("*.part")
+    part.unlink()
+    again = octex.open(server.address, cache=tmp_path)
+    np.testing.assert_array_equal(again.rows(), octex.open(large).rows())
+
+
 def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path) -> None:
     server.content = large.read_bytes()
     here, there = octex.open(large), octex.open(server.address)
