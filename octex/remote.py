@@ -80,16 +80,14 @@ class RemoteFile:
             wanted = np.zeros(self._is_here.size, np.bool_)
             for begin, end in ranges.tolist():
                 wanted[begin // BLOCK : -(-end // BLOCK)] = True
-            wanted &= self._is_here == 0
-            if not wanted.any():
+            blocks = np.flatnonzero(wanted & (self._is_here == 0))
+            if not blocks.size:
                 return False
-            runs = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2) * BLOCK
-            begin = size = 0
-            for last, (first, end) in enumerate(runs.tolist(), 1):
-                size += end - first
-                if size >= _MOST or last == len(runs):
-                    self._fetch(np.minimum(runs[begin:last], self.size))
-                    begin, size = last, 0
+            for first in range(0, blocks.size, _MOST // BLOCK):
+                own = blocks[first : first + _MOST // BLOCK]
+                parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+                runs = np.array([(part[0], part[-1] + 1) for part in parts]) * BLOCK
+                self._fetch(np.minimum(runs, self.size))
             self._is_checked = False
             if not self._checks_later:
                 self._check_unchanged()

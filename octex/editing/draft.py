@@ -68,8 +68,9 @@ class Change(NamedTuple):
         """
         here, before = texture, self.before
         is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
-        if is_like and self.tiles is not None:
-            here = cut_out(texture, self.tiles)
+        if self.tiles is not None:
+            is_like &= self.tiles.level <= texture.tree.max_depth
+            here = cut_out(texture, self.tiles) if is_like else here
         if not (is_like and all(map(np.array_equal, _arrays(here), _arrays(before)))):
             raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)

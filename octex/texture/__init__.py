@@ -1,7 +1,7 @@
 """The octree texture: what everything else meets.
 
 channel     a named array of values, one a cell; decoded as lookups read it
-lookup      how points are looked up: options, checked; blocks, on any threads; where answers go; answers
+lookup      what is asked of points, checked; blocks, on any threads; where answers go; what answers
 file        what is on disk, drawn; opened and saved through container
 spans       which rows of its arrays, and bytes of its file, lookups read
 texture     tree + channels + placement

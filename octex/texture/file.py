@@ -30,8 +30,9 @@ import json
 import mmap
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -57,25 +58,17 @@ ENDING = ".octex"
 ARCHIVE_ENDING = ".octz"
 
 
+@dataclass(eq=False)
 class Source:
     """Where the arrays of a texture come from: memory, or the file that it was opened from."""
 
+    path: str = ""  # "" for what was made here
+    mapping: mmap.mmap | None = None  # of a render file; None: the arrays lie in memory
+    tensors: dict[str, Array] = field(default_factory=dict)  # those that octex does not know
+    metadata: dict[str, str] = field(default_factory=dict)
+    sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
     #: Whether all that lookups read is here.
-    is_here = True
-
-    def __init__(
-        self,
-        path: str = "",
-        mapping: mmap.mmap | None = None,
-        tensors: dict[str, Array] | None = None,
-        metadata: dict[str, str] | None = None,
-        sizes: dict[str, int] | None = None,
-    ) -> None:
-        self.path = path  # "" for what was made here
-        self.mapping = mapping  # of a render file; None: the arrays lie in memory
-        self.tensors = tensors or {}  # those that octex does not know
-        self.metadata = metadata or {}
-        self.sizes = sizes  # of an archive: bytes of its streams
+    is_here: ClassVar = True
 
     def here(self, texture: OctreeTexture) -> OctreeTexture:
         """Return a texture of what is here of it: all."""

@@ -1,4 +1,4 @@
-"""How points are looked up: what users ask for, checked; in blocks, on any threads; and where answers go."""
+"""Lookups: what users ask, checked; in blocks, on any threads; where answers go, and what answers."""
 
 from __future__ import annotations
 

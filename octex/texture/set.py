@@ -225,10 +225,9 @@ class TextureSet(Mapping[str, OctreeTexture]):
             known = {name: number for number, name in enumerate(self.names)}
             names = array.ravel().tolist()
             for name in names:
-                if not isinstance(name, str):
+                if not isinstance(name, str) or name not in known:
                     as_choice(name, known, "part")
-            kinds = {name: known[as_choice(name, known, "part")] for name in set(names)}
-            array = np.array([kinds[name] for name in names], np.int64).reshape(array.shape)
+            array = np.array([known[name] for name in names], np.int64).reshape(array.shape)
         elif array.size and not 0 <= array.min() <= array.max() < len(self):
             worst = array.min() if array.min() < 0 else array.max()
             raise ArgumentError(f"there is no part {worst}; there are 0 to {len(self) - 1}: {self!r}")

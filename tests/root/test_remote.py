@@ -36,6 +36,7 @@ class Server(ThreadingHTTPServer):
     has_ranges = True
     is_broken = False
     sent = 0
+    largest = 0
     requests = 0
 
     @property
@@ -76,6 +77,7 @@ class Handler(BaseHTTPRequestHandler):
         if not is_head:
             self.wfile.write(body)
             server.sent += len(body)
+            server.largest = max(server.largest, len(body))
 
 
 @pytest.fixture
@@ -239,6 +241,13 @@ def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Pa
     changed = octex.open(server.address, cache=tmp_path / "cache")
     np.testing.assert_array_equal(changed.rows(), octex.open(tmp_path / "b.octex").rows())
     assert len(list((tmp_path / "cache").iterdir())) == 2
+
+
+def test_a_whole_file_comes_in_pieces(server: Server, large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("octex.remote._MOST", 32 * BLOCK)
+    server.content = large.read_bytes()
+    np.testing.assert_array_equal(octex.open(server.address).rows(), octex.open(large).rows())
+    assert server.largest <= 32 * BLOCK
 
 
 def test_a_cache_without_its_bytes_is_fetched_again(server: Server, large: Path, tmp_path: Path) -> None:
