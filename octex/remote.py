@@ -12,7 +12,7 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
@@ -74,11 +74,11 @@ class RemoteFile:
         """Whether all blocks are here."""
         return bool(self._is_here.all())
 
-    def fetch(self, ranges: Int64s) -> bool:
-        """Fetch what is not here of bytes (n, 2), from … to before …; say whether there was any."""
+    def fetch(self, ranges: Iterable[tuple[int, int]]) -> bool:
+        """Fetch what is not here of bytes from … to before …; say whether there was any."""
         with self._lock:
             wanted = np.zeros(self._is_here.size, np.bool_)
-            for begin, end in ranges.tolist():
+            for begin, end in ranges:
                 wanted[begin // BLOCK : -(-end // BLOCK)] = True
             blocks = np.flatnonzero(wanted & (self._is_here == 0))
             if not blocks.size:
@@ -107,7 +107,7 @@ class RemoteFile:
 
     def fetch_all(self) -> None:
         """Fetch all that is not here."""
-        self.fetch(np.array([[0, self.size]]))
+        self.fetch([(0, self.size)])
 
     def holds(self, array: Array) -> bool:
         """Say whether an array is empty or a view of the mapping."""

@@ -58,7 +58,7 @@ _TRUNCATED = "is truncated; copy it again"
 _BAD_DIRECTORY = "its directory is damaged; copy it again"
 
 #: Is told which bytes of the file, from … to before …, are about to be read.
-Fetch = Callable[[Sequence[tuple[int, int]]], None]
+Fetch = Callable[[Sequence[tuple[int, int]]], object]
 
 
 class Contents(NamedTuple):

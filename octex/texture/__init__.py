@@ -5,7 +5,7 @@ lookup      what is asked of points, checked; blocks, on any threads; where answ
 file        what is on disk, drawn; opened and saved through container
 spans       which rows of its arrays, and bytes of its file, lookups read
 texture     tree + channels + placement
-remote      the source of a texture elsewhere, which fetches what lookups read; elsewhere: its file
+remote      textures elsewhere, of which what lookups read is fetched
 open        textures opened, here and elsewhere
 set         textures of parts by name, looked up by part
 folder      what a set is on disk
