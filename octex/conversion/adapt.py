@@ -7,9 +7,11 @@ detail than that, a leaf that meets it at some points can be far off at others.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from itertools import count
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,14 +22,12 @@ from octex.conversion import large
 from octex.conversion.differences import Reference, coefficients, far_all_over
 from octex.conversion.measure import ErrorColumns, far_values
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
-from octex.conversion.samples import Samples, sample_points
-from octex.conversion.sides import Fit, Split
+from octex.conversion.samples import UNIT, Samples, sample_points
 from octex.errors import ArgumentError
 from octex.parallel import Progress, Run, ordered_map, sharing
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import near
 from octex.tree.octree import Octree, distinct
-from octex.tree.placement import Placement
 
 #: Finest cells that are tested at once, and samples that are looked up at once.
 _BLOCK, _ROWS = 1 << 14, 1 << 20
@@ -38,7 +38,11 @@ _ROUNDING = 1 / 16
 _PATIENCE = 2
 #: Each so many finest cells are tested before all are.
 _SPARSE = 8
-_UNIT, _BOX = Placement((0.0, 0.0, 0.0), 1.0), np.array([[0.0] * 3, [1.0] * 3])
+_BOX = np.array([[0.0] * 3, [1.0] * 3])
+#: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
+Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
+#: Splits leaves of a tree, given their means and their fitted values.
+Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
 
 
 def as_max_error(max_error: float) -> float:
@@ -124,7 +128,7 @@ class _Merger:
         """Return the tree of fewest leaves that was found, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
-        means = OctreeTexture(self._finest.tree, self._known, _UNIT, _BOX)
+        means = OctreeTexture(self._finest.tree, self._known, UNIT, _BOX)
         for done, level in enumerate(range(depth - 1, -1, -1)):
             self._progress("adapt", done, depth + 3)
             self._merge(means, level, depths)
@@ -236,14 +240,14 @@ class _Merger:
         return self._finest.spread(level, near(cells, distinct(codes >> shift), level))
 
     def _texture(self, pruned: Pruned) -> OctreeTexture:
-        return OctreeTexture(pruned.tree, pruned.carried(self._known), _UNIT, _BOX)
+        return OctreeTexture(pruned.tree, pruned.carried(self._known), UNIT, _BOX)
 
     def _sampled(self, texture: OctreeTexture, cells: Int64s) -> Float32s:
         """Look a field up at the samples of finest cells, without normals."""
         rows, names = self._samples.rows(cells), [form.name for form in self._samples.channels]
         found: Float32s = large.empty((rows.size, self._columns.kinds.size), np.float32)
         for begin in range(0, rows.size, _ROWS):
-            points = sample_points(self._samples, rows[begin : begin + _ROWS], _UNIT)
+            points = sample_points(self._samples, rows[begin : begin + _ROWS], UNIT)
             values = texture.sample(points, names, normalize=False, run=Run(executor=self._executor))
             np.concatenate([values[name] for name in names], axis=1, out=found[begin : begin + _ROWS])
         return found
