@@ -1,8 +1,9 @@
 """Drafts: the part of a texture that an edit touches, cut out, edited as a texture of its own, and put back.
 
-A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds all cells down to that
-level, and below it only the open tiles; the others are closed: leaves with the value of the node that they
-are. So what an edit near the middle of the open tiles sees, and all averages above, are as in the whole.
+A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds the open tiles, and at
+each level above the cells that hold them, those beside these, and the children of both. All other nodes are
+closed: leaves with the value of the node that they are. So what an edit near the middle of the open tiles
+sees, and all averages above, are as in the whole.
 
 Cells of a level stand in Morton order, so those of a tile are one run of each level: cutting and putting back
 is copying runs.
@@ -11,6 +12,7 @@ is copying runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -73,12 +75,15 @@ class Change(NamedTuple):
             raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
 
-    def put_into(self, texture: OctreeTexture) -> OctreeTexture:
-        """Return the texture from which the change was made with it."""
+    def put_into(self, texture: OctreeTexture, shared: OctreeTexture | None = None) -> OctreeTexture:
+        """Return the texture from which the change was made with it.
+
+        If ``shared`` is given, arrays that it does not have may be written to: nobody else has them.
+        """
         if self.tiles is None:
             return self.after
         if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
-            return _overwritten(texture, self.tiles, self.before, self.after)
+            return _overwritten(texture, self.tiles, self.before, self.after, shared)
         return put_back(texture, self.tiles, self.after)
 
 
@@ -104,15 +109,19 @@ class Runs(NamedTuple):
         """Return the runs of consecutive numbers of one owner."""
         return cls.joined((owners, numbers, numbers + 1))
 
-    @classmethod
-    def one(cls, owner: int, end: int) -> Runs:
-        """Return the first run of a texture, up to ``end``."""
-        return cls(*(np.array([number], np.int64) for number in (owner, 0, end)))
+    def numbers(self) -> Int64s:
+        """Return all numbers of the runs."""
+        counts = self.ends - self.begins
+        return np.repeat(self.begins - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
 
     def of(self, arrays: Sequence[Array]) -> Array:
         """Join the runs of an array of each texture."""
         runs = zip(*(column.tolist() for column in self), strict=True)
         return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
+
+
+#: The root, the first of all textures.
+_ROOT = Runs(*np.array([[0], [0], [1]], np.int64))
 
 
 def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
@@ -218,30 +227,51 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
-    """Return a texture of all cells down to the tiles' level, and of the open tiles."""
-    tree, level = texture.tree, tiles.level
-    codes, is_node = tree.walked_to(level)
-    is_open = is_node & among(codes, tiles.codes)
-    is_closed = is_node & ~is_open
-    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    levels, cells, nodes = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
-    runs = (
-        Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells),
-        Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes),
-    )
-    made = _joined([texture], texture, level, levels, runs, is_closed)
-    tree, closed = made.tree, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed)
-    stays = ~among(tree.kept.cells.astype(np.int64), closed)  # as leaves these keep nothing
+    """Return the draft of some open tiles."""
+    tree = texture.tree
+    codes, is_node, numbers = np.zeros(1, np.int64), np.full(1, tree.n_nodes > 0), np.zeros(1, np.int64)
+    cells, nodes, closed = [_ROOT], list[Runs](), list[Bools]()
+    for level, opened in enumerate(_opened(tiles)):
+        if level:
+            codes, is_node = _child_codes(tree, numbers, codes)
+            found, below = _children([tree], nodes[-1])
+            cells.append(Runs.joined(found))
+            numbers = below.numbers()
+        is_open = is_node & among(codes, opened)
+        closed.append(is_node & ~is_open)
+        codes, numbers = codes[is_open], numbers[is_open[is_node]]
+        nodes.append(Runs.of_numbers(np.zeros_like(numbers), numbers))
+    _add_below([tree], cells, nodes)
+    turned = np.concatenate(closed)
+    made = _joined([texture], texture, cells, nodes, turned)
+    stays = ~among(made.tree.kept.cells.astype(np.int64), np.flatnonzero(turned))  # leaves keep nothing
     if stays.all():
         return made
+    tree = made.tree
     flags = tree.arrays.flags.copy()
-    flags[closed] &= np.uint8(0xFF ^ KEPT)
+    flags[: turned.size][turned] &= np.uint8(0xFF ^ KEPT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays]))
     channels = {
         name: channel._replace(kept_values=channel.kept_values[stays])
         for name, channel in made.channels.items()
     }
     return made.with_cells(tree, channels)
+
+
+def _opened(tiles: Tiles) -> list[Int64s]:
+    """Return the codes of the cells that are open if they are nodes, from the root down to the tiles."""
+    found = [tiles.codes]
+    for level in range(tiles.level - 1, 0, -1):
+        found.append(with_boundary(distinct(tiles.codes >> 3 * (tiles.level - level)), level))
+    return [np.zeros(1, np.int64), *reversed(found)]
+
+
+def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, Bools]:
+    """Return the codes of the children of nodes, given by numbers and codes, and which of them are nodes."""
+    words = tree.arrays.groups[numbers >> 3, :2] >> (8 * (numbers & 7)).astype(np.uint64)[:, None]
+    nodes, leaves = np.unpackbits(words.astype(np.uint8).T[:, :, None], axis=2, bitorder="little")
+    stored = (nodes | leaves) != 0
+    return (codes[:, None] << 3 | np.arange(8))[stored], nodes[stored] != 0
 
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
@@ -261,42 +291,69 @@ def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
 
 
 def _overwritten(
-    texture: OctreeTexture, tiles: Tiles, before: OctreeTexture, after: OctreeTexture
+    texture: OctreeTexture,
+    tiles: Tiles,
+    before: OctreeTexture,
+    after: OctreeTexture,
+    shared: OctreeTexture | None,
 ) -> OctreeTexture:
-    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied."""
-    tree, draft, level = texture.tree, after.tree, tiles.level
-    codes, is_node = tree.walked_to(level)
-    is_open = among(codes, tiles.codes)
-    first, end = tree.arrays.level_cells[level : level + 2].tolist()
-    top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
-    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
-    runs = [
-        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
-    ]
-    here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
-    there = np.concatenate([top, np.arange(end, draft.n_cells)])
-    targets, sources = (
-        (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))
-        for each, own in ((tree, here), (draft, there))
-    )
+    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied.
 
-    def changed(whole: Array, was: Array, own: Array, at: Array, source: Array) -> Array:
-        if np.array_equal(was, own):
+    Those that ``shared`` does not have are written to.
+    """
+    tree, draft = texture.tree, after.tree
+    here, there = [], []  # the numbers of cells in the texture, and in the draft
+    for level, (codes, is_node) in enumerate(islice(draft.walk(), tiles.level + 1)):
+        where = locate(tree, codes, level)
+        is_open = is_node | where.is_leaf
+        here.append(where.cells[is_open])
+        there.append(np.flatnonzero(is_open) + draft.arrays.level_cells[level])
+        numbers = where.nodes[is_node]
+    cells: list[Runs] = []
+    _add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
+    here = np.concatenate([*here, *(own.numbers() for own in cells)])
+    end = draft.arrays.level_cells[min(tiles.level, draft.max_depth) + 1]
+    there = np.concatenate([*there, np.arange(end, draft.n_cells)])
+    targets = here, rows_of(tree.split, here).rows, _kept_among(tree, here)
+    sources = there, rows_of(draft.split, there).rows, _kept_among(draft, there)
+    counts = draft.n_cells, draft.split.areas.size, draft.kept.cells.size
+    places = [np.full(count, -1, np.int64) for count in counts]  # of the draft's rows, in the texture
+    for place, target, source in zip(places, targets, sources, strict=True):
+        place[source] = target
+    taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
+    written: list[tuple[Array, Array, Array]] = []  # to once all have been copied: errors leave all as it was
+
+    def changed(whole: Array, was: Array, own: Array, place: Int64s) -> Array:
+        differs = was != own
+        if differs.ndim > 1:
+            differs = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
+        rows = np.flatnonzero(differs & (place >= 0))
+        if not rows.size:
             return whole
-        made = whole.copy()
-        made[at] = own[source]
+        made = whole if whole.flags.writeable else whole.base
+        is_free = shared is not None and whole.ctypes.data not in taken
+        if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
+            made = whole.copy()
+        written.append((made, place[rows], own[rows]))
         return made
 
     flags, areas = (
-        changed(*arrays, here, there)
+        changed(*arrays, places[0])
         for arrays in zip(tree.arrays[3:], before.tree.arrays[3:], draft.arrays[3:], strict=True)
     )
     channels = {}
     for name, (form, *stored) in texture.channels.items():
-        parts = stored, before.channels[name][1:], after.channels[name][1:], targets, sources
+        parts = stored, before.channels[name][1:], after.channels[name][1:], places
         channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
-    return texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
+    made = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
+    for array, at, values in written:
+        array[at] = values
+    return made
+
+
+def _kept_among(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the rows of the kept nodes among cells."""
+    return np.flatnonzero(among(tree.kept.cells.astype(np.int64), cells))
 
 
 def put_together(
@@ -308,25 +365,50 @@ def put_together(
     ``texture``. ``top`` says which tiles there are.
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
-    codes, is_node = top.tree.walked_to(level)
-    owners = np.ones(codes.size, np.int64)
-    for number, (tiles, _) in enumerate(drafts, 2):
-        owners[among(codes, tiles.codes)] = number
-    cells, nodes = np.full((2, codes.size), -1, np.int64)  # each tile's numbers in its texture
-    for number, each in enumerate(textures[1:], 1):
-        of_tile = owners == number
-        where = locate(each.tree, codes[of_tile], level)
-        cells[of_tile], nodes[of_tile] = where.cells, where.nodes
-    is_below = nodes >= 0
     trees = [each.tree for each in textures]
-    levels, cells_below, nodes_below = _below(trees, Runs.of_numbers(owners[is_below], nodes[is_below]))
-    runs = (
-        Runs.joined(
-            Runs.one(0, int(top.tree.arrays.level_cells[level])), Runs.of_numbers(owners, cells), *cells_below
-        ),
-        Runs.joined(Runs.one(0, int(top.tree.arrays.level_nodes[level])), *nodes_below),
-    )
-    return _joined(textures, top, level, levels, runs, is_below != is_node)
+    cells, nodes, turned = [_ROOT], [_ROOT], [np.zeros(1, np.bool_)]
+    for at, (codes, is_node) in enumerate(islice(top.tree.walk(), 1, level + 1), 1):
+        owners = np.zeros(codes.size, np.int64)  # of what is to stand here
+        numbers = int(top.tree.arrays.level_cells[at]) + np.arange(codes.size)
+        own_nodes = np.where(is_node, int(top.tree.arrays.level_nodes[at]) + np.cumsum(is_node) - 1, -1)
+        if at == level:
+            owners[:] = 1
+            for number, (tiles, _) in enumerate(drafts, 2):
+                owners[among(codes, tiles.codes)] = number
+        else:
+            where = locate(texture.tree, codes, at)
+            owners[~is_node & (where.levels == at) & ~where.is_leaf] = 1
+        for number in distinct(owners[owners > 0]).tolist():
+            own = owners == number
+            where = locate(trees[number], codes[own], at)
+            numbers[own], own_nodes[own] = where.cells, where.nodes
+        found, below = _children(trees, nodes[-1])
+        # Cells of the top stand for themselves, or for what is in their place; those of others follow in runs.
+        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
+        index = np.repeat(np.arange(counts.size), counts)
+        is_top = found.owners[index] == 0
+
+        def spread(of_top: Int64s, of_others: Int64s, index: Int64s = index, is_top: Bools = is_top) -> Int64s:
+            every = of_others[index]
+            every[is_top] = of_top
+            return every
+
+        is_below = own_nodes >= 0
+        cells_owned = spread(owners, found.owners), spread(numbers, found.begins), spread(numbers + 1, found.ends)
+        cells.append(Runs.joined(cells_owned))
+        nodes.append(
+            Runs.joined(
+                (
+                    cells_owned[0],
+                    spread(own_nodes, below.begins),
+                    spread(own_nodes + is_below, below.ends),
+                )
+            )
+        )
+        is_turned = spread((is_below != is_node).astype(np.int64), np.zeros_like(counts))
+        turned.append(np.repeat(is_turned != 0, cells_owned[2] - cells_owned[1]))
+    _add_below(trees, cells, nodes)
+    return _joined(textures, top, cells, nodes, np.concatenate(turned))
 
 
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
@@ -352,59 +434,51 @@ def _arrays(texture: OctreeTexture) -> list[Array]:
     return [*tree.arrays, *tree.split, *tree.kept, *channels]
 
 
-def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], list[Runs], list[Runs]]:
-    """Return all below runs of nodes of a level: level by level the runs of cells, and of nodes, these first.
+def _children(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
+    """Return the runs of the children of runs of nodes: of cells, and of those of them that are nodes."""
+    first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
+    for number, tree in enumerate(trees):
+        own = nodes.owners == number
+        first[:, own] = children_before(tree.arrays.groups, nodes.begins[own])
+        last[:, own] = children_before(tree.arrays.groups, nodes.ends[own])
+    return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
 
-    The first are how many cells each deeper level has, and how many nodes are above these.
-    """
-    counts: list[tuple[int, int]] = []
-    cells: list[Runs] = []
-    nodes = [runs]
+
+def _add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
+    """Add all below the last runs of nodes, level by level: the runs of cells, and of nodes."""
     while True:
-        first, last = np.zeros((2, 2, runs.owners.size), np.int64)
-        for number, tree in enumerate(trees):
-            own = runs.owners == number
-            first[:, own] = children_before(tree.arrays.groups, runs.begins[own])
-            last[:, own] = children_before(tree.arrays.groups, runs.ends[own])
-        counts.append((int((last[0] - first[0]).sum()), int((runs.ends - runs.begins).sum())))
-        if not counts[-1][0]:
-            return counts, cells, nodes
-        cells.append(Runs(runs.owners, first[0], last[0]))
-        runs = Runs(runs.owners, first[1], last[1])
-        nodes.append(runs)
+        found, below = _children(trees, nodes[-1])
+        if not (found.begins < found.ends).any():
+            return
+        cells.append(Runs.joined(found))
+        nodes.append(Runs.joined(below))
 
 
 def _joined(
     textures: Sequence[OctreeTexture],
-    top: OctreeTexture,
-    level: int,
-    below: Sequence[tuple[int, int]],
-    runs: tuple[Runs, Runs],
+    like: OctreeTexture,
+    cells: Sequence[Runs],
+    nodes: Sequence[Runs],
     turned: Bools,
 ) -> OctreeTexture:
-    """Return a texture of runs of cells and nodes of others.
+    """Return a texture of runs of cells and nodes of others, level by level, with the channels of one.
 
-    Down to ``level`` it is as ``top``, but that of this level's cells those ``turned`` are nodes instead of
-    leaves, or the other way round. ``below`` are the numbers of each deeper level's cells, and of the nodes
-    above them.
+    Of the first cells those ``turned`` are nodes instead of leaves, or the other way round.
     """
-    cells, nodes = runs
-    arrays = top.tree.arrays
-    counts = [count for count, _ in below if count]
-    level_cells = np.concatenate([arrays.level_cells[: level + 2], np.zeros(len(counts), np.int64)])
-    level_cells[level + 2 :] = level_cells[level + 1] + np.cumsum(counts)
-    level_nodes = np.concatenate([arrays.level_nodes[: level + 1], np.zeros(len(counts) + 1, np.int64)])
-    level_nodes[level + 1 :] = level_nodes[level] + np.cumsum([count for _, count in below])
+    counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
+    counts = counts[:, : np.count_nonzero(counts[0])]
+    level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
+    every, above = (Runs.joined(*runs) for runs in (cells, nodes))
     n_nodes = int(level_nodes[-1])
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word, own in enumerate(masks):
-        own[:n_nodes] = nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
-    _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
+        own[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
+    _turn(masks, turned)
     trees = [each.tree for each in textures]
-    flags = cells.of([tree.arrays.flags for tree in trees])
-    areas = cells.of([tree.arrays.areas for tree in trees])
-    split_cells, split_runs, row_runs = _split_runs(trees, cells)
-    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], cells)
+    flags = every.of([tree.arrays.flags for tree in trees])
+    areas = every.of([tree.arrays.areas for tree in trees])
+    split_cells, split_runs, row_runs = _split_runs(trees, every)
+    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], every)
     split = SplitTable(
         split_cells,
         split_runs.of([tree.split.facings for tree in trees]),
@@ -414,22 +488,24 @@ def _joined(
         TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
     )
     channels = {}
-    for name, channel in top.channels.items():
+    for name, channel in like.channels.items():
         own_channels = [each.channels[name] for each in textures]
         channels[name] = Channel(
             channel.format,
-            cells.of([own.values for own in own_channels]),
+            every.of([own.values for own in own_channels]),
             row_runs.of([own.split_values for own in own_channels]),
             kept_runs.of([own.kept_values for own in own_channels]),
         )
-    return top.with_cells(tree, channels)
+    return like.with_cells(tree, channels)
 
 
 @kernel
-def _turn(masks: Uint8s, first: int, end: int, turned: Bools) -> None:
-    """Make leaves of those of the children of nodes first … end−1 that are nodes and ``turned``, or nodes."""
-    cell = 0
-    for node in range(first, end):
+def _turn(masks: Uint8s, turned: Bools) -> None:
+    """Make leaves of those of the first cells that are nodes and ``turned``, or nodes of leaves."""
+    cell = 1
+    for node in range(masks.shape[1]):
+        if cell >= turned.size:
+            break
         children = masks[0, node] | masks[1, node]
         for octant in range(8):
             bit = np.uint8(1 << octant)

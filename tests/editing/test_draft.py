@@ -35,7 +35,7 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.
     part = cut_out(texture, tiles)
     part.tree.validate()
     assert_same(put_back(texture, tiles, part), texture)
-    below = part.tree.n_cells - int(part.tree.arrays.level_cells[level + 1])
+    below = part.tree.n_cells - int(part.tree.arrays.level_cells[min(level, part.tree.max_depth) + 1])
     whole = sum(
         int((np.isin(texture.tree.level_codes(deeper) >> 3 * (deeper - level), tiles.codes)).sum())
         for deeper in range(level + 1, texture.tree.max_depth + 1)
