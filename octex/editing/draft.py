@@ -5,8 +5,7 @@ each level above the cells that hold them, those beside these, and the children 
 closed: leaves with the value of the node that they are. So what an edit near the middle of the open tiles
 sees, and all averages above, are as in the whole.
 
-Cells of a level stand in Morton order, so those of a tile are one run of each level: cutting and putting back
-is copying runs.
+Those of a tile are one run of each level: cutting and putting back is copying runs.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
+from octex.arrays import Array, Bools, Int64s
 from octex.channels import ALPHA, ONE
+from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
-from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.children import children_before, groups_of, masks_of
+from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
-from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import KEPT, KeptTable
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import counts_of, rows_of
 
@@ -85,43 +84,6 @@ class Change(NamedTuple):
         if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
             return _overwritten(texture, self.tiles, self.before, self.after, shared)
         return put_back(texture, self.tiles, self.after)
-
-
-class Runs(NamedTuple):
-    """Cells, or nodes, of several textures, end to end."""
-
-    owners: Int64s
-    begins: Int64s
-    ends: Int64s
-
-    @classmethod
-    def joined(cls, *parts: tuple[Int64s, Int64s, Int64s]) -> Runs:
-        """Put runs one after the other; those that follow on each other become one."""
-        owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-        some = begins < ends
-        owners, begins, ends = owners[some], begins[some], ends[some]
-        follows = np.zeros(owners.size + 1, np.bool_)
-        follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
-        return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
-
-    @classmethod
-    def of_numbers(cls, owners: Int64s, numbers: Int64s) -> Runs:
-        """Return the runs of consecutive numbers of one owner."""
-        return cls.joined((owners, numbers, numbers + 1))
-
-    def numbers(self) -> Int64s:
-        """Return all numbers of the runs."""
-        counts = self.ends - self.begins
-        return np.repeat(self.begins - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
-
-    def of(self, arrays: Sequence[Array]) -> Array:
-        """Join the runs of an array of each texture."""
-        runs = zip(*(column.tolist() for column in self), strict=True)
-        return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
-
-
-#: The root, the first of all textures.
-_ROOT = Runs(*np.array([[0], [0], [1]], np.int64))
 
 
 def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
@@ -230,20 +192,20 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     """Return the draft of some open tiles."""
     tree = texture.tree
     codes, is_node, numbers = np.zeros(1, np.int64), np.full(1, tree.n_nodes > 0), np.zeros(1, np.int64)
-    cells, nodes, closed = [_ROOT], list[Runs](), list[Bools]()
+    cells, nodes, closed = [ROOT], list[Runs](), list[Bools]()
     for level, opened in enumerate(_opened(tiles)):
         if level:
             codes, is_node = _child_codes(tree, numbers, codes)
-            found, below = _children([tree], nodes[-1])
+            found, below = children_in([tree], nodes[-1])
             cells.append(Runs.joined(found))
             numbers = below.numbers()
         is_open = is_node & among(codes, opened)
         closed.append(is_node & ~is_open)
         codes, numbers = codes[is_open], numbers[is_open[is_node]]
         nodes.append(Runs.of_numbers(np.zeros_like(numbers), numbers))
-    _add_below([tree], cells, nodes)
+    add_below([tree], cells, nodes)
     turned = np.concatenate(closed)
-    made = _joined([texture], texture, cells, nodes, turned)
+    made = joined_runs([texture], texture, cells, nodes, turned)
     stays = ~among(made.tree.kept.cells.astype(np.int64), np.flatnonzero(turned))  # leaves keep nothing
     if stays.all():
         return made
@@ -260,10 +222,9 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
 
 def _opened(tiles: Tiles) -> list[Int64s]:
     """Return the codes of the cells that are open if they are nodes, from the root down to the tiles."""
-    found = [tiles.codes]
-    for level in range(tiles.level - 1, 0, -1):
-        found.append(with_boundary(distinct(tiles.codes >> 3 * (tiles.level - level)), level))
-    return [np.zeros(1, np.int64), *reversed(found)]
+    above = [tiles.codes >> 3 * (tiles.level - level) for level in range(1, tiles.level)]
+    around = [with_boundary(distinct(codes), level) for level, codes in enumerate(above, 1)]
+    return [np.zeros(1, np.int64), *around, tiles.codes]
 
 
 def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, Bools]:
@@ -302,24 +263,22 @@ def _overwritten(
     Those that ``shared`` does not have are written to.
     """
     tree, draft = texture.tree, after.tree
-    here, there = [], []  # the numbers of cells in the texture, and in the draft
+    place = np.full(draft.n_cells, -1, np.int64)  # of the draft's cells in the texture; −1 for closed ones
+    numbers = place[:0]
     for level, (codes, is_node) in enumerate(islice(draft.walk(), tiles.level + 1)):
         where = locate(tree, codes, level)
-        is_open = is_node | where.is_leaf
-        here.append(where.cells[is_open])
-        there.append(np.flatnonzero(is_open) + draft.arrays.level_cells[level])
+        here = slice(*draft.arrays.level_cells[level : level + 2].tolist())
+        place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
         numbers = where.nodes[is_node]
     cells: list[Runs] = []
-    _add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
-    here = np.concatenate([*here, *(own.numbers() for own in cells)])
-    end = draft.arrays.level_cells[min(tiles.level, draft.max_depth) + 1]
-    there = np.concatenate([*there, np.arange(end, draft.n_cells)])
-    targets = here, rows_of(tree.split, here).rows, _kept_among(tree, here)
-    sources = there, rows_of(draft.split, there).rows, _kept_among(draft, there)
-    counts = draft.n_cells, draft.split.areas.size, draft.kept.cells.size
-    places = [np.full(count, -1, np.int64) for count in counts]  # of the draft's rows, in the texture
-    for place, target, source in zip(places, targets, sources, strict=True):
-        place[source] = target
+    add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
+    below = np.concatenate([numbers[:0], *(own.numbers() for own in cells)])
+    place[place.size - below.size :] = below
+    sources = np.flatnonzero(place >= 0)
+    places = [place]
+    for count, rows in (draft.split.areas.size, _split_rows), (draft.kept.cells.size, _kept_rows):
+        places.append(np.full(count, -1, np.int64))
+        places[-1][rows(draft, sources)] = rows(tree, place[sources])
     taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
     written: list[tuple[Array, Array, Array]] = []  # to once all have been copied: errors leave all as it was
 
@@ -351,8 +310,13 @@ def _overwritten(
     return made
 
 
-def _kept_among(tree: Octree, cells: Int64s) -> Int64s:
-    """Return the rows of the kept nodes among cells."""
+def _split_rows(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the rows of cells in the split table."""
+    return rows_of(tree.split, cells).rows
+
+
+def _kept_rows(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the rows of cells in the table of kept nodes."""
     return np.flatnonzero(among(tree.kept.cells.astype(np.int64), cells))
 
 
@@ -366,7 +330,7 @@ def put_together(
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
     trees = [each.tree for each in textures]
-    cells, nodes, turned = [_ROOT], [_ROOT], [np.zeros(1, np.bool_)]
+    cells, nodes, turned = [ROOT], [ROOT], [np.zeros(1, np.bool_)]
     for at, (codes, is_node) in enumerate(islice(top.tree.walk(), 1, level + 1), 1):
         owners = np.zeros(codes.size, np.int64)  # of what is to stand here
         numbers = int(top.tree.arrays.level_cells[at]) + np.arange(codes.size)
@@ -382,33 +346,20 @@ def put_together(
             own = owners == number
             where = locate(trees[number], codes[own], at)
             numbers[own], own_nodes[own] = where.cells, where.nodes
-        found, below = _children(trees, nodes[-1])
-        # Cells of the top stand for themselves, or for what is in their place; those of others follow in runs.
-        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
-        index = np.repeat(np.arange(counts.size), counts)
-        is_top = found.owners[index] == 0
-
-        def spread(of_top: Int64s, of_others: Int64s, index: Int64s = index, is_top: Bools = is_top) -> Int64s:
-            every = of_others[index]
-            every[is_top] = of_top
-            return every
-
         is_below = own_nodes >= 0
-        cells_owned = spread(owners, found.owners), spread(numbers, found.begins), spread(numbers + 1, found.ends)
-        cells.append(Runs.joined(cells_owned))
-        nodes.append(
-            Runs.joined(
-                (
-                    cells_owned[0],
-                    spread(own_nodes, below.begins),
-                    spread(own_nodes + is_below, below.ends),
-                )
-            )
-        )
-        is_turned = spread((is_below != is_node).astype(np.int64), np.zeros_like(counts))
-        turned.append(np.repeat(is_turned != 0, cells_owned[2] - cells_owned[1]))
-    _add_below(trees, cells, nodes)
-    return _joined(textures, top, cells, nodes, np.concatenate(turned))
+        found, below = children_in(trees, nodes[-1])
+        # Cells of the top stand one by one, for themselves or for what is in their place; others in runs.
+        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
+        rows = np.stack([*found, below.begins, below.ends]).repeat(counts, axis=1)
+        is_top = rows[0] == 0
+        rows[:, is_top] = owners, numbers, numbers + 1, own_nodes, own_nodes + is_below
+        cells.append(Runs.joined(rows[:3]))
+        nodes.append(Runs.joined(rows[[0, 3, 4]]))
+        ends = np.cumsum(rows[2] - rows[1])
+        turned.append(np.zeros(int(ends[-1]), np.bool_))
+        turned[-1][ends[is_top] - 1] = is_below != is_node
+    add_below(trees, cells, nodes)
+    return joined_runs(textures, top, cells, nodes, np.concatenate(turned))
 
 
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
@@ -432,113 +383,3 @@ def _arrays(texture: OctreeTexture) -> list[Array]:
     tree = texture.tree
     channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
     return [*tree.arrays, *tree.split, *tree.kept, *channels]
-
-
-def _children(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
-    """Return the runs of the children of runs of nodes: of cells, and of those of them that are nodes."""
-    first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
-    for number, tree in enumerate(trees):
-        own = nodes.owners == number
-        first[:, own] = children_before(tree.arrays.groups, nodes.begins[own])
-        last[:, own] = children_before(tree.arrays.groups, nodes.ends[own])
-    return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
-
-
-def _add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
-    """Add all below the last runs of nodes, level by level: the runs of cells, and of nodes."""
-    while True:
-        found, below = _children(trees, nodes[-1])
-        if not (found.begins < found.ends).any():
-            return
-        cells.append(Runs.joined(found))
-        nodes.append(Runs.joined(below))
-
-
-def _joined(
-    textures: Sequence[OctreeTexture],
-    like: OctreeTexture,
-    cells: Sequence[Runs],
-    nodes: Sequence[Runs],
-    turned: Bools,
-) -> OctreeTexture:
-    """Return a texture of runs of cells and nodes of others, level by level, with the channels of one.
-
-    Of the first cells those ``turned`` are nodes instead of leaves, or the other way round.
-    """
-    counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
-    counts = counts[:, : np.count_nonzero(counts[0])]
-    level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
-    every, above = (Runs.joined(*runs) for runs in (cells, nodes))
-    n_nodes = int(level_nodes[-1])
-    masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
-    for word, own in enumerate(masks):
-        own[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
-    _turn(masks, turned)
-    trees = [each.tree for each in textures]
-    flags = every.of([tree.arrays.flags for tree in trees])
-    areas = every.of([tree.arrays.areas for tree in trees])
-    split_cells, split_runs, row_runs = _split_runs(trees, every)
-    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], every)
-    split = SplitTable(
-        split_cells,
-        split_runs.of([tree.split.facings for tree in trees]),
-        row_runs.of([tree.split.areas for tree in trees]),
-    )
-    tree = Octree(
-        TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
-    )
-    channels = {}
-    for name, channel in like.channels.items():
-        own_channels = [each.channels[name] for each in textures]
-        channels[name] = Channel(
-            channel.format,
-            every.of([own.values for own in own_channels]),
-            row_runs.of([own.split_values for own in own_channels]),
-            kept_runs.of([own.kept_values for own in own_channels]),
-        )
-    return like.with_cells(tree, channels)
-
-
-@kernel
-def _turn(masks: Uint8s, turned: Bools) -> None:
-    """Make leaves of those of the first cells that are nodes and ``turned``, or nodes of leaves."""
-    cell = 1
-    for node in range(masks.shape[1]):
-        if cell >= turned.size:
-            break
-        children = masks[0, node] | masks[1, node]
-        for octant in range(8):
-            bit = np.uint8(1 << octant)
-            if children & bit:
-                if cell < turned.size and turned[cell]:
-                    masks[0, node] ^= bit
-                    masks[1, node] ^= bit
-                cell += 1
-
-
-def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
-    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
-    found, runs = _listed([tree.split.cells for tree in trees], cells)
-    ends = [
-        np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
-    ]
-    firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
-    every = np.concatenate(ends)
-    rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
-    return found, runs, rows
-
-
-def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
-    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
-    owners, begins, ends = cells
-    counts = ends - begins
-    shifts = np.cumsum(counts) - counts - begins
-    first, last = np.zeros((2, owners.size), np.int64)
-    for number, table in enumerate(tables):
-        own = owners == number
-        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
-        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
-    has = last > first
-    runs = Runs(owners[has], first[has], last[has])
-    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
-    return found.astype(np.uint32), runs

@@ -202,4 +202,7 @@ def test_a_small_stroke_needs_a_small_draft() -> None:
     assert tiles is not None
     assert tiles.level == 5
     assert np.isin(distinct(codes[8] >> 9), tiles.codes).all()
-    assert cut_out(texture, tiles).tree.n_cells < 0.1 * texture.tree.n_cells
+    part = cut_out(texture, tiles).tree
+    assert part.n_cells < 0.1 * texture.tree.n_cells
+    # Above the tiles too, no more cells are there than near them.
+    assert (np.diff(part.level_cells)[:6] <= 6 * 6 * 6).all()
