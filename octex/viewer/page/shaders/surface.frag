@@ -72,6 +72,28 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 #define OCCLUSION 1.0
 #endif
 
+#ifdef PAINTED
+uniform sampler2D u_strokes;  // what is sent and not yet painted: light times coverage, and coverage
+uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
+uniform vec4 u_paint;  // its light and opacity
+uniform vec2 u_picture;  // pixels
+uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
+uniform int u_hasStrokes;
+
+// Paint as octex.painting.reading has it: less of it on what is seen at a flat angle.
+vec3 painted(vec3 light, bool isAway, float cosine) {
+  if (isAway && u_angles.z < 0.5) return light;
+  float share = clamp((min(cosine, 1.0) - u_angles.y) / (u_angles.x - u_angles.y), 0.0, 1.0);
+  share *= share * (3.0 - 2.0 * share);
+  vec2 at = gl_FragCoord.xy / u_picture;
+  if (u_hasStrokes == 1) {
+    vec4 before = share * texture(u_strokes, at);
+    light = light * (1.0 - before.a) + before.rgb;
+  }
+  return mix(light, u_paint.rgb, share * u_paint.a * texture(u_stroke, at).r);
+}
+#endif
+
 #ifdef POSED
 // A direction at rest as it is posed: `side` is the surface's normal at rest, `normal` that in view space, in which
 // `across` is what became of the side's tangent.
@@ -93,6 +115,9 @@ void main() {
   face(unpacked(ways.z));
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
+#ifdef PAINTED
+  PAINTED = painted(PAINTED, (floatBitsToUint(place.w) & 1u) == 1u, dot(normal, toward));
+#endif
   vec3 shown;
 #if defined(SHOWS_LIT)
 #ifdef NORMAL
