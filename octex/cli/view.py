@@ -55,7 +55,9 @@ def view(options: Options, program: str) -> int:
             if options.paint is not None:
                 from octex.viewer.session import Session
 
-                session = Session(read(), surface, options.paint, recover=options.recover)
+                texture = read()
+                assert surface is not None and not isinstance(texture, octex.TextureSet)
+                session = Session(texture, surface, options.paint, recover=options.recover)
                 if session.repeated:
                     what = "command is" if session.repeated == 1 else "commands are"
                     progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")

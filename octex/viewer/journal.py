@@ -37,7 +37,11 @@ class Journal:
         tree = texture.tree
         made_of = [[*tree.arrays], [*tree.split], [*tree.kept], channels, str(texture.placement)]
         model = [surface.vertices, surface.rest, surface.triangles]
-        head = {"octex_strokes": _VERSION, "texture": digest_of(made_of).hex(), "model": digest_of(model).hex()}
+        head = {
+            "octex_strokes": _VERSION,
+            "texture": digest_of(made_of).hex(),
+            "model": digest_of(model).hex(),
+        }
         self._head = json.dumps(head).encode()
         self._file = -1
 
@@ -68,7 +72,7 @@ class Journal:
             )
         if records and head != self._head:
             raise OutputError(
-                f"{self.path} is of another texture or model; give those that were painted, or delete the file"
+                f"{self.path} is of another texture or model; give those that were painted, or delete it"
             )
         if not records:
             os.ftruncate(self._file, 0)

@@ -1,4 +1,4 @@
-"""A session of painting in the browser: commands of pages, applied in order, each in a journal before that."""
+"""A session of painting in the browser: commands of pages, each in a journal before it is done."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ class Session:
 
 
 def command_of(body: bytes) -> Command:
-    """Return what a page sent: a line of JSON, and what follows it. Raises ArgumentError for anything else."""
+    """Return what a page sent: a line of JSON, and what follows. Raises ArgumentError for anything else."""
     line, _, content = body.partition(b"\n")
     try:
         given = json.loads(line)

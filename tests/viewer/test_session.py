@@ -328,9 +328,7 @@ class Served:
         self.session = Session(texture, surface, folder / "out.octex")
         self.lines: list[str] = []
         path = folder / "ball.octex"
-        self.viewer = Viewer(
-            lambda: texture, path, surface, session=self.session, log=self.lines.append
-        )
+        self.viewer = Viewer(lambda: texture, path, surface, session=self.session, log=self.lines.append)
         self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.5})
         self.thread.start()
 
@@ -447,8 +445,14 @@ def test_a_flood_of_strokes_is_held_up_and_loses_none(
         (["a.octex", "a.glb", "--recover"], "--recover needs --paint"),
         (["a.octex", "a.glb", "--paint", "a.octex"], "--paint is also an input"),
         (["a.octex", "a.glb", "--paint", "b.png"], "--paint has the ending '.png'"),
-        (["a.octex", "a.glb", "a.html", "--paint", "b.octex"], "--paint cannot be used when a page is written"),
-        (["a.octex", "a.glb", "--paint", "there.octex"], "there.octex: exists already; --force overwrites it"),
+        (
+            ["a.octex", "a.glb", "a.html", "--paint", "b.octex"],
+            "--paint cannot be used when a page is written",
+        ),
+        (
+            ["a.octex", "a.glb", "--paint", "there.octex"],
+            "there.octex: exists already; --force overwrites it",
+        ),
     ],
 )
 def test_words_that_make_no_sense_are_refused(
