@@ -260,21 +260,29 @@ def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
     return is_same and before.channels.keys() == after.channels.keys()
 
 
+def cells_below(tree: Octree, tiles: Tiles) -> Int64s:
+    """Return the numbers of the cells below tiles, ascending: those of a draft below the tiles' level."""
+    codes, is_node = tree.walked_to(tiles.level)
+    numbers = int(tree.arrays.level_nodes[tiles.level]) + np.flatnonzero(among(codes[is_node], tiles.codes))
+    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
+    runs = [
+        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
+    ]
+    return np.concatenate([numbers[:0], *runs])
+
+
 def _overwritten(
     texture: OctreeTexture, tiles: Tiles, before: OctreeTexture, after: OctreeTexture
 ) -> OctreeTexture:
     """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied."""
     tree, draft, level = texture.tree, after.tree, tiles.level
-    codes, is_node = tree.walked_to(level)
+    codes, _ = tree.walked_to(level)
     is_open = among(codes, tiles.codes)
     first, end = tree.arrays.level_cells[level : level + 2].tolist()
     top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
-    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
-    runs = [
-        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
-    ]
-    here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
+    here = np.concatenate(
+        [top, cells_below(tree, tiles)]
+    )  # the cells' numbers in the texture, and in the draft
     there = np.concatenate([top, np.arange(end, draft.n_cells)])
     targets, sources = (
         (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))

@@ -20,7 +20,7 @@ page/       the page: plain modules and shaders, as they are served
     legend      what the colours of levels and facings stand for
     connection  the line to the server, which tells the version that is shown
     player      which animation is played, at what time
-    paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: to the server
+    paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: it
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions

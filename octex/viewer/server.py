@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.errors import OctexError, OutputError
-from octex.viewer.changes import change_between, is_like
+from octex.viewer.changes import change_between, change_of, is_like
 from octex.viewer.export import MODULES, PAINTING, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
@@ -27,6 +27,7 @@ from octex.viewer.streams import deflated
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from octex.editing.draft import Change
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
@@ -71,6 +72,7 @@ class _State(NamedTuple):
     parts: list[Part]
     prepared: list[Prepared]
     session: dict[str, Any] | None  # what is told of one
+    changes: tuple[Change, ...] | None  # since the time before, if they are known
 
 
 class Viewer:
@@ -163,8 +165,11 @@ class Viewer:
 
     def changed(self) -> None:
         """Read the texture anew and send pages what has changed; may be called from any thread."""
-        with self._news:
+        with self._lock:
             self._calls += 1
+            if self.session is not None:
+                self._now()  # its changes are from one call to the next
+        with self._news:
             self._news.notify_all()
 
     def _is_after(self, calls: int) -> bool:
@@ -208,16 +213,17 @@ class Viewer:
         return self._state
 
     def _read(self, stamp: str) -> _State:
+        told: dict[str, Any] | None
         if self.session is not None:
-            texture, told = self.session.shown
+            texture, told, changes = self.session.shown
             parts = parts_of(texture, self._surface)
         else:
-            told = None
+            told, changes = None, None
             parts = [
                 part._replace(texture=copy.deepcopy(part.texture))
                 for part in parts_of(self._open(), self._surface)
             ]
-        return _State(stamp, parts, [prepared(part.texture) for part in parts], told)
+        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, changes)
 
     def _stamp(self) -> str:
         if self.session is not None:
@@ -265,7 +271,11 @@ def _change(before: _State, after: _State) -> Packed | None:
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
         if not is_like(was.header, now.header):
             return None
-        counts, stream = change_between(was.texture, now.texture)
+        is_whole = was.texture is before.parts[number].texture and now.texture is after.parts[number].texture
+        if is_whole and after.changes is not None and len(after.changes) == 1:
+            counts, stream = change_of(after.changes[0], was.texture, now.texture)
+        else:
+            counts, stream = change_between(was.texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         own = {name: value for name, value in now.header.items() if name != "notes"}
         header["parts"].append({"header": own, "counts": counts})

@@ -8,6 +8,7 @@ import re
 import threading
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import decode
 from octex.checks import as_number, as_reals, as_whole
+from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.painter import Painter
@@ -59,6 +61,7 @@ class Shown(NamedTuple):
 
     texture: OctreeTexture
     told: dict[str, Any]
+    changes: tuple[Change, ...]  # since the time before
 
 
 class Session:
@@ -82,6 +85,7 @@ class Session:
         self._steps: list[str] = []
         self._undone: list[str] = []
         self._is_saved, self._fault, self._is_ending = True, "", False
+        self._changes: tuple[Change, ...] = ()  # of the command that is done
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
         self._journal = Journal(output, texture, surface)
@@ -143,7 +147,8 @@ class Session:
             if not self._is_ending:
                 self._do(command)
                 self.shown = self._shown()
-                self.changed()
+                with suppress(Exception):  # pages ask for the change again, and are told what is wrong
+                    self.changed()
             self._queue.task_done()
         self._queue.task_done()
 
@@ -156,11 +161,11 @@ class Session:
             "isSaved": self._is_saved,
             "fault": self._fault,
         }
-        return Shown(self._painter.texture(), told)
+        return Shown(self._painter.texture(), told, self._changes)
 
     def _do(self, command: Command) -> None:
         """Do a command; what fails changes nothing, and is told."""
-        self._fault = ""
+        self._fault, self._changes = "", ()
         try:
             getattr(self, f"_do_{command.kind}")(command)
         except (OctexError, MemoryError) as error:
@@ -177,17 +182,21 @@ class Session:
         color, opacity = _color_of(command), _opacity_of(command)
         self._did(command, self._painter.fill(_everywhere, color, opacity=opacity))
 
-    def _did(self, command: Command, changes: tuple[Any, ...]) -> None:
+    def _did(self, command: Command, changes: tuple[Change, ...]) -> None:
+        self._changes = changes
         if changes:
             self._steps.append(command.given.get("name", command.kind))
             self._undone.clear()
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
+        strokes = self._painter.strokes
         if self._painter.undo():
+            self._changes = tuple(change.inverted() for change in reversed(strokes[-1]))
             self._undone.append(self._steps.pop())
 
     def _do_redo(self, command: Command) -> None:  # noqa: ARG002
         if self._painter.redo():
+            self._changes = self._painter.strokes[-1]
             self._steps.append(self._undone.pop())
 
     def _do_save(self, command: Command) -> None:
