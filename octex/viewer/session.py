@@ -9,17 +9,20 @@ import threading
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Int32s
 from octex.cameras.camera import Camera
 from octex.channels import decode
 from octex.checks import as_number, as_reals, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
+from octex.nearest.triangles import Triangles
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
@@ -56,6 +59,13 @@ class Command(NamedTuple):
     content: bytes
 
 
+class _Step(NamedTuple):
+    """What is undone at once."""
+
+    name: str
+    strokes: int  # of the Painter
+
+
 class Shown(NamedTuple):
     """The texture at a time, and what pages are told of the session."""
 
@@ -77,13 +87,14 @@ class Session:
         self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
     ) -> None:
         self._painter = Painter(texture, surface)
+        self._surface = surface.placed_in(texture)
         self._output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
         self._lock = threading.Lock()  # of what is known of commands that wait
         self._numbers: dict[str, int] = {}  # of each page, the last one that is in the journal
         self._baked: dict[str, int] = {}  # and that is done
-        self._steps: list[str] = []
-        self._undone: list[str] = []
+        self._steps: list[_Step] = []
+        self._undone: list[_Step] = []
         self._is_saved, self._fault, self._is_ending = True, "", False
         self._changes: tuple[Change, ...] = ()  # of the command that is done
         self.changed: Callable[[], None] = lambda: None
@@ -98,7 +109,7 @@ class Session:
                     self.repeated += 1
         self._is_saved = not self._numbers
         self.shown = self._shown()
-        self._worker = threading.Thread(target=self._work, daemon=True)
+        self._worker = threading.Thread(target=self._work, args=(texture, surface), daemon=True)
         self._worker.start()
 
     def take(self, body: bytes) -> int:
@@ -142,7 +153,9 @@ class Session:
             f"from {self._journal.path}"
         )
 
-    def _work(self) -> None:
+    def _work(self, *warmed: Any) -> None:
+        with suppress(Exception):
+            warm_up(*warmed)
         while (command := self._queue.get()) is not None:
             if not self._is_ending:
                 self._do(command)
@@ -154,7 +167,7 @@ class Session:
 
     def _shown(self) -> Shown:
         told = {
-            "steps": [*self._steps, *self._undone[::-1]],
+            "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
             "done": len(self._steps),
             "baked": dict(self._baked),
             "output": self._output.name,
@@ -176,33 +189,78 @@ class Session:
 
     def _do_stroke(self, command: Command) -> None:
         projection, options = stroke_of(command)
-        self._did(command, self._painter.paint(projection, **options))
+        both = [projection]
+        if (axis := _mirror_of(command)) is not None:
+            both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
+        self._did(command, [self._painter.paint(each, **options) for each in both])
 
     def _do_fill(self, command: Command) -> None:
         color, opacity = _color_of(command), _opacity_of(command)
-        self._did(command, self._painter.fill(_everywhere, color, opacity=opacity))
+        regions: list[Any] = [_everywhere]
+        if "at" in command.given:
+            point = _numbers(command.given, "at", (3,))
+            numbers = {self._part_at(point)}
+            if (axis := _mirror_of(command)) is not None:
+                point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
+                numbers.add(self._part_at(point))
+            regions = [self._parts == number for number in sorted(numbers)]
+        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
 
-    def _did(self, command: Command, changes: tuple[Change, ...]) -> None:
-        self._changes = changes
-        if changes:
-            self._steps.append(command.given.get("name", command.kind))
+    def _middle(self, vertices: Array) -> Array:
+        used = vertices[np.unique(self._surface.triangles)]
+        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+
+    @cached_property
+    def _parts(self) -> Int32s:
+        return self._surface.parts
+
+    @cached_property
+    def _nearest(self) -> Triangles:
+        return Triangles.of(self._surface.rest, self._surface.triangles)
+
+    def _part_at(self, point: Array) -> int:
+        return int(self._parts[self._nearest.nearest(point[None]).triangles[0]])
+
+    def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
+        self._changes = tuple(change for stroke in strokes for change in stroke)
+        if self._changes:
+            name = command.given.get("name", command.kind)
+            self._steps.append(_Step(name, sum(map(bool, strokes))))
             self._undone.clear()
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
-        strokes = self._painter.strokes
-        if self._painter.undo():
-            self._changes = tuple(change.inverted() for change in reversed(strokes[-1]))
-            self._undone.append(self._steps.pop())
+        if not self._steps:
+            return
+        step = self._steps.pop()
+        strokes = self._painter.strokes[-step.strokes :]
+        self._changes = tuple(change.inverted() for stroke in strokes[::-1] for change in stroke[::-1])
+        for _ in range(step.strokes):
+            self._painter.undo()
+        self._undone.append(step)
 
     def _do_redo(self, command: Command) -> None:  # noqa: ARG002
-        if self._painter.redo():
-            self._changes = self._painter.strokes[-1]
-            self._steps.append(self._undone.pop())
+        if not self._undone:
+            return
+        step = self._undone.pop()
+        for _ in range(step.strokes):
+            self._painter.redo()
+        self._changes = tuple(
+            change for stroke in self._painter.strokes[-step.strokes :] for change in stroke
+        )
+        self._steps.append(step)
 
     def _do_save(self, command: Command) -> None:
         self._painter.texture().save(self._output)
         with self._lock:
             self._is_saved = self._numbers[command.page] == command.number and self._queue.empty()
+
+
+def warm_up(texture: OctreeTexture, surface: Surface) -> None:
+    """Paint a small stroke for nobody, so that the first one does not wait for code to load."""
+    camera = Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
+    image = np.zeros((64, 64, 4), np.uint8)
+    image[24:40, 24:40, 3] = 255
+    Painter(texture, surface).paint(Projection(image, camera))
 
 
 def command_of(body: bytes) -> Command:
@@ -223,6 +281,7 @@ def command_of(body: bytes) -> Command:
     if not isinstance(name, str) or len(name) > _LONGEST_NAME or not (name.isprintable()):
         raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
     command = Command(page, number, kind, given, content)
+    _mirror_of(command)
     if kind == "stroke":
         stroke_of(command)
     elif content:
@@ -230,6 +289,7 @@ def command_of(body: bytes) -> Command:
     elif kind == "fill":
         _color_of(command)
         _opacity_of(command)
+        _numbers({"at": (0.0, 0.0, 0.0), **given}, "at", (3,))
     return command
 
 
@@ -260,6 +320,27 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any]]:
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
     return Projection(image, seen_by, opacity=_opacity_of(command)), options
+
+
+def mirrored(projection: Projection, axis: int, middle: float) -> Projection:
+    """Return a picture as seen in a mirror across an axis, through the camera's image in that."""
+    camera = cast(Camera, projection.camera)
+    mirror = np.eye(4)
+    mirror[axis, axis], mirror[axis, 3] = -1.0, 2.0 * middle
+    K = camera.K.copy()
+    K[0, 2] = camera.width - K[0, 2]
+    K[0, 1] = -K[0, 1]
+    pose = np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera.world_to_camera @ mirror
+    seen_by = Camera.pinhole((camera.width, camera.height), pose=pose, convention="opencv", K=K)
+    return replace(projection, image=cast(Array, projection.image)[:, ::-1], camera=seen_by)
+
+
+def _mirror_of(command: Command) -> int | None:
+    """Return the axis that a command is mirrored across; None if it is not."""
+    name = command.given.get("mirror", "")
+    if name not in ("", "x", "y", "z"):
+        raise ArgumentError("mirror must be x, y, z or nothing")
+    return "xyz".index(name) if name else None
 
 
 def _opacity_of(command: Command) -> float:

@@ -76,8 +76,8 @@ def studio(browser: Any, tmp_path: Path) -> Iterator[Studio]:
     found.session.close()
 
 
-def pictured(page: Any) -> npt.NDArray[np.int64]:
-    look = {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
+def pictured(page: Any, **more: Any) -> npt.NDArray[np.int64]:
+    look = more | {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
     return drawn(page, (240, 200), **look).astype(np.int64)
 
 
@@ -92,8 +92,16 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio) -> None:
     is_painted = np.abs(before - plain).max(axis=2) > 60
     assert 0.02 < is_painted.mean() < 0.3
     assert_same(studio.session.shown.texture, studio.texture)
+    page.evaluate("viewer.camera.orbit(0.5, 0.15)")
+    turned, plain_turned = pictured(page), pictured(page, paint=None)
     page.evaluate("release()")
     studio.is_done(page, 1)
+    turned_after = pictured(page)
+    is_seen = np.abs(turned_after - plain_turned).max(axis=2) > 60
+    assert is_seen.mean() > 0.01
+    assert np.sqrt(((turned - turned_after)[is_seen] ** 2).mean()) <= 8
+    assert (np.abs(turned - turned_after).max(axis=2) > 40).mean() < 0.002
+    page.evaluate("viewer.camera.orbit(-0.5, -0.15)")
     after = pictured(page)
     inside = before[is_painted] - after[is_painted]
     assert np.sqrt((inside**2).mean()) <= 2
@@ -196,5 +204,5 @@ def test_keys_and_the_picker_set_the_brush(studio: Studio) -> None:
     page.click("#tool-fill")
     studio.drag(page, (0, 0))
     studio.is_done(page, 1)
-    assert page.evaluate("viewer.painting.last.steps") == ["Fill"]
+    assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
     page.close()

@@ -497,3 +497,75 @@ def test_the_command_says_what_is_not_saved_and_recovers_it(
     assert "1 command is painted again" in captured.err
     assert captured.out.count("\n") == 1
     assert sorted(each.name for each in tmp_path.iterdir()) == ["ball.obj", "out.octex"]
+
+
+def two_balls() -> tuple[OctreeTexture, Surface]:
+    balls = [ball(8), ball(8)]
+    surface = Surface.from_arrays(
+        np.concatenate([each.vertices + np.array([3.0 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
+        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
+        factor=(0.5, 0.5, 0.5),
+    )
+    return octex.convert(surface, depth=6), surface
+
+
+def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path: Path) -> None:
+    texture, surface = two_balls()
+    session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
+    color = decode(np.array([250, 0, 10], np.uint8), "srgb")
+    given = {"color": [250, 0, 10], "at": [0.0, 1.0, 0.0]}
+    session.take(plain("fill", 1, **given))
+    painter.fill(surface.parts == 0, color)
+    session.wait()
+    assert_same(session.shown.texture, painter.texture())
+    session.take(plain("undo", 2))
+    session.take(plain("fill", 3, **given, mirror="x"))
+    session.wait()
+    painter.fill(surface.parts == 1, color)
+    step = session.shown.texture
+    assert_same(step, painter.texture())
+    assert session.shown.told["done"] == 1
+    session.take(plain("undo", 4))
+    session.wait()
+    assert_same(session.shown.texture, texture)
+    session.take(plain("redo", 5))
+    session.wait()
+    assert_same(session.shown.texture, step)
+    session.close()
+
+
+def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session: Session) -> None:
+    texture, _ = canvas()
+    session.take(stroke(1, mirror="x", name="Brush"))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush"]
+    random = np.random.default_rng(0)
+    points = random.normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+
+    def is_painted(points: Any) -> Any:
+        apart = session.shown.texture.sample(points) - texture.sample(points)
+        return np.abs(apart).max(axis=1) > 0.1
+
+    here, there = is_painted(points), is_painted(points * [-1, 1, 1])
+    assert 50 < here.sum() < 2000
+    assert (here != there).sum() < 0.15 * here.sum()  # cells are not where a mirror has them
+    assert here[points[:, 0] > 0.3].any()
+    assert here[points[:, 0] < -0.3].any()
+    session.take(plain("undo", 2))
+    session.wait()
+    assert_same(session.shown.texture, texture)
+    with pytest.raises(ArgumentError, match="mirror must be x, y, z"):
+        session.take(stroke(3, mirror="w"))
+
+
+def test_back_faces_and_angles_are_painted_as_the_library_does(session: Session) -> None:
+    texture, surface = canvas()
+    painter = octex.Painter(texture, surface)
+    session.take(stroke(1, backFaces=True, maxAngle=40))
+    session.wait()
+    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+    image[..., :3] = 200, 10, 30
+    image[4:28, 10:40, 3] = disc(1)
+    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=40, back_faces=True)
+    assert_same(session.shown.texture, painter.texture())

@@ -52,7 +52,7 @@ class Painting {
   constructor(viewer) {
     this.viewer = viewer;
     this.tool = "brush";
-    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1 };
+    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, angle: MOST_ANGLE, backFaces: false, mirror: "" };
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -99,6 +99,13 @@ class Painting {
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => ({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", { min: 0, max: 1, step: 0.01 }, (hardness) => ({ hardness })),
       ...slider("opacity", "Opacity", { min: 0.01, max: 1, step: 0.01 }, (opacity) => ({ opacity })),
+      make("details", { id: "where" }, make("summary", {}, "What is painted"),
+        ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => ({ angle })),
+        make("label", { class: "check" }, make("input", { type: "checkbox", id: "back-faces", oninput: ({ target }) => this.set({ backFaces: target.checked }) }), "also what faces away"),
+        make("label", { for: "mirror" }, "Mirror"),
+        make("select", { id: "mirror", oninput: ({ target }) => this.set({ mirror: target.value }) }, new Option("off", ""), ...["x", "y", "z"].map((axis) => new Option(`left and right along ${axis}`, axis))),
+        make("label", { for: "filled" }, "Fill"),
+        make("select", { id: "filled" }, new Option("the part that is clicked", "part"), new Option("the whole model", "all"))),
       make("details", { id: "history", open: true }, make("summary", {}, "Steps"), make("ol", { id: "steps" })),
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(section);
@@ -123,6 +130,8 @@ class Painting {
     element("other").style.background = toHex(this.other);
     element("size").value = Math.log(brush.size);
     element("size-text").textContent = `${brush.size} px`;
+    element("angle").value = brush.angle;
+    element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
     for (const name of ["hardness", "opacity"]) {
       element(name).value = brush[name];
       element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
@@ -183,13 +192,13 @@ class Painting {
     event.preventDefault();
     this.viewer.canvas.focus({ preventScroll: true });
     if (event.altKey || this.tool === "pick") return this.pick(event);
-    if (this.tool === "fill") return this.fill();
+    if (this.tool === "fill") return this.fill(event);
     if (this.viewer.look.moved && this.viewer.player?.isPlaying) return this.say("Stop the animation to paint.");
     this.viewer.canvas.setPointerCapture(event.pointerId);
-    const at = this.place(event), { color, opacity, hardness } = this.brush;
+    const at = this.place(event);
     this.pen = { id: event.pointerId, type: event.pointerType, at, first: event, dirty: null };
     this.viewer.look.marked = null;
-    this.strokes.begin({ color, opacity, hardness });
+    this.strokes.begin(this.brush);
     this.draw(at, at);
   }
 
@@ -228,8 +237,9 @@ class Painting {
     const stroke = this.strokes.end();
     if (!stroke) return;
     const { width, height } = this.viewer.film, [{ K, pose }] = this.viewer.camera.file("", width, height).cameras;
-    const { box, color, opacity, coverage } = stroke;
-    const command = { kind: "stroke", name: "Brush", camera: { width, height, K, pose }, box, color, opacity, maxAngle: MOST_ANGLE };
+    const { box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const name = mirror ? "Brush, mirrored" : "Brush";
+    const command = { kind: "stroke", name, camera: { width, height, K, pose }, box, color, opacity, maxAngle, backFaces, mirror };
     stroke.number = this.sending.send(command, deflated(coverage));
     this.strokes.keep(stroke);
   }
@@ -251,9 +261,11 @@ class Painting {
     if (this.tool === "pick") this.choose("brush");
   }
 
-  fill() {
-    const { color, opacity } = this.brush;
-    this.sending.send({ kind: "fill", name: "Fill", color, opacity });
+  fill(event) {
+    const { color, opacity, mirror } = this.brush, [x, y] = this.place(event);
+    const isPart = element("filled").value === "part", at = isPart ? this.viewer.pick(x, y)?.rest : undefined;
+    if (isPart && !at) return;
+    this.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", color, opacity, mirror, at });
     this.choose("brush");
   }
 

@@ -1,9 +1,16 @@
 // The stroke that is drawn, and those that the server has not painted yet: what the picture shows of them.
 
-const ANGLE = 85, FADE = 10; // degrees beyond which nothing is painted, and over which paint fades
+export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless it is set otherwise
+const FADE = 10; // and over which paint fades
 
 const cosine = (degrees) => Math.cos((degrees * Math.PI) / 180);
 export const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
+
+// Of matrices, column after column.
+function product(a, b) {
+  const entry = (n) => [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + (n % 4)] * b[4 * Math.floor(n / 4) + k], 0);
+  return Float32Array.from({ length: 16 }, (_, n) => entry(n));
+}
 
 export class Strokes {
   constructor(viewer) {
@@ -21,13 +28,23 @@ export class Strokes {
     this.compose();
   }
 
-  // Make the textures as large as the picture is.
+  // Be ready for strokes on the view as it is now. Those that were sent from another one are then no longer shown.
   fit() {
-    const { gpu, film } = this.viewer, { gl } = gpu, { width, height } = film;
-    if (this.size[0] === width && this.size[1] === height && this.view === String(this.viewer.camera.view)) return;
-    this.view = String(this.viewer.camera.view);
+    const { gpu, film, camera, look, parts } = this.viewer, { width, height } = film, view = String(camera.view);
+    const isLarge = this.size[0] === width && this.size[1] === height;
+    if (isLarge && this.view === view) return;
+    if (!isLarge) this.allocate(width, height);
+    this.view = view;
     this.sent = [];
-    if (this.size[0] === width && this.size[1] === height) return;
+    this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
+    gpu.drawPlaces({ ...look, paint: this }, camera, this.places, width, height);
+    const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
+    this.camera = product(camera.projection(), product(camera.view, root));
+  }
+
+  // Make the textures as large as the picture is.
+  allocate(width, height) {
+    const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
     this.target = gpu.target("stroke", width, height, [gl.R8]);
     if (this.texture) gl.deleteTexture(this.texture);
@@ -138,18 +155,19 @@ export class Strokes {
 
   // What the picture is drawn with.
   get textures() {
-    if (!this.target) this.fit();
-    return { u_strokes: this.texture, u_stroke: this.target.textures[0] };
+    const [u_strokesPlaces, u_strokesWays] = this.places.textures;
+    return { u_strokes: this.texture, u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays };
   }
 
   set(program, width, height) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const { color = [0, 0, 0], opacity = 0 } = current ?? {};
-    gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere ? opacity : 0);
+    const { color = [0, 0, 0], opacity = 0, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
+    const isWhole = angle >= 90;
+    gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
-    gl.uniform3f(program.at("u_angles"), cosine(ANGLE - FADE), cosine(ANGLE), 0);
-    gl.uniform1i(program.at("u_hasStrokes"), isHere && this.sent.length > 0 ? 1 : 0);
+    gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
+    const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;
+    gl.uniform1i(program.at("u_strokesView"), !this.sent.length ? 0 : isHere ? 1 : canTurn ? 2 : 0);
+    gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
   }
 }
-
-export { ANGLE as MOST_ANGLE };
