@@ -190,7 +190,7 @@ class Painting {
     if (event.isPasses || !this.viewer.isComplete || !this.isForTool(event)) return;
     event.stopPropagation();
     event.preventDefault();
-    this.viewer.canvas.focus({ preventScroll: true });
+    document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
     if (event.altKey || this.tool === "pick") return this.pick(event);
     if (this.tool === "fill") return this.fill(event);
     if (this.viewer.look.moved && this.viewer.player?.isPlaying) return this.say("Stop the animation to paint.");
