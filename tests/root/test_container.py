@@ -14,19 +14,8 @@ from safetensors.numpy import load_file, save_file
 from octex import container, files
 from octex.errors import ArgumentError, OutputError, TextureFileError
 
-DTYPES = [
-    "uint8",
-    "uint16",
-    "uint32",
-    "uint64",
-    "int8",
-    "int16",
-    "int32",
-    "int64",
-    "float16",
-    "float32",
-    "float64",
-]
+INTEGERS = [f"{sign}int{bits}" for sign in ("u", "") for bits in (8, 16, 32, 64)]
+DTYPES = [*INTEGERS, "float16", "float32", "float64"]
 
 
 def some_tensors() -> dict[str, np.ndarray]:
