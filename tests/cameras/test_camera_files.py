@@ -899,6 +899,7 @@ REFUSED = {
     ],
     "a.npz": [
         ({"viewmats": None}, "must have one of viewmats, w2c"),
+        ({"width": 640}, "camera 0: height is missing; it must be a number"),
         ({"Ks": None}, "must have one of Ks, K, intrinsics; has viewmats"),
         ({"viewmats": np.ones((2, 5, 4))}, "viewmats must have shape (n, 4, 4), not (2, 5, 4)"),
         ({"viewmats": np.ones((2, 4, 4))}, "camera 0: viewmats: a camera's pose must have the last row"),

@@ -36,7 +36,7 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.
     part = cut_out(texture, tiles)
     part.tree.validate()
     assert_same(put_back(texture, tiles, part), texture)
-    below = part.tree.n_cells - int(part.tree.arrays.level_cells[level + 1])
+    below = part.tree.n_cells - int(part.tree.arrays.level_cells[min(level, part.tree.max_depth) + 1])
     whole = sum(
         int((np.isin(texture.tree.level_codes(deeper) >> 3 * (deeper - level), tiles.codes)).sum())
         for deeper in range(level + 1, texture.tree.max_depth + 1)
@@ -210,4 +210,7 @@ def test_a_small_stroke_needs_a_small_draft() -> None:
     assert tiles is not None
     assert tiles.level == 5
     assert np.isin(distinct(codes[8] >> 9), tiles.codes).all()
-    assert cut_out(texture, tiles).tree.n_cells < 0.1 * texture.tree.n_cells
+    part = cut_out(texture, tiles).tree
+    assert part.n_cells < 0.1 * texture.tree.n_cells
+    # Above the tiles too, no more cells are there than near them.
+    assert (np.diff(part.level_cells)[:6] <= 6 * 6 * 6).all()

@@ -644,6 +644,47 @@ def test_colours_that_do_not_fit_are_refused() -> None:
             octex.fill(None, surface, octex.Sphere((0, 0, 0), 1), color)
 
 
+@pytest.mark.parametrize("channel", ["base_color", "roughness", "normal"])
+def test_colours_beyond_the_channels_range_are_refused(channel: str) -> None:
+    surface = plain(square())
+    sphere = octex.Sphere((0, 0, 0), 1)
+    color: Any = 255 if channel == "roughness" else (255, 0, 0)
+    least = -1 if channel == "normal" else 0
+    message = rf"color of '{channel}' must be from {least} to 1, not .*255.*; divide numbers up to 255 by 255"
+    with pytest.raises(ArgumentError, match=message):
+        octex.fill(None, surface, sphere, color, channel=channel)
+    with pytest.raises(ArgumentError, match=message):
+        octex.fill(octex.convert(surface, 3), surface, sphere, (-255, 0, 0)) if channel == "base_color" else (
+            octex.fill(None, surface, sphere, -np.asarray(color), channel=channel)
+        )
+    bright = octex.fill(octex.cast(octex.convert(surface, 3), "float32"), surface, sphere, (5, 9, 2))
+    assert bright.sample([[0.5, 0.5, 0.0]]).max() > 4.0
+
+
+def test_colours_are_given_as_on_a_screen() -> None:
+    surface = plain(square())
+    sphere = octex.Sphere((0, 0, 0), 9)
+    found = octex.fill(None, surface, sphere, "#ff8000", max_depth=3)
+    values = found.channels["base_color"].values
+    assert (values == (255, 128, 0)).all()
+    for bad, channel, message in (
+        ("#ff80", "base_color", "'#ff80' is not a colour '#rrggbb'"),
+        ("red", "base_color", "'red' is not a colour '#rrggbb'"),
+        ("#ff8000", "roughness", "'roughness' holds no colours"),
+        ("#ff8000", "normal", "'normal' holds no colours"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            octex.fill(None, surface, sphere, bad, channel=channel)
+    camera = octex.Camera.fitted(surface.vertices, (0, 0, 1), size=(8, 8))
+    with pytest.raises(ArgumentError, match="key must be a colour '#rrggbb'"):
+        octex.Projection(np.zeros((8, 8, 3), np.uint8), camera, key="green")
+    assert octex.Projection(np.zeros((8, 8, 3), np.uint8), camera, key="#00ff00").key == (0, 255, 0)
+    made = surface.with_sources({"base_color": "#ff8000"})
+    assert (octex.convert(made, 3).channels["base_color"].values == (255, 128, 0)).all()
+    with pytest.raises(ArgumentError, match="'#ff8' is not a colour '#rrggbb'"):
+        surface.with_sources({"base_color": "#ff8"})
+
+
 def places_of(texture: OctreeTexture, cells: Array) -> Array:
     """The middles of cells at rest (n, 3)."""
     levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
