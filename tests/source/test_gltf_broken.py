@@ -13,33 +13,10 @@ import pytest
 
 from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
-from tests.make.fixtures import (
-    SQUARE,
-    SQUARE_UV,
-    Gltf,
-    png,
-    random_image,
-)
+from tests.make.fixtures import MISSING, SQUARE, SQUARE_UV, Gltf, png, put, random_image, rows
 
-MISSING = object()
 PRIMITIVE = "meshes.0.primitives.0"
 ATTRIBUTES = f"{PRIMITIVE}.attributes"
-
-
-def rows(*numbers: Any, dtype: str = "uint8") -> Callable[[Gltf], int]:
-    """Return what adds an accessor of these numbers."""
-    return lambda gltf: gltf.accessor(np.array(numbers, dtype))
-
-
-def put(document: Any, place: str, value: Any) -> None:
-    """Put a value at a dotted place of a document, or take away what is there."""
-    *holders, key = place.split(".")
-    for each in holders:
-        document = document[int(each)] if isinstance(document, list) else document.setdefault(each, {})
-    if value is MISSING:
-        del document[key]
-    else:
-        document[int(key) if isinstance(document, list) else key] = value
 
 
 def textured() -> Gltf:
@@ -52,8 +29,7 @@ def textured() -> Gltf:
 
 def broken(changes: dict[str, Any], path: Path) -> Path:
     gltf = textured()
-    for place, value in changes.items():
-        put(gltf.json, place, value(gltf) if callable(value) else value)
+    put(gltf.json, changes, gltf)
     return gltf.save(path)
 
 
@@ -77,23 +53,23 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({f"{PRIMITIVE}.indices": rows(0, 1, 9)}, "uses vertex 9, but there are 4"),
+        ({f"{PRIMITIVE}.indices": rows(0, 1, 9, dtype="uint8")}, "uses vertex 9, but there are 4"),
         ({f"{PRIMITIVE}.indices": rows(0, 1, -1, dtype="int8")}, "uses vertex -1, but there are 4"),
         (
-            {f"{PRIMITIVE}.indices": rows(0, 1, 2, dtype="float32")},
+            {f"{PRIMITIVE}.indices": rows(0, 1, 2)},
             r"the indices of meshes\[0\].* are not integers",
         ),
         (
             {
-                f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0), dtype="float32"),
-                f"{PRIMITIVE}.indices": rows(0, 100, 255),
+                f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0)),
+                f"{PRIMITIVE}.indices": rows(0, 100, 255, dtype="uint8"),
             },
             "uses vertex 255, but uint8 indices keep this number",
         ),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_NAN)}, "vertices that are not finite"),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_SIGNALLING)}, "vertices that are not finite"),
         (
-            {f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4, dtype="float32")},
+            {f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4)},
             "colours are not all finite",
         ),
         (
@@ -106,10 +82,10 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
         ({"nodes.0.translation": True}, r"nodes\[0\]: translation must be 3 numbers"),
         ({"nodes.0.scale": [1e999, 1, 1]}, "Infinity is not JSON|not all finite"),
         (
-            {f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4, dtype="float32")},
+            {f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4)},
             "texture coordinates are not all finite",
         ),
-        ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*SQUARE_UV[:2], dtype="float32")}, "has 2 rows for 4 vertices"),
+        ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*SQUARE_UV[:2])}, "has 2 rows for 4 vertices"),
         ({"nodes.0.children": [0]}, "reached twice"),
         ({"nodes.0.mesh": 7}, r"meshes\[7\]"),
         ({f"{PRIMITIVE}.mode": 0}, "no triangles"),
@@ -229,7 +205,7 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, valu
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
     entry: dict[str, Any] = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
-    put(entry, place, value)
+    put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(gltf.save(tmp_path / "bad.glb"))
