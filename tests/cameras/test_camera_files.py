@@ -746,62 +746,6 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "is not a valid file name" in refusal("a\0b")
 
 
-@pytest.mark.parametrize(
-    "kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs", "sfm", "out"]
-)
-def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
-    path = {
-        "ours": tmp_path / "a.json",
-        "transforms": tmp_path / "transforms.json",
-        "gltf": tmp_path / "a.gltf",
-        "glb": tmp_path / "a.glb",
-        "xml": tmp_path / "a.xml",
-        "mvs": tmp_path / "a.mvs",
-        "sfm": tmp_path / "a.sfm",
-        "out": tmp_path / "a.out",
-        "text": tmp_path,
-        "binary": tmp_path,
-    }[kind]
-    if kind == "ours":
-        write_cameras(path, ours())
-    elif kind in ("text", "binary"):
-        (colmap_text if kind == "text" else colmap_binary)(path)
-    elif kind in ("xml", "mvs", "sfm", "out"):
-        texts = {"xml": metashape, "sfm": meshroom, "out": bundler}
-        path.write_bytes(texts[kind]().encode() if kind in texts else openmvs(7))
-    else:
-        path.write_bytes(
-            glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()
-        )
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    wholes = [file.read_bytes() for file in files]
-    random = np.random.default_rng(0)
-    refused = 0
-    for turn in range(300):
-        which = turn % len(files)
-        content = bytearray(wholes[which])
-        for _ in range(random.integers(1, 4)):
-            at = random.integers(len(content))
-            match random.integers(4):
-                case 0:
-                    content[at] = random.integers(256)
-                case 1:
-                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
-                case 2:
-                    del content[at : at + random.integers(1, 9)]
-                case 3:
-                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
-        files[which].write_bytes(content)
-        try:
-            for frame in read_cameras(path):
-                frame.camera(frame.size or (64, 48))
-        except CameraError:
-            refused += 1
-        files[which].write_bytes(wholes[which])
-    assert refused > 30
-    assert read_cameras(path)
-
-
 # What cannot be used
 
 
@@ -820,6 +764,11 @@ def arrays(**changes):
     file = BytesIO()
     np.savez(file, **{name: each for name, each in given.items() if each is not None})
     return file.getvalue()
+
+
+def as_bytes(content):
+    content = json.dumps(content) if isinstance(content, dict) else content
+    return content.encode() if isinstance(content, str) else content
 
 
 #: By the file's name: its content, and a part of what is said of it.
@@ -989,13 +938,54 @@ CONTENT = {"transforms.json": transforms, "a.npz": arrays, "ours.json": own_file
 )
 def test_what_cannot_be_used_is_refused_by_file_and_field(tmp_path, name, content, complaint):
     path = tmp_path / name
-    content = CONTENT[name](**content) if name in CONTENT else content
-    if isinstance(content, dict):
-        content = json.dumps(content)
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    path.write_bytes(as_bytes(CONTENT[name](**content) if name in CONTENT else content))
     message = refusal(path)
     assert message.startswith(f"{path}: ")
     assert complaint in message
+
+
+#: Files of every kind, by their names, and folders of COLMAP.
+KINDS = {
+    "a.json": own_file, "transforms.json": transforms, "a.gltf": gltf, "a.glb": lambda: glb(gltf()),
+    "a.xml": metashape, "a.mvs": lambda: openmvs(7), "a.sfm": meshroom, "a.out": bundler,
+    "text": colmap_text, "binary": colmap_binary,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
+    path, make = tmp_path / kind, KINDS[kind]
+    if "." in kind:
+        path.write_bytes(as_bytes(make()))
+    else:
+        make(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    wholes = [file.read_bytes() for file in files]
+    random = np.random.default_rng(0)
+    refused = 0
+    for turn in range(300):
+        which = turn % len(files)
+        content = bytearray(wholes[which])
+        for _ in range(random.integers(1, 4)):
+            at = random.integers(len(content))
+            match random.integers(4):
+                case 0:
+                    content[at] = random.integers(256)
+                case 1:
+                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
+                case 2:
+                    del content[at : at + random.integers(1, 9)]
+                case 3:
+                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
+        files[which].write_bytes(content)
+        try:
+            for frame in read_cameras(path):
+                frame.camera(frame.size or (64, 48))
+        except CameraError:
+            refused += 1
+        files[which].write_bytes(wholes[which])
+    assert refused > 30
+    assert read_cameras(path)
 
 
 # Names
