@@ -154,6 +154,16 @@ WEIGHTS_0, JOINTS_0 = f"{PRIMITIVE}.attributes.WEIGHTS_0", f"{PRIMITIVE}.attribu
 CHANNEL = "animations.0.channels.0"
 MATRICES = moving("rotation", "LINEAR").json["skins"][0]["inverseBindMatrices"]
 NOT_WEIGHTS = "which must be finite and not below 0"
+#: Two changes that the page's tests make, too.
+WAVY = {f"{SAMPLER}.interpolation": "WAVY"}
+NO_SUCH_JOINT = {JOINTS_0: rows(*JOINTS + 1, dtype="uint8")}
+
+
+def broken(changes: dict[str, Any]) -> Gltf:
+    """A model with something wrong."""
+    gltf = moving("weights" if "nodes.0.weights" in changes else "rotation", "LINEAR")
+    put(gltf.json, changes, gltf)
+    return gltf
 
 
 @pytest.mark.parametrize(
@@ -167,7 +177,7 @@ NOT_WEIGHTS = "which must be finite and not below 0"
         ({WEIGHTS_0: rows(*[[np.nan, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
         ({WEIGHTS_0: MISSING}, "has JOINTS_0 without weights"),
         ({JOINTS_0: MISSING}, "has a skin but no JOINTS_0"),
-        ({JOINTS_0: rows(*JOINTS + 1, dtype="uint8")}, "vertex 2 is moved by joint 3, but its skin has 3"),
+        (NO_SUCH_JOINT, "vertex 2 is moved by joint 3, but its skin has 3"),
         ({f"accessors.{MATRICES}.count": 2}, "has 2 inverse bind matrices for 3 joints"),
         (
             {"skins.0.joints.1": lambda gltf: gltf.add("nodes")},
@@ -180,7 +190,7 @@ NOT_WEIGHTS = "which must be finite and not below 0"
             r"has 2 morph targets, and nodes\[0\] weights of 3",
         ),
         ({f"{PRIMITIVE}.targets.0.POSITION": rows(*SQUARE[:2])}, r"targets\[0\] moves 2 of 4 vertices"),
-        ({f"{SAMPLER}.interpolation": "WAVY"}, "interpolates by 'WAVY'"),
+        (WAVY, "interpolates by 'WAVY'"),
         ({f"{SAMPLER}.input": rows(*TIMES[::-1])}, "times that do not ascend from 0 on"),
         ({f"{SAMPLER}.input": rows()}, "times that do not ascend"),
         ({f"{SAMPLER}.output": rows(*unit(np.ones((3, 4))))}, "has 3 values for 4 times"),
@@ -201,9 +211,7 @@ NOT_WEIGHTS = "which must be finite and not below 0"
 def test_a_broken_animation_is_refused_in_one_line(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    gltf = moving("weights" if "nodes.0.weights" in changes else "rotation", "LINEAR")
-    put(gltf.json, changes, gltf)
-    file = gltf.save(tmp_path / "a.glb")
+    file = broken(changes).save(tmp_path / "a.glb")
     octex.load_surface(file)  # as it rests it is read
     with pytest.raises(ModelError, match=message) as refused:
         octex.load_surface(file, pose="A@0")
