@@ -35,19 +35,16 @@ def to_opengl(matrix):
     return np.linalg.inv(matrix) @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
+def bent(model, lens, matrix=None):
+    """Return where a lens puts POINTS (n, 2), by default seen from ``view(1)``, to the right and down."""
+    matrix = view(1) if matrix is None else matrix
+    seen = POINTS @ matrix[:3, :3].T + matrix[:3, 3]
+    return np.array([through(model, lens, x / z, y / z) for x, y, z in seen])
+
+
 def expected(matrix, focal_x, focal_y, center, lens=(0.0, 0.0, 0.0, 0.0)):
-    """Return where POINTS land, written out."""
-    k1, k2, p1, p2 = lens
-    pixels = []
-    for point in POINTS:
-        x, y, z = matrix[:3, :3] @ point + matrix[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2 * r2
-        right = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        pixels.append([focal_x * right + center[0], focal_y * down + center[1]])
-    return np.array(pixels)
+    """Return where POINTS land."""
+    return bent("OPENCV", lens, matrix) * [focal_x, focal_y] + center
 
 
 def quaternion(rotation):
@@ -61,17 +58,8 @@ def write_json(path, document):
 
 
 def bent_by_brown(k1, k2, k3, p1, p2):
-    """Return where the lens of Brown's model puts POINTS, seen from ``view(1)``, to the right and down."""
-    found = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        right = x * radial + p2 * (r2 + 2 * x * x) + 2 * p1 * x * y
-        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        found.append((right, down))
-    return found
+    """Return where the lens of Brown's model puts POINTS."""
+    return bent("FULL_OPENCV", (k1, k2, p1, p2, k3))
 
 
 def sees(camera, pixels):
@@ -161,10 +149,8 @@ def test_transforms_may_be_of_fisheye_lenses(tmp_path):
     numbers = {"k1": 0.1, "k2": -0.03, "k3": 0.01, "k4": -0.004, "p1": 0.0, "p2": 0.0}
     for number, fields in enumerate(({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True})):
         path = write_json(tmp_path / f"{number}.json", transforms(**fields, **numbers))
-        seen = POINTS @ view(1)[:3, :3].T + view(1)[:3, 3]
-        lens = [0.1, -0.03, 0.01, -0.004]
-        bent = np.array([through("OPENCV_FISHEYE", lens, x / z, y / z) for x, y, z in seen])
-        sees(read_cameras(path)[0].camera(), bent * [500, 510] + [310, 250])
+        pixels = bent("OPENCV_FISHEYE", [0.1, -0.03, 0.01, -0.004]) * [500, 510] + [310, 250]
+        sees(read_cameras(path)[0].camera(), pixels)
 
 
 # Arrays
@@ -263,13 +249,7 @@ def colmap_pixels(model, values, matrix):
     if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"):
         values = values[0], *values
     focal_x, focal_y, x, y, *lens = values
-    return np.array(
-        [
-            np.array([focal_x, focal_y]) * through(model, lens, point[0] / point[2], point[1] / point[2])
-            + [x, y]
-            for point in POINTS @ matrix[:3, :3].T + matrix[:3, 3]
-        ]
-    )
+    return bent(model, lens, matrix) * [focal_x, focal_y] + [x, y]
 
 
 @pytest.mark.parametrize("write", [colmap_text, colmap_binary])
@@ -585,10 +565,8 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
         ("b", (640, 480), None),
     ]
     f, cx, cy, b1, b2, k1, k2, k3, p1, p2 = METASHAPE.values()
-    pixels = [
-        [320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f]
-        for right, down in bent_by_brown(k1, k2, k3, p2, p1)
-    ]
+    right, down = bent_by_brown(k1, k2, k3, p2, p1).T
+    pixels = np.stack([320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f], axis=1)
     for frame in frames:
         sees(frame.camera(), pixels)
 
@@ -597,16 +575,8 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
     path = tmp_path / "cameras.xml"
     numbers = {name: METASHAPE[name] for name in ("f", "k1", "k2", "k3", "p1", "p2")} | {"k4": -0.02}
     path.write_text(metashape(numbers, "fisheye"), encoding="utf-8")
-    pixels = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        angle, across = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
-        x, y = x / across * angle, y / across * angle
-        r2 = x * x + y * y
-        radial = 1 - 0.2 * r2 + 0.05 * r2**2 + 0.01 * r2**3 - 0.02 * r2**4
-        right = x * radial + 2e-3 * (r2 + 2 * x * x) - 2e-3 * x * y
-        down = y * radial - 1e-3 * (r2 + 2 * y * y) + 4e-3 * x * y
-        pixels.append([320 + 500 * right, 240 + 500 * down])
+    lens = -0.2, 0.05, -1e-3, 2e-3, 0.01, -0.02, 0.0, 0.0
+    pixels = bent("THIN_PRISM_FISHEYE", lens) * 500 + [320, 240]
     sees(read_cameras(path)[0].camera(), pixels)
 
 
@@ -694,8 +664,7 @@ def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
     path.write_text(meshroom(version))
     (frame,) = read_cameras(path)
     assert (frame.name, frame.image, frame.size) == ("/far/a.jpg", tmp_path / "a.jpg", (640, 480))
-    bent = bent_by_brown(*MESHROOM_LENS)
-    sees(frame.camera(), [[310 + 500 * right, 250 + 510 * down] for right, down in bent])
+    sees(frame.camera(), bent_by_brown(*MESHROOM_LENS) * [500, 510] + [310, 250])
 
 
 @pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 7), (1, 0, 0)])
@@ -719,9 +688,7 @@ def test_meshroom_views_of_a_rig_may_have_poses_of_their_own(tmp_path):
 def test_meshroom_cameras_may_be_fisheyes(tmp_path):
     path, lens = tmp_path / "cameras.sfm", [-0.2, 0.05, 0.01, -0.02]
     path.write_text(meshroom(kind="fisheye", numbers=lens))
-    seen = POINTS @ view(1)[:3, :3].T + view(1)[:3, 3]
-    bent = np.array([through("OPENCV_FISHEYE", lens, x / z, y / z) for x, y, z in seen])
-    sees(read_cameras(path)[0].camera(), bent * [500, 510] + [310, 250])
+    sees(read_cameras(path)[0].camera(), bent("OPENCV_FISHEYE", lens) * [500, 510] + [310, 250])
 
 
 # Bundler
@@ -744,14 +711,7 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
     frames = read_cameras(path)
     assert [frame.name for frame in frames] == ["photos/a b.jpg", "c.jpg"]
     assert frames[0].image == tmp_path / "photos" / "a b.jpg"
-    pixels = []
-    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ view(1)
-    for point in POINTS:
-        seen = matrix[:3, :3] @ point + matrix[:3, 3]
-        x, y = -seen[:2] / seen[2]
-        r2 = x * x + y * y
-        radial = 500 * (1 - 0.2 * r2 + 0.05 * r2**2)
-        pixels.append([320 + radial * x, 240 - radial * y])
+    pixels = bent("RADIAL", (-0.2, 0.05)) * 500 + [320, 240]
     for frame in frames:
         sees(frame.camera((640, 480)), pixels)
 
@@ -786,62 +746,6 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "is not a valid file name" in refusal("a\0b")
 
 
-@pytest.mark.parametrize(
-    "kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs", "sfm", "out"]
-)
-def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
-    path = {
-        "ours": tmp_path / "a.json",
-        "transforms": tmp_path / "transforms.json",
-        "gltf": tmp_path / "a.gltf",
-        "glb": tmp_path / "a.glb",
-        "xml": tmp_path / "a.xml",
-        "mvs": tmp_path / "a.mvs",
-        "sfm": tmp_path / "a.sfm",
-        "out": tmp_path / "a.out",
-        "text": tmp_path,
-        "binary": tmp_path,
-    }[kind]
-    if kind == "ours":
-        write_cameras(path, ours())
-    elif kind in ("text", "binary"):
-        (colmap_text if kind == "text" else colmap_binary)(path)
-    elif kind in ("xml", "mvs", "sfm", "out"):
-        texts = {"xml": metashape, "sfm": meshroom, "out": bundler}
-        path.write_bytes(texts[kind]().encode() if kind in texts else openmvs(7))
-    else:
-        path.write_bytes(
-            glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()
-        )
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    wholes = [file.read_bytes() for file in files]
-    random = np.random.default_rng(0)
-    refused = 0
-    for turn in range(300):
-        which = turn % len(files)
-        content = bytearray(wholes[which])
-        for _ in range(random.integers(1, 4)):
-            at = random.integers(len(content))
-            match random.integers(4):
-                case 0:
-                    content[at] = random.integers(256)
-                case 1:
-                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
-                case 2:
-                    del content[at : at + random.integers(1, 9)]
-                case 3:
-                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
-        files[which].write_bytes(content)
-        try:
-            for frame in read_cameras(path):
-                frame.camera(frame.size or (64, 48))
-        except CameraError:
-            refused += 1
-        files[which].write_bytes(wholes[which])
-    assert refused > 30
-    assert read_cameras(path)
-
-
 # What cannot be used
 
 
@@ -860,6 +764,11 @@ def arrays(**changes):
     file = BytesIO()
     np.savez(file, **{name: each for name, each in given.items() if each is not None})
     return file.getvalue()
+
+
+def as_bytes(content):
+    content = json.dumps(content) if isinstance(content, dict) else content
+    return content.encode() if isinstance(content, str) else content
 
 
 #: By the file's name: its content, and a part of what is said of it.
@@ -1029,13 +938,54 @@ CONTENT = {"transforms.json": transforms, "a.npz": arrays, "ours.json": own_file
 )
 def test_what_cannot_be_used_is_refused_by_file_and_field(tmp_path, name, content, complaint):
     path = tmp_path / name
-    content = CONTENT[name](**content) if name in CONTENT else content
-    if isinstance(content, dict):
-        content = json.dumps(content)
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    path.write_bytes(as_bytes(CONTENT[name](**content) if name in CONTENT else content))
     message = refusal(path)
     assert message.startswith(f"{path}: ")
     assert complaint in message
+
+
+#: Files of every kind, by their names, and folders of COLMAP.
+KINDS = {
+    "a.json": own_file, "transforms.json": transforms, "a.gltf": gltf, "a.glb": lambda: glb(gltf()),
+    "a.xml": metashape, "a.mvs": lambda: openmvs(7), "a.sfm": meshroom, "a.out": bundler,
+    "text": colmap_text, "binary": colmap_binary,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
+    path, make = tmp_path / kind, KINDS[kind]
+    if "." in kind:
+        path.write_bytes(as_bytes(make()))
+    else:
+        make(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    wholes = [file.read_bytes() for file in files]
+    random = np.random.default_rng(0)
+    refused = 0
+    for turn in range(300):
+        which = turn % len(files)
+        content = bytearray(wholes[which])
+        for _ in range(random.integers(1, 4)):
+            at = random.integers(len(content))
+            match random.integers(4):
+                case 0:
+                    content[at] = random.integers(256)
+                case 1:
+                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
+                case 2:
+                    del content[at : at + random.integers(1, 9)]
+                case 3:
+                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
+        files[which].write_bytes(content)
+        try:
+            for frame in read_cameras(path):
+                frame.camera(frame.size or (64, 48))
+        except CameraError:
+            refused += 1
+        files[which].write_bytes(wholes[which])
+    assert refused > 30
+    assert read_cameras(path)
 
 
 # Names

@@ -120,34 +120,6 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     assert refused(capsys, "edit", "a.glb", "b.octex") == message
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("info", "TEXTURE is missing"),
-        ("diff a.octex", "OTHER is missing"),
-        ("validate a b", "b is one file too many for octex validate TEXTURE"),
-        ("warm-up now", "now is one file too many for octex warm-up"),
-        ("edit a.octex b.octex --dpeth=3", "--dpeth is not an option: do you mean --depth"),
-        ("convert a.glb b.octex --qqq", "--qqq is not an option"),
-        (
-            "convert a.octex b.glb --uv keep",
-            "--uv is an option of octex bake, not of octex convert",
-        ),
-        (
-            "diff a.octex b.octex --depth 3",
-            "--depth is an option of octex convert, octex view, octex edit, not of octex diff",
-        ),
-        ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
-        ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
-    ],
-)
-def test_words_that_do_not_fit_are_named(
-    words: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = f"octex {words.split()[0]}"
-    assert refused(capsys, *words.split()) == f"{command}: error: {message}; see {command} --help"
-
-
 def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:
     for given, file, end in (
         ("a.glb", "b.glb", "baked onto its model: octex bake TEXTURE a.glb b.glb"),

@@ -935,10 +935,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
             "t.octex m.glb o.octex --camera c --max-depth 22",
             "--max-depth must be a whole number from 0 to 21, not 22",
         ),
-        (
-            "t.octex m.glb o.ply --camera c",
-            "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here",
-        ),
+        ("t.octex m.glb o.ply --camera c", "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here"),
     ],
 )
 def test_bad_usage_is_refused_by_name(
