@@ -21,12 +21,13 @@ from octex.channels import ALPHA, ONE
 from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable
 from octex.tree.octree import Octree, distinct
-from octex.tree.split import counts_of, rows_of
+from octex.tree.split import rows_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
@@ -68,8 +69,9 @@ class Change(NamedTuple):
         """
         here, before = texture, self.before
         is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
-        if is_like and self.tiles is not None:
-            here = cut_out(texture, self.tiles)
+        if self.tiles is not None:
+            is_like &= self.tiles.level <= texture.tree.max_depth
+            here = cut_out(texture, self.tiles) if is_like else here
         if not (is_like and all(map(np.array_equal, _arrays(here), _arrays(before)))):
             raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
@@ -108,38 +110,26 @@ def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Chan
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     """Return the tiles with the most light of channels that have more than 1: it limits averages."""
-    return _tiles_of(texture.tree, _brightest(texture), level)
-
-
-def _brightest(texture: OctreeTexture) -> Int64s:
-    """Return the cells with the most light of channels that have more than 1."""
-    found = []
-    split = texture.tree.split
+    tree, bright = texture.tree, []
     for channel in texture.channels.values():
-        for number, stored in enumerate((channel.values, channel.split_values)):
-            if channel.format.space not in ("srgb", "linear") or stored.dtype.kind != "f" or not stored.size:
-                continue
-            row = int(stored.argmax()) // stored.shape[1]
-            if stored[row].max() > 1:
-                ends = np.cumsum(counts_of(split.facings)) if number else None
-                found.append(row if ends is None else int(split.cells[np.searchsorted(ends, row, "right")]))
-    return np.array(found, np.int64)
-
-
-def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
-    """Return the tiles that hold cells; none for cells above them."""
-    if not cells.size:
-        return cells
+        if channel.format.space not in ("srgb", "linear") or not channel.format.dtype.startswith("float"):
+            continue
+        owners: tuple[Sequence[int] | Int64s, ...] = range(tree.n_cells), rows_of(tree.split).cells
+        for stored, cells in zip(channel[1:3], owners, strict=True):
+            row = int(stored.argmax()) // stored.shape[1] if stored.size else 0
+            if stored[row : row + 1].max(initial=0) > 1:
+                bright.append(int(cells[row]))
+    tiles = [np.empty(0, np.int64)]
+    if not bright:
+        return tiles[0]
     codes, is_node = tree.walked_to(level)
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
-    found = [codes[:0]]
     for deeper in range(level + 1, tree.max_depth + 1):
         firsts, begins = children_before(tree.arrays.groups, begins)
-        own = cells[
-            (cells >= tree.arrays.level_cells[deeper]) & (cells < tree.arrays.level_cells[deeper + 1])
-        ]
-        found.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
-    return np.concatenate(found)
+        first, end = tree.arrays.level_cells[deeper : deeper + 2]
+        own = [cell for cell in bright if first <= cell < end]
+        tiles.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
+    return np.concatenate(tiles)
 
 
 def coarsest_of(tree: Octree) -> int:
@@ -365,8 +355,7 @@ def put_together(
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
     """Give a texture a channel alpha: opaque."""
     tree = texture.tree
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in rows)
+    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in row_counts(tree))
     return texture.with_cells(tree, {**texture.channels, ALPHA.name: Channel(ALPHA, *opaque)})
 
 

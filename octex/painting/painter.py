@@ -97,7 +97,7 @@ class Painter:
     def fill(
         self,
         region: Region,
-        color: npt.ArrayLike,
+        color: npt.ArrayLike | str,
         *,
         channel: str = BASE_COLOR.name,
         opacity: float = 1.0,

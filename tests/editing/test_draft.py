@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 from unittest import mock
 
@@ -131,11 +132,9 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
             break
 
 
-@pytest.mark.parametrize(
-    ("seed", "blend"),
-    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
-)
-def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+@cache
+def layered(seed: int) -> tuple[OctreeTexture, OctreeTexture, octex.Surface, float]:
+    """A texture, a layer of three pictures for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
         shot = octex.Projection(
@@ -150,7 +149,16 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
         for _ in range(3)
     ]
     layer = octex.project(surface, shots, like=texture, max_depth=int(random.integers(depth, 9)))
-    how: dict[str, Any] = {"opacity": float(random.choice([1.0, 0.5])), "blend": blend}
+    return texture, layer, surface, float(random.choice([1.0, 0.5]))
+
+
+@pytest.mark.parametrize(
+    ("seed", "blend"),
+    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
+)
+def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+    texture, layer, surface, opacity = layered(seed)
+    how: dict[str, Any] = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
     with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
         assert tilewise.pieces_of(texture, layer) is not None

@@ -92,8 +92,9 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
     assert_same(sent.applied(texture), painter.texture())
     assert_same(sent.inverted().applied(painter.texture()), texture)
     (deeper,) = painter.paint(brush(surface, 100), max_depth=9)
-    with pytest.raises(ArgumentError, match="belongs to another texture"):
-        deeper.inverted().applied(texture)
+    for other in (texture, texture.level(2)):
+        with pytest.raises(ArgumentError, match="belongs to another texture"):
+            deeper.inverted().applied(other)
 
 
 @pytest.mark.parametrize("seed", range(4))
