@@ -219,7 +219,8 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
             inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
             inside_tiles = distinct(np.concatenate([codes[:0], *inside]))
             lists.append(inside_tiles[among(inside_tiles, codes)])
-        return _Piece(tiles, cut_out(made.texture, tiles), top.level(level), made.averages_rows, lists)
+        whole, top = cut_out(made.texture, tiles), cut_out(top.level(level), tiles)
+        return _Piece(tiles, whole, top, made.averages_rows, lists)
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with own_making():

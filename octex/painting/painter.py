@@ -37,7 +37,7 @@ class Painter:
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
         as_surface(surface)
         self._texture = as_texture(texture)
-        self._shared = texture  # what others have of it, which stays as it is; all else is written to
+        self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
         self._done: list[Stroke] = []
