@@ -241,6 +241,23 @@ def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
     return is_same and before.channels.keys() == after.channels.keys()
 
 
+def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
+    """Return the number in a texture of each cell of a draft of it; −1 for closed ones."""
+    tree = texture.tree
+    place = np.full(draft.tree.n_cells, -1, np.int64)
+    numbers = place[:0]
+    for level, (codes, is_node) in enumerate(islice(draft.tree.walk(), tiles.level + 1)):
+        where = locate(tree, codes, level)
+        here = slice(*draft.tree.arrays.level_cells[level : level + 2].tolist())
+        place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
+        numbers = where.nodes[is_node]
+    cells: list[Runs] = []
+    add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
+    below = np.concatenate([numbers[:0], *(own.numbers() for own in cells)])
+    place[place.size - below.size :] = below
+    return place
+
+
 def _overwritten(
     texture: OctreeTexture,
     tiles: Tiles,
@@ -253,17 +270,7 @@ def _overwritten(
     Those that ``shared`` does not have are written to.
     """
     tree, draft = texture.tree, after.tree
-    place = np.full(draft.n_cells, -1, np.int64)  # of the draft's cells in the texture; −1 for closed ones
-    numbers = place[:0]
-    for level, (codes, is_node) in enumerate(islice(draft.walk(), tiles.level + 1)):
-        where = locate(tree, codes, level)
-        here = slice(*draft.arrays.level_cells[level : level + 2].tolist())
-        place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
-        numbers = where.nodes[is_node]
-    cells: list[Runs] = []
-    add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
-    below = np.concatenate([numbers[:0], *(own.numbers() for own in cells)])
-    place[place.size - below.size :] = below
+    place = places_in(texture, tiles, after)
     sources = np.flatnonzero(place >= 0)
     places = [place]
     for count, rows in (draft.split.areas.size, _split_rows), (draft.kept.cells.size, _kept_rows):
