@@ -55,14 +55,13 @@ class RemoteFile:
         except Exception as error:
             raise self._failed(error) from error
         self.size, self._stamp = self._described()
-        has_stamp = len(self._stamp) > 1
+        if len(self._stamp) == 1:  # nobody would know whether the file has changed
+            cache = None
+        self._folder = cache or tempfile.gettempdir()
         try:
-            file, known = _made(cache if has_stamp else None, address, self._stamp, self.size)
+            file, known = _made(cache, address, self._stamp, self.size)
         except OSError as error:
-            raise OutputError(
-                f"{cache or tempfile.gettempdir()}: the cache for {address} cannot be written: "
-                f"{error.strerror or error}; make room or choose another folder"
-            ) from error
+            raise self._full(error) from error
         self._file, self._is_here = file, known
         self._checks_later, self._is_checked = False, True
         weakref.finalize(self, file.close)
@@ -137,10 +136,7 @@ class RemoteFile:
                 self._file.write(part)
             self._file.flush()
         except OSError as error:
-            raise OutputError(
-                f"{tempfile.gettempdir()}: the cache for {self.address} cannot be written: "
-                f"{error.strerror or error}; make room"
-            ) from error
+            raise self._full(error) from error
         for begin, end in runs.tolist():
             self._is_here[begin // BLOCK : -(-end // BLOCK)] = 1
 
@@ -164,6 +160,12 @@ class RemoteFile:
             self._is_here[:] = 0
             raise TextureFileError(f"{self.address}: changed after it was opened; open it again")
         self._is_checked = True
+
+    def _full(self, error: OSError) -> OutputError:
+        return OutputError(
+            f"{self._folder}: the cache for {self.address} cannot be written: {error.strerror or error}; "
+            "make room or choose another folder"
+        )
 
     def _failed(self, error: Exception) -> TextureFileError:
         what = str(error) or type(error).__name__

@@ -8,16 +8,13 @@ one for each channel. A stream is decoded with nothing but the levels above its 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Int64s, Uint8s, Uint32s, bit_counts
 from octex.container import without_duplicates
-from octex.files import open_file
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import no_kept, no_split
 
@@ -40,13 +37,6 @@ STRUCTURE, AREAS = "\0structure", "\0areas"
 TREE_NAMES = tuple(f"tree/{name}" for name in TreeArrays._fields)
 SPLIT_NAMES = tuple(f"split/{name}" for name in SplitTable._fields)
 KEPT_NAME = "kept/cells"
-
-
-def is_archive(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file begins as an archive does."""
-    with suppress(OSError), open_file(path) as file:
-        return file.read(len(MAGIC)) == MAGIC
-    return False
 
 
 class DamagedError(Exception):

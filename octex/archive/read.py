@@ -8,6 +8,7 @@ import mmap
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
@@ -92,26 +93,32 @@ class _Stream(NamedTuple):
 _Part = tuple[Block, dict[str, _Stream]]
 
 
+@contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Raise TextureFileError, which names a file, for one that cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise TextureFileError(f"{place}: cannot be read: {error.strerror or error}") from error
+    except (MemoryError, OverflowError):
+        raise TextureFileError(f"{place}: does not fit into memory") from None
+    except (DamagedError, ArgumentError) as error:
+        raise TextureFileError(f"{place}: {error}") from error
+
+
 def read(path: str | os.PathLike[str]) -> Contents:
     """Decode an archive into memory, or where it is large into a temporary file that is mapped.
 
     Every stream is checked by its checksum, and every count. Raises TextureFileError for a file that is
     missing, damaged, no archive, or of another version.
     """
-    try:
-        with open_file(path) as file:
-            if os.fstat(file.fileno()).st_size < START:
-                raise DamagedError(_TRUNCATED)
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                decoding = Decoding(content)
-                decoding.decode_all()
-                return decoding.contents
-    except OSError as error:
-        raise TextureFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (MemoryError, OverflowError):
-        raise TextureFileError(f"{path}: does not fit into memory") from None
-    except (DamagedError, ArgumentError) as error:
-        raise TextureFileError(f"{path}: {error}") from error
+    with naming(path), open_file(path) as file:
+        if os.fstat(file.fileno()).st_size < START:
+            raise DamagedError(_TRUNCATED)
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            decoding = Decoding(content)
+            decoding.decode_all()
+            return decoding.contents
 
 
 class Decoding:

@@ -301,7 +301,6 @@ class Camera:
         normals = as_points(normals, "normals").astype(np.float64, copy=False)
         if len(points) != len(normals):
             raise ArgumentError(f"there are {len(normals)} normals for {len(points)} points")
-        points, normals = np.ascontiguousarray(points), np.ascontiguousarray(normals)
         right, down = np.empty((2, len(points), 3))
         differentials(self.eye, self.projection == "pinhole", points, normals, right, down)
         return right, down

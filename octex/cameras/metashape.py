@@ -103,7 +103,7 @@ def _optics(sensor: Element) -> Optics:
         if record.number(field, 0.0):
             raise BrokenError(f"{field} must be zero: octex has no such number; undistort the photos")
     K = np.array([[focal + b1, b2, width / 2 + cx], [0.0, focal, height / 2 + cy], [0.0, 0.0, 1.0]])
-    numbers = [record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4")]
     # Metashape's p1 goes with x², which is OpenCV's second.
+    numbers = [record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4")]
     model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
     return Optics(size, K, distortion_of(model, "k1 k2 p1 p2 k3 k4", numbers), model)

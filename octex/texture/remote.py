@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from octex import container
-from octex.archive.layout import AREAS, KEPT_NAME, MAGIC, SPLIT_NAMES, TREE_NAMES, DamagedError, known_names
-from octex.archive.read import Decoding
+from octex.archive.layout import AREAS, KEPT_NAME, MAGIC, SPLIT_NAMES, TREE_NAMES, known_names
+from octex.archive.read import Decoding, naming
 from octex.arrays import Array, Int64s
-from octex.errors import ArgumentError, TextureFileError
 from octex.field.tiles import can_be_tiled
 from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
@@ -331,13 +330,8 @@ class Archive:
 
     @contextmanager
     def _decoded(self) -> Iterator[None]:
-        with self._lock:
-            try:
-                yield
-            except (DamagedError, ArgumentError) as error:
-                raise TextureFileError(f"{self._remote.address}: {error}") from error
-            except (MemoryError, OverflowError):
-                raise TextureFileError(f"{self._remote.address}: does not fit into memory") from None
+        with self._lock, naming(self._remote.address):
+            yield
 
 
 #: A file elsewhere.

@@ -321,6 +321,21 @@ def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(
         local.sample(points, [0, 1, 0, 1, 1])
 
 
+def test_a_full_disk_under_a_cache_names_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def seek(self, _begin: int) -> None:
+            raise OSError(28, "No space left on device")
+
+    shell(5).save(tmp_path / "a.octex")
+    fsspec.filesystem("memory").pipe("/octex/full.octex", (tmp_path / "a.octex").read_bytes())
+    there = octex.open("memory://octex/full.octex", cache=tmp_path / "cache")
+    monkeypatch.setattr(there.source.file, "_file", Full())
+    with pytest.raises(
+        OutputError, match=rf"^{re.escape(str(tmp_path / 'cache'))}: the cache for memory://octex"
+    ):
+        there.rows()
+
+
 def test_a_full_disk_under_an_archive_names_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
