@@ -46,8 +46,7 @@ def bake(options: Options, program: str) -> int:
     images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
-    from octex.formats.models import check_extra
-    from octex.formats.shared import materials_of
+    from octex.formats.models import check_extra, materials_of
 
     check_extra(options.OUTPUT)
     with Reporter(program, options.quiet) as progress:
