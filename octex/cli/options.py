@@ -99,6 +99,8 @@ _TABLE = """
 
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)
+--paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
+--recover             paint again what a session did not save
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
 
@@ -121,7 +123,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.dtypes: "--dtype",
     v.file_size: "--memory --max-size",
     v.file_here: "--rest --also --transfer --since --reference --original",
-    v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer",
+    v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer --paint",
     v.texture_file: "--combine",
     v.file_and_amount: "--mix",
     v.subdivision: "--subdiv",
@@ -183,10 +185,11 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
 view  Show a texture in the browser, until you close the page; or write the page.
   > droid.octex droid.glb
   > droid.octex droid.glb droid.html --max-size 20MB
+  > droid.octex droid.glb --paint painted.octex
   [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
   [MODEL]  its model; without it, the page shows the cells
   [PAGE]   NAME.html: write the page, which opens offline
-  --depth --part --max-size --port --no-browser SHAPE RUNNING
+  --depth --part --max-size --paint --recover --port --no-browser SHAPE RUNNING
 
 draw  Draw a texture, a model or both: side by side, one view, or how they differ.
   > droid.octex droid.glb droid.png --light studio

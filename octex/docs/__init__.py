@@ -11,7 +11,9 @@ from octex.errors import ArgumentError
 #: The names of all pages by group, in the order in which a reader may want them.
 GROUPS = {
     "start": "tutorial concepts",
-    "tasks": "convert page render no-uvs paint-view paint-python photographs bake print arrays",
+    "tasks": (
+        "convert page render no-uvs paint-browser paint-view paint-python photographs bake print arrays"
+    ),
     "reference": (
         "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "
         "processing baking ptex files large remote"

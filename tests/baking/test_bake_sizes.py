@@ -36,6 +36,12 @@ def droid() -> tuple[octex.OctreeTexture, Surface]:
     return octex.convert(surface, 8, channels=["base_color"]), surface
 
 
+@pytest.fixture(scope="module")
+def fine_droid(droid: tuple[octex.OctreeTexture, Surface]) -> octex.OctreeTexture:
+    """The droid at a depth of which less than a hundredth of the texels overlap."""
+    return octex.convert(droid[1], 9, channels=["base_color"])
+
+
 def sizes_of(baked: Surface) -> list[int]:
     """Return the sizes of the base colours' maps."""
     assert isinstance(baked.source, MaterialSource)
@@ -59,11 +65,10 @@ def test_all_charts_of_the_droid_have_room_in_small_maps(
 
 @pytest.mark.parametrize("size", [64, 128, 512, None])
 def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
-    droid: tuple[octex.OctreeTexture, Surface], size: int | None
+    droid: tuple[octex.OctreeTexture, Surface], fine_droid: octex.OctreeTexture, size: int | None
 ) -> None:
     _, surface = droid
-    texture = octex.convert(surface, 9, channels=["base_color"])  # at 8 a hundredth of its texels overlap
-    kept = octex.bake(texture, surface, texture_size=size)
+    kept = octex.bake(fine_droid, surface, texture_size=size)
     assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
     assert kept.uv is not None

@@ -427,6 +427,7 @@ def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
     np.testing.assert_allclose(other, sampled, atol=1e-6)
 
 
+@pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("balance", [None, "gain", "full"])
 def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -> None:
     surface, random = ball(12), np.random.default_rng(4)
@@ -437,7 +438,8 @@ def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -
         pictures.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
     first = octex.paint(None, surface, pictures, max_depth=7, balance=balance)
     assert first.tree.n_leaves > 10_000
-    for order in list(permutations(pictures))[1:]:
+    orders = [*permutations(pictures)][1:]
+    for order in orders if balance is None else (orders[2], orders[4]):  # turned round, and backwards
         other = octex.paint(None, surface, order, max_depth=7, balance=balance)
         assert np.array_equal(other.tree.arrays.flags, first.tree.arrays.flags)
         for name, channel in first.channels.items():
