@@ -62,10 +62,21 @@ def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, fir
     centroids, cut = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
     _mark_cut(corners, edges, first, cut)
     _fill(corners, first, cut, triangles, areas, centroids)
-    _find_owners(corners, first, cut, triangles, areas)
-    _find_centroids(corners, charts, first, cut, triangles, areas, centroids)
-    _find_triangles(corners, charts, first, cut, triangles, centroids)
+    room = _Pieces(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3)))
+    count = _list_pieces(corners, first, cut, room)
+    pieces = _Pieces(np.empty(count, np.int64), np.empty(count, np.int32), np.zeros((count, 3)))
+    _list_pieces(corners, first, cut, pieces)
+    flat = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
+    _settle(corners, charts, first, width, pieces, *flat)
     return Texels(triangles, centroids, areas)
+
+
+class _Pieces(NamedTuple):
+    """Triangles in texels that edges of charts cut, and in some that they only come near."""
+
+    texels: Int64s  # (n,)   counted row by row
+    triangles: Int32s  # (n,)
+    covered: Float64s  # (n, 3)   the area, and that times its centroid relative to the texel
 
 
 @inlined
@@ -225,53 +236,26 @@ def _covered(
 
 
 @kernel
-def _find_owners(corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s) -> None:
-    """Write the triangle that covers most of each ``cut`` texel, and how much."""
+def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> int:
+    """Write the pieces of triangles in ``cut`` texels, as far as there is room; return how many there are."""
     one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
+    count, room = 0, pieces.texels.size
     for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
-        for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
-            for column in range(low, high):
-                if not cut[row - first, column] or not _meets(lines, column, row):
-                    continue
-                area, _, _ = _covered(corners, triangle, column, row, one, two)
-                if area > np.float64(areas[row - first, column]) and area > _LEAST:
-                    areas[row - first, column] = area
-                    triangles[row - first, column] = triangle
-
-
-@kernel
-def _find_centroids(
-    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, areas: Float32s,
-    centroids: Float32s,
-) -> None:  # fmt: skip
-    """Write how much of each ``cut`` texel the chart of its triangle covers, and the centroid of that."""
-    one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
-    for row in range(areas.shape[0]):
-        for column in range(areas.shape[1]):
-            if cut[row, column]:
-                areas[row, column] = 0.0
-    for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
+        top, bottom, left, right = _enter(corners, triangle, first, cut.shape, lines)
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
                 if not cut[row - first, column]:
                     continue
-                owner = triangles[row - first, column]
-                if owner >= 0 and charts[owner] == charts[triangle] and _meets(lines, column, row):
-                    area, x, y = _covered(corners, triangle, column, row, one, two)
-                    areas[row - first, column] += np.float32(area)
-                    centroids[row - first, column, 0] += np.float32(x)
-                    centroids[row - first, column, 1] += np.float32(y)
-    for row in range(areas.shape[0]):
-        for column in range(areas.shape[1]):
-            if cut[row, column] and areas[row, column] > 0.0:
-                for axis in range(2):
-                    middle = centroids[row, column, axis] / areas[row, column]
-                    centroids[row, column, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
-                areas[row, column] = min(areas[row, column], np.float32(1.0))
+                if count < room:
+                    pieces.texels[count] = (row - first) * cut.shape[1] + column
+                    pieces.triangles[count] = triangle
+                    if _meets(lines, column, row):
+                        area, x, y = _covered(corners, triangle, column, row, one, two)
+                        covered = pieces.covered[count]
+                        covered[0], covered[1], covered[2] = area, x, y
+                count += 1
+    return count
 
 
 @inlined
@@ -301,38 +285,49 @@ def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Fl
 
 
 @kernel
-def _find_triangles(
-    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, centroids: Float32s
-) -> None:
-    """Write the triangle of its chart that each ``cut`` texel's centroid lies on, or comes nearest to."""
-    nearest = np.full(triangles.shape, np.inf, np.float32)
-    lines = np.empty((3, 3))
-    for row in range(triangles.shape[0]):
-        for column in range(triangles.shape[1]):
-            if triangles[row, column] >= 0 and cut[row, column]:
-                x, y = (
-                    column + np.float64(centroids[row, column, 0]),
-                    first + row + np.float64(centroids[row, column, 1]),
-                )
-                p, q, r = _barycentric(corners, int(triangles[row, column]), x, y)
-                nearest[row, column] = min(p, min(q, r))
-    for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
-        for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
-            for column in range(low, high):
-                if nearest[row - first, column] >= 0.0:
-                    continue
-                owner = triangles[row - first, column]
-                if charts[owner] != charts[triangle]:
-                    continue
-                x = column + np.float64(centroids[row - first, column, 0])
-                y = row + np.float64(centroids[row - first, column, 1])
-                p, q, r = _barycentric(corners, triangle, x, y)
-                inside = min(p, min(q, r))
-                if inside > np.float64(nearest[row - first, column]):
-                    nearest[row - first, column] = inside
-                    triangles[row - first, column] = triangle
+def _settle(
+    corners: Float64s, charts: Int32s, first: int, width: int, pieces: _Pieces, cut: Bools,
+    triangles: Int32s, areas: Float32s, centroids: Float32s,
+) -> None:  # fmt: skip
+    """Write what ``cut`` texels show of the chart whose triangle covers most, and how much of that."""
+    at, of, covered = pieces
+    for n in range(at.size):
+        if covered[n, 0] > max(np.float64(areas[at[n]]), _LEAST):
+            areas[at[n]], triangles[at[n]] = covered[n, 0], of[n]
+    for texel in range(cut.size):
+        if cut[texel]:
+            areas[texel] = 0.0
+    for n in range(at.size):
+        owner = triangles[at[n]]
+        if owner >= 0 and charts[owner] == charts[of[n]]:
+            areas[at[n]] += np.float32(covered[n, 0])
+            centroids[at[n], 0] += np.float32(covered[n, 1])
+            centroids[at[n], 1] += np.float32(covered[n, 2])
+    nearest = np.full(cut.size, np.inf, np.float32)
+    for texel in range(cut.size):
+        if cut[texel] and triangles[texel] >= 0:
+            for axis in range(2):
+                middle = centroids[texel, axis] / areas[texel]
+                centroids[texel, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
+            areas[texel] = min(areas[texel], np.float32(1.0))
+            nearest[texel] = _inside(corners, int(triangles[texel]), first, width, texel, centroids)
+    # The triangle of the chart that lies at the centroid, or comes nearest.
+    for n in range(at.size):
+        texel = at[n]
+        if nearest[texel] < 0.0 and charts[triangles[texel]] == charts[of[n]]:
+            inside = _inside(corners, int(of[n]), first, width, texel, centroids)
+            if inside > np.float64(nearest[texel]):
+                nearest[texel], triangles[texel] = inside, of[n]
+
+
+@inlined
+def _inside(
+    corners: Float64s, triangle: int, first: int, width: int, texel: int, centroids: Float32s
+) -> float:
+    """Return the least barycentric coordinate of a texel's centroid on a triangle."""
+    x, y = np.float64(centroids[texel, 0]), np.float64(centroids[texel, 1])
+    p, q, r = _barycentric(corners, triangle, texel % width + x, first + texel // width + y)
+    return min(p, min(q, r))
 
 
 class Shown(NamedTuple):

@@ -79,24 +79,6 @@ class FunctionName(NamedTuple):
 Source = Path | FunctionName | float | tuple[float, ...] | str
 
 
-class Projected(NamedTuple):
-    """How --project lays images on a surface."""
-
-    kind: str
-    axis: str = "z"
-    center: tuple[float, ...] | None = None
-    size: float | tuple[float, ...] | None = None
-
-
-class Disc(NamedTuple):
-    """A disc of the surface that --unwrap lays flat."""
-
-    center: tuple[float, ...]
-    radius: float
-    up: tuple[float, ...] | None
-    conformal: bool
-
-
 def is_texture_name(text: str) -> bool:
     """Tell whether a word of the command line names a texture: a file, an address or a folder of parts."""
     return is_address(text) or _is_texture(text) or Path(text).is_dir()
@@ -268,11 +250,11 @@ def source(text: str) -> tuple[str, Source]:
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
-def projected(text: str) -> Projected:
-    """Read KIND[:axis=A][:center=X,Y,Z][:size=S]."""
+def projected(text: str) -> dict[str, Any]:
+    """Read KIND[:axis=A][:center=X,Y,Z][:size=S], as octex.MappedImage takes it."""
     kind, *settings = text.split(":")
     readers: dict[str, Callable[[str], Any]] = {"axis": one_of(*AXES), "center": position, "size": sizes}
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
@@ -283,10 +265,9 @@ def projected(text: str) -> Projected:
             found[name] = readers[name](value)
         except ArgumentError as error:
             raise ArgumentError(f"{name}: {error}") from None
-    made = Projected(one_of(*PROJECTIONS)(kind), **found)
-    if made.kind == "spherical" and made.size is not None:
+    if kind == "spherical" and "size" in found:
         raise ArgumentError("a spherical projection has no size: one copy of the image goes around")
-    return made
+    return found
 
 
 def mask(text: str) -> Path | str | tuple[int, int, int]:
@@ -361,16 +342,19 @@ def direction(text: str) -> tuple[float, ...]:
     return numbers
 
 
-def disc(text: str) -> Disc:
-    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z]."""
+def disc(text: str) -> dict[str, Any]:
+    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z], as octex.unwrap takes it."""
     sphere, *settings = text.split(":")
-    numbers, up = _sphere(sphere), None
+    numbers = _sphere(sphere)
+    found: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
     for setting in settings:
         if setting.startswith("up="):
-            up = direction(setting.removeprefix("up="))
-        elif setting != "conformal":
+            found["up"] = direction(setting.removeprefix("up="))
+        elif setting == "conformal":
+            found["method"] = setting
+        else:
             raise ArgumentError(f"{setting!r} is neither conformal nor up=X,Y,Z")
-    return Disc(numbers[:3], numbers[3], up, "conformal" in settings)
+    return found
 
 
 def file_and_amount(text: str) -> tuple[Path | Address, float]:

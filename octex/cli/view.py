@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,7 +25,6 @@ _DEPTH = 9
 
 def view(options: Options, program: str) -> int:
     """Run octex view."""
-    began = time.perf_counter()
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     is_set = path is not None and path.is_dir()
     _check(options, is_set)
@@ -88,7 +86,7 @@ def view(options: Options, program: str) -> int:
         if viewer.session is not None and (unsaved := viewer.session.close()):
             say(unsaved)
         return ExitCode.DONE
-    return tell_file(options, began, "", {"notes": notes}, *notes, path=page)
+    return tell_file(options, "", {"notes": notes}, *notes, path=page)
 
 
 def _reader(

@@ -262,7 +262,7 @@ def test_options_given_twice_may_stand_anywhere() -> None:
 def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
     options = parsed("--grid", "-1,0,0,1,1,1,0.1", "a.octex", "--project", "box:axis=-y", "--", "-b.octex")
     assert options.grid == (-1, 0, 0, 1, 1, 1, 0.1)
-    assert options.project.axis == "-y"
+    assert options.project == {"kind": "box", "axis": "-y"}
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
 
 

@@ -16,7 +16,7 @@ from octex.baking.gutters import find_nearest
 from octex.baking.layout import Layout, charts_of, neighbors
 from octex.baking.texels import draw_texels
 from octex.channels import CHANNELS, linear_to_srgb, srgb_to_linear
-from octex.formats.shared import materials_of
+from octex.formats.models import materials_of
 
 Floats = npt.NDArray[np.float64]
 
