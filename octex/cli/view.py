@@ -13,7 +13,7 @@ import octex
 from octex.cli.common import Reporter, check_outputs, say, tell_file
 from octex.cli.inputs import kind_of, number_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
-from octex.cli.values import PAGE_ENDING
+from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS
 from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
@@ -51,9 +51,26 @@ def view(options: Options, program: str) -> int:
             from octex.viewer import Viewer
             from octex.viewer.key import user_key
 
+            session = None
+            if options.paint is not None:
+                from octex.viewer.session import Session
+
+                texture = read()
+                assert surface is not None and not isinstance(texture, octex.TextureSet)
+                session = Session(texture, surface, options.paint, recover=options.recover)
+                if session.repeated:
+                    what = "command is" if session.repeated == 1 else "commands are"
+                    progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
             port, key = options.port or 0, user_key()
             viewer = Viewer(
-                read, path or model, surface, motion=motion, port=port, key=key, log=progress.note
+                read,
+                path or model,
+                surface,
+                motion=motion,
+                session=session,
+                port=port,
+                key=key,
+                log=progress.note,
             )
         else:
             from octex.viewer import write_page
@@ -68,6 +85,8 @@ def view(options: Options, program: str) -> int:
             webbrowser.open(viewer.url)
         with suppress(KeyboardInterrupt):
             viewer.run()
+        if viewer.session is not None and (unsaved := viewer.session.close()):
+            say(unsaved)
         return ExitCode.DONE
     return tell_file(options, began, "", {"notes": notes}, *notes, path=page)
 
@@ -99,6 +118,8 @@ def _check(options: Options, is_set: bool) -> None:
     """Refuse files and options that make no sense together."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
+        if page is not None and page.exists():
+            raise ArgumentError(f"{page}: is a page already; open it in a browser")
         raise ArgumentError("TEXTURE is missing; see octex view --help")
     if path is None and kind_of(model) != "model":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
@@ -106,14 +127,32 @@ def _check(options: Options, is_set: bool) -> None:
         refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
+    if options.paint is not None:
+        _check_painting(options, is_set)
+    else:
+        refuse(options, ["--recover"], "needs --paint")
     if model is None:
         refuse(options, ["--rest", "--pose", "--subdiv"], "needs a MODEL")
     if page is None:
-        refuse(options, ["--max-size", "--force", "--json"], f"is for pages, NAME{PAGE_ENDING}")
+        refuse(options, ["--max-size", "--json"], f"is for pages, NAME{PAGE_ENDING}")
+        if options.paint is None:
+            refuse(options, ["--force"], f"is for pages, NAME{PAGE_ENDING}, and --paint")
     else:
-        refuse(options, ["--port", "--no-browser"], "cannot be used when a page is written")
+        refuse(options, ["--port", "--no-browser", "--paint"], "cannot be used when a page is written")
         inputs = path, model, options.rest
         check_outputs([(page, (PAGE_ENDING,), "PAGE")], inputs, force=options.force)
+
+
+def _check_painting(options: Options, is_set: bool) -> None:
+    """Refuse what cannot be painted in a page."""
+    if options.MODEL is None:
+        raise ArgumentError("--paint needs a MODEL")
+    if is_set:
+        raise ArgumentError(f"--paint: {options.TEXTURE} is a folder; open the texture of one part")
+    inputs = options.TEXTURE, options.MODEL, options.rest
+    # What is recovered may have been saved before.
+    is_forced = options.force or options.recover
+    check_outputs([(options.paint, TEXTURE_ENDINGS, "--paint")], inputs, force=is_forced)
 
 
 def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:
