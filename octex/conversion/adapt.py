@@ -167,24 +167,25 @@ class _Merger:
         if not candidates.any():
             return
         means = means.level(level)
-        # What is small, finer levels have seen: one of the finest cells in each child will do.
-        chosen = np.zeros(depths.size, np.bool_)
-        chosen[finest.first(level + 1)] = True
-        cells = np.flatnonzero(chosen & finest.spread(level, candidates))
-        far = np.zeros(depths.size, np.bool_)
-        far[cells] = self._far(cells, self._sampled(means, cells))
-        merges = candidates & ~np.logical_or.reduceat(far, firsts)
         own = [
             decode(means.channels[form.name].values[-firsts.size :], form.space)
             for form in self._samples.channels
         ]
-        nodes = np.repeat(
-            np.arange(firsts.size), np.diff(self._samples.firsts[np.append(firsts, depths.size)])
-        )
+
+        def are_near(cells: Int64s, found: Float32s) -> Bools:
+            far = np.zeros(depths.size, np.bool_)
+            far[cells] = self._far(cells, found)
+            return ~np.logical_or.reduceat(far, firsts)
+
+        # What is small, finer levels have seen: one of the finest cells in each child will do.
+        chosen = np.zeros(depths.size, np.bool_)
+        chosen[finest.first(level + 1)] = True
+        cells = np.flatnonzero(chosen & finest.spread(level, candidates))
+        merges = candidates & are_near(cells, self._sampled(means, cells))
         cells = np.flatnonzero(finest.spread(level, candidates & ~merges))
-        far[:] = False
-        far[cells] = self._far(cells, np.concatenate(own, axis=1)[nodes[self._samples.rows(cells)]])
-        merges |= candidates & ~np.logical_or.reduceat(far, firsts)
+        nodes = np.searchsorted(firsts, cells, side="right") - 1
+        counts = np.diff(self._samples.firsts)[cells]
+        merges |= candidates & are_near(cells, np.repeat(np.concatenate(own, axis=1)[nodes], counts, axis=0))
         depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:

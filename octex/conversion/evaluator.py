@@ -24,7 +24,7 @@ Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
 _PLACES = 27
 _LEVELS = MAX_DEPTH + 1
-_NO_KEPT = np.empty(0, np.uint32)
+NO_KEPT = np.empty(0, np.uint32)
 _ZERO = np.float32(0)
 #: For kinds of cells, a bit for each of the 2⁶ sets of facings: split cells have that of the empty set.
 SPLIT_KIND = np.uint64(1)
@@ -69,7 +69,7 @@ def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int,
     Those of each second field from ``which`` on belong to the walk.
     """
     walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
-    level = follow(field.arrays, _NO_KEPT, walk, i, j, k, QUADRATIC, 2)
+    level = follow(field.arrays, NO_KEPT, walk, i, j, k, QUADRATIC, 2)
     for changed in range(walk.previous[5] + 1, level + 1):
         for each in range(which, windows.known.shape[0], 2):
             windows.known[each, changed] = False

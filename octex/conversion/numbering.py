@@ -196,7 +196,7 @@ def number(
             weight = np.float32(np.float64(taps.weights[tap]) * inverse)
             if not weight > np.float32(0):
                 continue
-            row = int(taps.rows[tap])
+            row = int(np.int64(taps.rows[tap]))
             rank = row - leaves.offset
             if leaves.ranks.size > 0:
                 rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
