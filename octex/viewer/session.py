@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import queue
 import re
@@ -86,6 +87,7 @@ class Session:
     def __init__(
         self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
     ) -> None:
+        texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
         self._painter = Painter(texture, surface)
         self._surface = surface.placed_in(texture)
         self._output = output
@@ -95,7 +97,8 @@ class Session:
         self._baked: dict[str, int] = {}  # and that is done
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._is_saved, self._fault, self._is_ending = True, "", False
+        self._fault, self._is_ending = "", False
+        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
         self._changes: tuple[Change, ...] = ()  # of the command that is done
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
@@ -107,7 +110,8 @@ class Session:
                 if command.kind != "save":
                     self._do(command)
                     self.repeated += 1
-        self._is_saved = not self._numbers
+        if self.repeated:
+            self._saved = None  # what was saved of them is not known
         self.shown = self._shown()
         self._worker = threading.Thread(target=self._work, args=(texture, surface), daemon=True)
         self._worker.start()
@@ -130,7 +134,6 @@ class Session:
                 raise ArgumentError("too many pages have painted; start octex view again")
             self._journal.append(body)
             self._numbers[command.page] = command.number
-            self._is_saved = False
             self._queue.put(command)
         return command.number
 
@@ -143,7 +146,7 @@ class Session:
         self._is_ending = True
         self._queue.put(None)
         self._worker.join()
-        steps, is_saved = len(self._steps), self._is_saved
+        steps, is_saved = len(self._steps), self._is_saved and self._numbers == self._baked
         self._journal.close(remove=is_saved)
         if is_saved:
             return ""
@@ -152,6 +155,10 @@ class Session:
             f"{steps} painted {what} not saved: the same command with --recover paints {again} again, "
             f"from {self._journal.path}"
         )
+
+    @property
+    def _is_saved(self) -> bool:
+        return self._painter.strokes == self._saved
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -249,10 +256,9 @@ class Session:
         )
         self._steps.append(step)
 
-    def _do_save(self, command: Command) -> None:
+    def _do_save(self, command: Command) -> None:  # noqa: ARG002
         self._painter.texture().save(self._output)
-        with self._lock:
-            self._is_saved = self._numbers[command.page] == command.number and self._queue.empty()
+        self._saved = self._painter.strokes
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

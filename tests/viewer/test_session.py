@@ -163,6 +163,20 @@ def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name: str,
     assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
+def test_what_is_undone_needs_no_saving(tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octex")
+    said = []
+    for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
+        session.take(body)
+        session.wait()
+        said.append(session.shown.told["isSaved"])
+    assert said == [False, True, False, True, False]
+    session.take(plain("redo", 6))
+    session.wait()
+    assert session.close() == ""
+    assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
+
+
 def test_a_save_that_fails_is_told_and_changes_nothing(session: Session, tmp_path: Path) -> None:
     session.take(stroke(1))
     (tmp_path / "out.octex").mkdir()
@@ -213,6 +227,49 @@ def test_after_a_crash_the_same_session_is_painted_again(tmp_path: Path) -> None
     again = Session(texture, surface, output, recover=True)
     assert again.shown.told["done"] == 3
     again.close()
+
+
+#: Paints until it is killed, and says what it has taken.
+_KILLED = """
+import sys; sys.path.insert(0, '.')
+from pathlib import Path
+from tests.viewer.test_session import *
+session = Session(*canvas(), Path(sys.argv[1]))
+for number in range(1, 10**6):
+    print(session.take(stroke(number)) if number % 4 else session.take(plain('undo', number)), flush=True)
+    if number % 8 == 0:
+        session.wait()
+"""
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_KILLS", "2"))))
+def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_path: Path) -> None:
+    random, output = np.random.default_rng(seed), tmp_path / "out.octex"
+    words = [sys.executable, "-c", _KILLED, str(output)]
+    root = Path(octex.__file__).parents[1]
+    taken = 0
+    with subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        killer = threading.Timer(60.0, process.kill)
+        for line in process.stdout:
+            if not taken:
+                killer.cancel()
+                killer = threading.Timer(random.uniform(0.0, 1.0), process.kill)
+                killer.start()
+            taken = int(line)
+        killer.join()
+    assert taken
+    texture, surface = canvas()
+    session = Session(texture, surface, output, recover=True)
+    assert session.repeated in (taken, taken + 1)  # the last one may not have been said
+    painter = octex.Painter(texture, surface)
+    for number in range(1, session.repeated + 1):
+        if number % 4:
+            painted(painter, number)
+        else:
+            painter.undo()
+    assert_same(session.shown.texture, painter.texture())
+    session.close()
 
 
 def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path) -> None:

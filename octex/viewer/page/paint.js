@@ -12,7 +12,7 @@ const ICONS = {
   redo: "m16 5 5.5 5.5L16 16v-4h-5.5a3.8 3.8 0 0 0 0 7.5H15V22h-4.5a6.2 6.2 0 0 1 0-12.5H16z",
   save: "M4 3h12l5 5v13H3V4a1 1 0 0 1 1-1zm3 2v5h8V5zm5 8a3 3 0 1 0 0 6 3 3 0 0 0 0-6z",
   swap: "M8 3 3 8l5 5V9.2h7V6.8H8zm8 8v3.8H9v2.4h7V21l5-5z",
-  theme: "M12 3a9 9 0 1 0 0 18zm0 0a9 9 0 0 1 0 18",
+  theme: "M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20zm0 2.4v15.2a7.6 7.6 0 0 1 0-15.2z",
 };
 const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
