@@ -19,12 +19,12 @@ import numpy as np
 
 from octex.arrays import Array, Int32s
 from octex.cameras.camera import Camera
-from octex.channels import decode
+from octex.channels import BASE_COLOR, decode
 from octex.checks import as_number, as_reals, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
 from octex.nearest.triangles import Triangles
-from octex.painting.options import DRAWN_ANGLE, PaintOptions
+from octex.painting.options import DRAWN_ANGLE, PaintOptions, format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.surface import Surface
@@ -81,12 +81,13 @@ class Session:
     ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
     ``changed`` is called after each.
     Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
-    repeated first. Raises what `Painter` raises.
+    repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
         self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
     ) -> None:
+        format_of(texture, BASE_COLOR.name)
         texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
         self._painter = Painter(texture, surface)
         self._surface = surface.placed_in(texture)

@@ -183,6 +183,20 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio) 
 
 
 @needs_jit
+def test_nothing_is_painted_that_is_not_seen(studio: Studio) -> None:
+    page = studio.page()
+    for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
+        page.evaluate(look)
+        studio.drag(page, (0, 0), (10, 0))
+        assert "to paint" in page.locator("#paint-note").inner_text()
+        page.evaluate("viewer.look.cubes = false; viewer.look.shown = 'lit'")
+    studio.drag(page, (0, 0), (10, 0))
+    studio.is_done(page, 1)
+    assert page.locator("#paint-note").inner_text() == ""
+    page.close()
+
+
+@needs_jit
 def test_keys_and_the_picker_set_the_brush(studio: Studio) -> None:
     page = studio.page()
     brush = "viewer.painting.brush"

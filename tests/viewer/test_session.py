@@ -272,6 +272,14 @@ def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_
     session.close()
 
 
+def test_a_texture_without_base_color_is_refused(tmp_path: Path) -> None:
+    surface = ball(12)
+    rough = octex.convert(surface.with_sources({"roughness": 0.5}).with_channels(["roughness"]), depth=3)
+    with pytest.raises(ArgumentError, match="base_color"):
+        Session(rough, surface, tmp_path / "out.octex")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path) -> None:
     if os.name != "posix":
         pytest.skip("files are locked on POSIX systems")

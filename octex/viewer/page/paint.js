@@ -57,6 +57,7 @@ class Painting {
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
     this.pen = null; // which pointer draws, and where it was
+    this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
   }
 
@@ -182,6 +183,14 @@ class Painting {
     return this.isOnModel;
   }
 
+  // Why nothing can be painted on what is shown; or nothing.
+  get hindrance() {
+    const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
+    if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
+    if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
+    return "";
+  }
+
   down(event) {
     if (this.pen) {
       if (event.pointerType === "touch" && this.pen.type === "touch") this.giveUp(event);
@@ -193,7 +202,9 @@ class Painting {
     document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
     if (event.altKey || this.tool === "pick") return this.pick(event);
     if (this.tool === "fill") return this.fill(event);
-    if (this.viewer.look.moved && this.viewer.player?.isPlaying) return this.say("Stop the animation to paint.");
+    const why = this.hindrance;
+    if (why !== this.hindered) this.say((this.hindered = why));
+    if (why) return;
     this.viewer.canvas.setPointerCapture(event.pointerId);
     const at = this.place(event);
     this.pen = { id: event.pointerId, type: event.pointerType, at, first: event, dirty: null };
