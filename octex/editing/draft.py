@@ -280,9 +280,8 @@ def _overwritten(
     is_open = among(codes, tiles.codes)
     first, end = tree.arrays.level_cells[level : level + 2].tolist()
     top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
-    here = np.concatenate(
-        [top, cells_below(tree, tiles)]
-    )  # the cells' numbers in the texture, and in the draft
+    # The cells' numbers in the texture, and in the draft.
+    here = np.concatenate([top, cells_below(tree, tiles)])
     there = np.concatenate([top, np.arange(end, draft.n_cells)])
     targets, sources = (
         (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Array, Int32s
+from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, decode
 from octex.checks import as_number, as_reals, as_whole
@@ -72,7 +72,8 @@ class Shown(NamedTuple):
 
     texture: OctreeTexture
     told: dict[str, Any]
-    changes: tuple[Change, ...]  # since the time before
+    before: OctreeTexture | None  # the texture at the time before
+    changes: tuple[Change, ...]  # since then
 
 
 class Session:
@@ -100,7 +101,8 @@ class Session:
         self._undone: list[_Step] = []
         self._fault, self._is_ending = "", False
         self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
-        self._changes: tuple[Change, ...] = ()  # of the command that is done
+        self._before: OctreeTexture | None = None  # the texture before the last command
+        self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
         self._journal = Journal(output, texture, surface)
@@ -182,17 +184,20 @@ class Session:
             "isSaved": self._is_saved,
             "fault": self._fault,
         }
-        return Shown(self._painter.texture(), told, self._changes)
+        return Shown(self._painter.texture(), told, self._before, self._changes)
 
     def _do(self, command: Command) -> None:
         """Do a command; what fails changes nothing, and is told."""
-        self._fault, self._changes = "", ()
+        self._fault, self._before, self._changes = "", self._painter.texture(), ()
         try:
             getattr(self, f"_do_{command.kind}")(command)
         except (OctexError, MemoryError) as error:
             self._fault = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
+        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+            self._painter.undo()  # a part of what has failed
+            self._undone.clear()
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
@@ -211,7 +216,7 @@ class Session:
             if (axis := _mirror_of(command)) is not None:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
                 numbers.add(self._part_at(point))
-            regions = [self._parts == number for number in sorted(numbers)]
+            regions = [self._surface.parts == number for number in sorted(numbers)]
         self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
 
     def _middle(self, vertices: Array) -> Array:
@@ -219,15 +224,11 @@ class Session:
         return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
 
     @cached_property
-    def _parts(self) -> Int32s:
-        return self._surface.parts
-
-    @cached_property
     def _nearest(self) -> Triangles:
         return Triangles.of(self._surface.rest, self._surface.triangles)
 
     def _part_at(self, point: Array) -> int:
-        return int(self._parts[self._nearest.nearest(point[None]).triangles[0]])
+        return int(self._surface.parts[self._nearest.nearest(point[None]).triangles[0]])
 
     def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)

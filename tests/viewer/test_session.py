@@ -333,6 +333,31 @@ def test_what_fails_or_hits_nothing_is_no_step(session: Session, monkeypatch: py
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
 
 
+def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paint, calls = octex.Painter.paint, iter(range(9))
+
+    def fails(painter: octex.Painter, *given: Any, **options: Any) -> Any:
+        return paint(painter, *given, **options) if next(calls) == 0 else 1 / 0
+
+    session.take(stroke(1))
+    session.take(stroke(2))
+    session.take(plain("undo", 3))
+    session.wait()
+    before = session.shown.texture
+    with monkeypatch.context() as patched:
+        patched.setattr(octex.Painter, "paint", fails)
+        session.take(stroke(4, mirror="x"))
+        session.wait()
+    assert_same(session.shown.texture, before)
+    for number, kind in enumerate(("redo", "undo", "redo"), 5):
+        session.take(plain(kind, number))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush 1"]
+    assert_same(session.shown.texture, before)
+
+
 def deflated(content: bytes) -> bytes:
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     return packer.compress(content) + packer.flush()
@@ -529,6 +554,14 @@ def test_words_that_make_no_sense_are_refused(
         Path(name).touch()
     assert main(["view", *words]) == ExitCode.REFUSED
     assert message in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_leaves_no_journal(served: Served, tmp_path: Path) -> None:
+    canvas()[0].save(tmp_path / "a.octex")
+    octex.write_model(canvas()[1], tmp_path / "a.ply")
+    words = [str(tmp_path / "a.octex"), str(tmp_path / "a.ply"), "--paint", str(tmp_path / "b.octex")]
+    assert main(["view", *words, "--port", str(served.viewer.port)]) == ExitCode.REFUSED
+    assert not [*tmp_path.glob("b.*")]
 
 
 def test_the_command_says_what_is_not_saved_and_recovers_it(
