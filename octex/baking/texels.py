@@ -357,98 +357,57 @@ def texel_points(
     ``corners`` (k, 3, 2) were drawn, ``faces`` (k,) are the surface's triangles that they show, of which
     ``triangles`` (m, 3) has the rows of ``rest`` (n, 3).
     """
-    most = int(np.count_nonzero(drawn.triangles >= 0))
+    row, column = np.nonzero(drawn.triangles >= 0)
+    width = drawn.triangles.shape[1]
+    shows = drawn.triangles[row, column].astype(np.int64)
+    tile = (row >> 5) * (width // _TILE + 1) + (column >> 5)
+    square = column >> 3 & 1 | row >> 2 & 2 | column >> 2 & 4 | row >> 1 & 8
+    keys = (tile << 31 | shows) << 10 | square << 6 | (row & 7) << 3 | column & 7
+    order = np.argsort(keys)
+    starts = np.flatnonzero(np.diff(keys[order] >> 10, prepend=-1))
+    runs = shows[order[starts]].astype(np.int32)
+    count = row.size
     shown = Shown(
-        np.empty(most, np.int32), np.empty((most, 3)), np.empty((most, 3)),
-        np.empty(most + 1, np.int32), np.empty(most, np.int32),
+        (row * width + column)[order].astype(np.int32), np.empty((count, 3)), np.empty((count, 3)),
+        np.append(starts, count).astype(np.int32), faces[runs],
     )  # fmt: skip
-    runs = _find_points(corners, faces, *drawn[:2], first, rest, triangles, shown)
-    return shown._replace(starts=shown.starts[: runs + 1], triangles=shown.triangles[:runs])
+    _find_points(corners, runs, drawn.centroids, first, rest, triangles, shown)
+    return shown
 
 
 @kernel
 def _find_points(
-    corners: Float64s, faces: Int32s, drawn: Int32s, centroids: Float32s, first: int, rest: Float64s,
-    triangles: Int32s, shown: Shown,
-) -> int:  # fmt: skip
-    """Write what texels of rows show; return the number of runs."""
-    height, width = drawn.shape
-    order, runs = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
-    known, ends = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
-    numbers = np.zeros(corners.shape[0], np.int32)  # of runs in the tile, by triangle
-    count = n_runs = 0
-    for top in range(0, height, _TILE):
-        for left in range(0, width, _TILE):
-            n_known = n = 0
-            for code in range(_TILE * _TILE):
-                row = top + (8 * _even_bits(code >> 7) | code >> 3 & 7)
-                column = left + (8 * _even_bits(code >> 6) | code & 7)
-                if row >= height or column >= width or drawn[row, column] < 0:
-                    continue
-                triangle = drawn[row, column]
-                run = numbers[triangle]
-                if run >= n_known or known[run] != triangle:
-                    run = n_known
-                    numbers[triangle], known[run], ends[run] = run, triangle, 0
-                    n_known += 1
-                order[n], runs[n] = row * width + column, run
-                ends[run] += 1
-                n += 1
-            total = count
-            for run in range(n_known):
-                shown.starts[n_runs + run], shown.triangles[n_runs + run] = total, faces[known[run]]
-                total, ends[run] = total + ends[run], total
-            for m in range(n):
-                shown.places[ends[runs[m]]] = order[m]
-                ends[runs[m]] += 1
-            for run in range(n_known):
-                begin = shown.starts[n_runs + run]
-                task = corners, faces, int(known[run]), centroids, first, rest, triangles
-                _place(*task, shown, begin, ends[run])
-            n_runs += n_known
-            count = total
-    shown.starts[n_runs] = count
-    return n_runs
-
-
-@inlined
-def _even_bits(code: int) -> int:
-    """Return bits 0 and 2."""
-    return code & 1 | code >> 1 & 2
-
-
-@inlined
-def _place(
-    corners: Float64s, faces: Int32s, of: int, centroids: Float32s, first: int, rest: Float64s,
-    triangles: Int32s, shown: Shown, begin: int, end: int,
+    corners: Float64s, runs: Int32s, centroids: Float32s, first: int, rest: Float64s, triangles: Int32s,
+    shown: Shown,
 ) -> None:  # fmt: skip
-    """Write the points of texels of a triangle."""
-    width, owner = centroids.shape[1], faces[of]
-    a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
-    left, top = corners[of, 0, 0], corners[of, 0, 1]
-    bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
-    cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
-    doubled = bx * cy - by * cx
-    inverse = 1.0 / doubled if doubled != 0.0 else 0.0
-    bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
-    ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
-    sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
-    tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
-    over = (1.0 + 1e-12) / width
-    for n in range(begin, end):
-        place = shown.places[n]
-        row = np.int32(np.float64(place) * over)
-        row -= np.int32(row * width > place)
-        column = place - row * width
-        x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
-        y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
-        q, r = x * cy - y * cx, bx * y - by * x
-        p = 1.0 - q - r
-        if min(p, min(q, r)) < 0.0:
-            p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
-            total = p + q + r
-            p, q, r = p / total, q / total, r / total
-        shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
-        shown.rest[n, 0] = ax + q * sx + r * tx
-        shown.rest[n, 1] = ay + q * sy + r * ty
-        shown.rest[n, 2] = az + q * sz + r * tz
+    """Write the points of texels, run by run of those that show what was drawn as number ``runs`` (n,)."""
+    width, over = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
+    for run in range(runs.size):
+        of, owner = runs[run], shown.triangles[run]
+        a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
+        left, top = corners[of, 0, 0], corners[of, 0, 1]
+        bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
+        cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
+        doubled = bx * cy - by * cx
+        inverse = 1.0 / doubled if doubled != 0.0 else 0.0
+        bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
+        ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
+        sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
+        tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
+        for n in range(shown.starts[run], shown.starts[run + 1]):
+            place = shown.places[n]
+            row = np.int32(np.float64(place) * over)
+            row -= np.int32(row * width > place)
+            column = place - row * width
+            x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
+            y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
+            q, r = x * cy - y * cx, bx * y - by * x
+            p = 1.0 - q - r
+            if min(p, min(q, r)) < 0.0:
+                p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+                total = p + q + r
+                p, q, r = p / total, q / total, r / total
+            shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
+            shown.rest[n, 0] = ax + q * sx + r * tx
+            shown.rest[n, 1] = ay + q * sy + r * ty
+            shown.rest[n, 2] = az + q * sz + r * tz

@@ -378,6 +378,8 @@ def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
 
 def _as_distortion(distortion: Sequence[float], model: DistortionModel) -> Distortion:
     numbers = as_reals(distortion, "distortion", *((count,) for count in COUNTS[model]), most=LARGEST)
+    if model == "fov" and not abs(numbers[0]) < np.pi:
+        raise ArgumentError(f"distortion of fov must be an angle of less than π, not {numbers[0]:g}")
     if model != "opencv":
         return tuple(numbers.tolist())
     whole = np.append(numbers, np.zeros(8 - len(numbers))).tolist()

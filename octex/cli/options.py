@@ -35,7 +35,7 @@ _TABLE = """
 --parts               write a folder with a texture for each part
 --margin SIZE         smallest allowed distance between parts, in the model's units (default 0)
 
---source CHANNEL=X    image, .ptx, FILE.py:FUNCTION or number(s) for a channel; may be repeated
+--source CHANNEL=X    image, .ptx, FILE.py:FUNCTION, number(s) or #rrggbb for a channel; repeatable
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
@@ -64,7 +64,7 @@ _TABLE = """
 --balance MODE        match exposures: gain; full: each colour, and vignetting
 --reference IMAGE     the picture that --balance and --refine-cameras do not change
 --refine-cameras JSON turn, move and zoom cameras until the pictures agree; write them
---holes MODE          unseen part of a new texture: smooth (default), leave, or a colour R,G,B
+--holes MODE          unseen part of a new texture: smooth (default), leave, or a colour #rrggbb
 --coverage            also store how much of each cell is painted, as the channel coverage
 --resume FOLDER       store finished stages here, and reuse them in a later run
 --layer-out LAYER     also write the paint alone, .octex; give it as an IMAGE later
@@ -84,7 +84,8 @@ _TABLE = """
 --empty-layer PNG     also write a transparent picture of the same size, to draw on
 
 --uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
---texture-size N      width and height of the images (default: as fine as the leaves, up to 8192)
+--texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
+                      to 4 where images would differ from the texture by more than 3/255, RMS)
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
 --max-distance D      how far the surface of --original may be, in its units (default: any)
 --padding N           texels around each chart (default 8)

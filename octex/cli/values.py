@@ -31,7 +31,6 @@ BALANCES = "gain", "full"
 HOLES = "leave", "smooth"
 #: The widest and highest picture that is drawn: as large as octex reads.
 MOST_PIXELS = 16384
-_SOLID = "#[0-9a-fA-F]{6}"
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,8 @@ class FunctionName(NamedTuple):
         return f"{self.path}:{self.name}"
 
 
-#: What a channel comes from: an image file, a function, or a number for each component.
-Source = Path | FunctionName | float | tuple[float, ...]
+#: What a channel comes from: an image file, a function, a number for each component, or #rrggbb.
+Source = Path | FunctionName | float | tuple[float, ...] | str
 
 
 class Projected(NamedTuple):
@@ -256,7 +255,7 @@ def dtypes(text: str) -> str | dict[str, str]:
 
 
 def source(text: str) -> tuple[str, Source]:
-    """Read the source of a channel: NAME=FILE, NAME=FILE.py:FUNCTION, or NAME=NUMBER,NUMBER,…."""
+    """Read the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
     form = "CHANNEL=FILE, such as roughness=rough.png"
     name, value = _pair(text, form)
     if not value:
@@ -264,7 +263,8 @@ def source(text: str) -> tuple[str, Source]:
     try:
         numbers = tuple(float(number) for number in value.split(","))
     except ValueError:
-        return name, function_name(value) or file_here(value)
+        is_color = value.startswith("#") and "." not in value
+        return name, value if is_color else function_name(value) or file_here(value)
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
@@ -291,7 +291,7 @@ def projected(text: str) -> Projected:
 
 def mask(text: str) -> Path | str | tuple[int, int, int]:
     """Read a mask image, a pattern of them with {stem} or {name}, or a backdrop colour, #rrggbb or R,G,B."""
-    if re.fullmatch(rf"{_SOLID}|\d+,\d+,\d+", text):
+    if re.fullmatch(r"#[^.]*|\d+,\d+,\d+", text):
         return color(text)
     return str(file_here(text)) if "{stem}" in text or "{name}" in text else file_here(text)
 
@@ -407,11 +407,10 @@ def picture_size(text: str) -> tuple[int, int]:
 
 def color(text: str) -> tuple[int, int, int]:
     """Read a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
+    from octex.channels import screen_color
+
     try:
-        if re.fullmatch(_SOLID, text):
-            numbers = list(bytes.fromhex(text[1:]))
-        else:
-            numbers = [int(number) for number in text.split(",")]
+        numbers = screen_color(text) or tuple(int(number) for number in text.split(","))
         red, green, blue = numbers * 3 if len(numbers) == 1 else numbers
     except ValueError:
         raise ArgumentError(f"{text!r} is not R,G,B from 0 to 255, nor #rrggbb") from None

@@ -129,6 +129,8 @@ def _check(options: Options, is_set: bool) -> None:
     """Refuse files and options that make no sense together."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
+        if page is not None and page.exists():
+            raise ArgumentError(f"{page}: is a page already; open it in a browser")
         raise ArgumentError("TEXTURE is missing; see octex view --help")
     if path is None and kind_of(model) != "model":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,11 +29,12 @@ from octex.checks import (
 from octex.conversion import apart, large
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
+from octex.conversion.fit import Fitter
 from octex.conversion.formats import Dtypes, formats_as
 from octex.conversion.gaps import Remaining, without_gaps, without_opaque
 from octex.conversion.levels import CellLevels, assemble, cell_levels, memory_needed
 from octex.conversion.points import convert_points
-from octex.conversion.sides import fitters
+from octex.conversion.sides import with_sides
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
@@ -206,7 +208,8 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     if known.samples is not None and plan.fit:
         # With a fitted alpha, what is covered would not seem to be beside gaps.
         unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
-        fit, split = fitters(known.samples, placement, pool, report, unfitted)
+        fitter = Fitter(known.samples, pool, report, unfitted)
+        fit, split = fitter.fit, partial(with_sides, fitter)
     tree, channels = adapted(
         known.tree, known.channels, known.samples,
         max_error=plan.max_error, wanted=known.wanted, fit=fit, split=split, executor=pool, progress=report,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -293,12 +293,13 @@ def climb(
 
     ``left`` are the codes, ascending, of the cells that are stored, with those above them; None: of all.
     """
-    levels = [_stored(_of(sums, left), channels, columns)]
+    levels = [_of(sums, left)]
     for _ in range(steps):
         sums = sum_children(sums)
         left = None if left is None else distinct(left >> 3)
-        levels.append(_stored(_of(sums, left), channels, columns))
-    return levels, sums
+        levels.append(_of(sums, left))
+    finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
+    return [_stored(finest, channels, columns), *_stored_levels(above, channels, columns)], sums
 
 
 def _of(level: Sums, left: Int64s | None) -> Sums:
@@ -336,6 +337,26 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         flags = flags.copy()
         flags[cells] |= SPLIT
     return LevelCells(flags, means.areas, values, facing_areas, facing_values)
+
+
+def _stored_levels(
+    levels: Sequence[Sums], channels: Sequence[ChannelFormat], columns: SumColumns
+) -> Iterator[LevelCells]:
+    """Encode the means of several levels together."""
+    if not levels:
+        return
+    flags, areas, values, split_areas, split_values = _stored(
+        Sums(*map(np.concatenate, zip(*levels, strict=True))), channels, columns
+    )
+    rows = np.cumsum(np.where(flags & SPLIT, bit_counts(flags & np.uint8(FACING_FLAGS)), 0))
+    cell = row = 0
+    for level in levels:
+        own = slice(cell, cell := cell + level.codes.size)
+        split = slice(row, row := int(rows[cell - 1]) if cell else 0)
+        yield LevelCells(
+            flags[own], areas[own], [each[own] for each in values],
+            split_areas[split], [each[split] for each in split_values],
+        )  # fmt: skip
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:

@@ -83,10 +83,6 @@ class Leaves(NamedTuple):
         """Return which leaves have the samples of those at places in the order, each once."""
         return distinct(self.heads[places]) if self.heads.size else np.sort(places)
 
-    def where(self, first: int, end: int) -> Int64s | slice:
-        """Return what picks the same leaves among all cells."""
-        return self.cells[first:end] if self.cells.size else slice(first + self.offset, end + self.offset)
-
     def ranks_of(self, rows: Int64s) -> Int64s:
         """Return the places in the order of rows that lookups touch, −1 for what is no leaf."""
         ranks = np.full(len(rows), -1, np.int64)

@@ -41,6 +41,8 @@ LEAST_PART = 0.1
 SAME_WIDTH = 1.2
 #: Cells whose samples are counted at once.
 _RUN = 1 << 20
+#: Of positions in the root cell, 0 … 1.
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
 class Samples(NamedTuple):

@@ -181,7 +181,7 @@ def leaf_camera(
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     """Return a title and a subtitle for a picture of a model."""
-    return surface.name, f"{named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
+    return surface.name, f"{named(channel)}original, {count_text(len(surface.triangles), 'triangle')}"
 
 
 def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from threading import Lock
@@ -146,12 +145,7 @@ class MaterialSource(Source):
             stated = [channel for channel in stated if channel != "normal"]
         self._channels = tuple(self._format(channel) for channel in stated)
 
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
         tables, images, footprints = self._ready()
         values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
@@ -169,31 +163,23 @@ class MaterialSource(Source):
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._rest = rest
-        other._footprints = None
-        if self._frames is not None:
-            other._frames = carried(self._frames, self._triangles, self._rest, rest)
-            other._prepared = None
-        return other
+        if self._frames is None:
+            return self._changed(_rest=rest, _footprints=None)
+        frames = carried(self._frames, self._triangles, self._rest, rest)
+        return self._changed(_rest=rest, _footprints=None, _frames=frames, _prepared=None)
 
     def with_filter(self, name: str) -> MaterialSource:
         """Return the same source with its images read by another filter."""
-        other = copy.copy(self)
-        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
-        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
-            other._prepared = None
-        return other
+        number = FILTERS.index(as_choice(name, FILTERS, "filter"))
+        is_ready = LEVELS_OF[number] == LEVELS_OF[self._filter]
+        return self._changed(_filter=number, _prepared=self._prepared if is_ready else None)
 
     def only(self, names: Sequence[str]) -> MaterialSource:
         """Return the same source with these of its channels alone; no other image is kept ready."""
         chosen = tuple(channel for channel in self._channels if channel.name in names)
         if chosen == self._channels:
             return self
-        other = copy.copy(self)
-        other._channels = chosen
-        other._prepared = other._footprints = None
-        return other
+        return self._changed(_channels=chosen, _prepared=None, _footprints=None)
 
     def _format(self, name: str) -> ChannelFormat:
         """Return how a channel is stored: light that can be above 1 as floats."""

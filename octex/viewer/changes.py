@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
-from octex.editing.draft import Change, cells_below
+from octex.editing.draft import Change, places_in
 from octex.texture import OctreeTexture
 from octex.tree.children import masks_of, node_cells
 from octex.tree.octree import Octree
@@ -72,16 +72,15 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     if tiles is None:
         return change_between(before, after)
     old, is_known = _known(change.before, draft)
-    here, there = (
-        np.concatenate([np.arange(tree.arrays.level_cells[tiles.level + 1]), cells_below(tree, tiles)])
-        for tree in (after.tree, before.tree)
-    )
-    known = np.flatnonzero(is_known)
+    here, there = places_in(after, tiles, draft), places_in(before, tiles, change.before)
+    is_open = here >= 0
+    known = np.flatnonzero(is_known & is_open)
     opened = _Runs.of_cells(here[known], there[old[known]])
-    closed = _closed(here, after.tree.n_cells, there, before.tree.n_cells)
+    numbers = (each[each >= 0] for each in (here, there))
+    closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
     runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
-    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known)
+    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open)
 
 
 def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:

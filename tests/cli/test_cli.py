@@ -149,6 +149,8 @@ def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     [
         ("roughness=0.5", ("roughness", 0.5)),
         ("base_color = 0.2,0.4, 0.6", ("base_color", (0.2, 0.4, 0.6))),
+        ("base_color=#ff8000", ("base_color", "#ff8000")),
+        ("base_color=#1.png", ("base_color", Path("#1.png"))),
         ("alpha=a b.png", ("alpha", Path("a b.png"))),
         ("alpha=folder=x/0.5.png", ("alpha", Path("folder=x/0.5.png"))),
     ],

@@ -113,6 +113,9 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     assert refused(capsys, "help", "x").startswith(
         "octex: error: there is no page on 'x'; there are tutorial, "
     )
+    assert refused(capsys, "help", "printing") == (
+        "octex: error: there is no page on 'printing'; do you mean 'print'? octex help lists all"
+    )
     message = "octex edit: error: a.glb: is not a .octex file; octex convert makes one from a model"
     assert refused(capsys, "edit", "a.glb", "b.octex") == message
 
@@ -203,3 +206,10 @@ def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(
         assert home == "octex.cli.start"
         done = python(INTERRUPTED, module, function, "--version")
         assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
+
+
+def test_a_page_is_not_viewed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "droid.html"
+    assert refused(capsys, "view", str(page)).endswith("error: TEXTURE is missing; see octex view --help")
+    page.write_text("<html>")
+    assert refused(capsys, "view", str(page)).endswith("droid.html: is a page already; open it in a browser")

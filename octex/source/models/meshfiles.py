@@ -20,7 +20,14 @@ from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors
 from octex.source.images.decode import global_settings
-from octex.source.models.reading import Options, colored_surface, cut_shape, parse_numbers, whole_numbers
+from octex.source.models.reading import (
+    Options,
+    colored_surface,
+    cut_part,
+    parse_numbers,
+    whole_numbers,
+    with_colors,
+)
 from octex.source.surface import Surface
 
 # Keeps traces of damaged normals off the screen where no program asks for logs.
@@ -47,8 +54,9 @@ def load_stl(path: Path, options: Options) -> Surface:
         except (DeprecationWarning, ValueError):
             raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
     faces = np.array(mesh.faces, np.int64)
-    shape = cut_shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
-    return colored_surface(path.name, options, shape, None)
+    positions = np.array(mesh.vertices, np.float64)
+    part, _, _ = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3))
+    return colored_surface(path.name, options, part)
 
 
 def load_off(path: Path, options: Options) -> Surface:
@@ -80,10 +88,11 @@ def load_off(path: Path, options: Options) -> Surface:
         raise damaged(f"{name}: a face has fewer corners than it says")
     within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
-    shape = cut_shape(name, positions, indices, sizes)
+    part, _, numbers = cut_part(name, positions, indices, sizes)
     before_colors = np.full(len(positions), 6 if head[3] else 3)
     of_vertices = _off_colors(vertices, before_colors, 2 if head[1] else 0)
-    return colored_surface(name, options, shape, shape.colors(of_vertices, _off_colors(faces, sizes + 1, 0)))
+    part = with_colors(part, numbers, of_vertices, _off_colors(faces, sizes + 1, 0))
+    return colored_surface(name, options, part)
 
 
 def _whole_faces(lines: list[str], count: int) -> list[str]:
