@@ -183,6 +183,28 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio) 
 
 
 @needs_jit
+def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio: Studio) -> None:
+    page = studio.page()
+    box = page.locator("#picture").bounding_box()
+    before = page.evaluate("String(viewer.camera.view)")
+    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.mouse.down()
+    page.mouse.wheel(0, -200)
+    page.keyboard.press("ArrowLeft")
+    page.mouse.move(box["width"] / 2 + 20, box["height"] / 2)
+    assert page.evaluate("String(viewer.camera.view)") == before
+    page.evaluate(_HOLD)
+    page.mouse.up()
+    page.keyboard.press("Control+z")
+    page.wait_for_function("viewer.painting.sending.waiting.length === 2")
+    page.evaluate("release()")
+    studio.is_done(page, 2)
+    assert page.evaluate("[viewer.painting.last.steps, viewer.painting.last.done]") == [["Brush"], 0]
+    assert_same(studio.session.shown.texture, studio.texture)
+    page.close()
+
+
+@needs_jit
 def test_nothing_is_painted_that_is_not_seen(studio: Studio) -> None:
     page = studio.page()
     for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):

@@ -164,6 +164,11 @@ class Painting {
     on("pointerup", (event) => this.up(event));
     on("pointercancel", (event) => this.up(event));
     on("pointerleave", (event) => event.target === canvas && this.outline(null));
+    main.addEventListener("wheel", (event) => {
+      if (!this.pen) return; // the view stays while a stroke is drawn on it
+      event.preventDefault();
+      event.stopPropagation();
+    }, { capture: true, passive: false });
     on("dblclick", (event) => event.target === canvas && this.isOnModel && event.stopPropagation());
     document.addEventListener("keydown", (event) => this.key(event), true);
     window.addEventListener("beforeunload", (event) => {
@@ -209,7 +214,10 @@ class Painting {
     const at = this.place(event);
     this.pen = { id: event.pointerId, type: event.pointerType, at, first: event, dirty: null };
     this.viewer.look.marked = null;
-    this.strokes.begin(this.brush);
+    this.viewer.turn(false);
+    element("turntable").checked = false;
+    const { width, height } = this.viewer.film, [{ K, pose }] = this.viewer.camera.file("", width, height).cameras;
+    this.strokes.begin({ ...this.brush, camera: { width, height, K, pose } });
     this.draw(at, at);
   }
 
@@ -247,10 +255,9 @@ class Painting {
     this.pen = null;
     const stroke = this.strokes.end();
     if (!stroke) return;
-    const { width, height } = this.viewer.film, [{ K, pose }] = this.viewer.camera.file("", width, height).cameras;
-    const { box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera: { width, height, K, pose }, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, opacity, maxAngle, backFaces, mirror };
     stroke.number = this.sending.send(command, deflated(coverage));
     this.strokes.keep(stroke);
   }
@@ -281,7 +288,7 @@ class Painting {
   }
 
   undo() {
-    if (this.last.done > 0) this.sending.send({ kind: "undo" });
+    if (this.last.done > 0 || this.strokes.sent.length) this.sending.send({ kind: "undo" });
   }
 
   redo() {
@@ -307,9 +314,9 @@ class Painting {
       "}": () => this.set({ hardness: hardness + 0.1 }),
     };
     const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
+    if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view
     if (!run) return;
     event.preventDefault();
-    event.stopImmediatePropagation();
     run();
   }
 
