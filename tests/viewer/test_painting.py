@@ -205,6 +205,24 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(stu
 
 
 @needs_jit
+def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio) -> None:
+    page = studio.page()
+    studio.drag(page, (-30, 0), (0, 0))
+    studio.is_done(page, 1)
+    before = pictured(page)
+    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+    page.wait_for_function("viewer.isLost")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost && viewer.isSharp")
+    assert (pictured(page) == before).all()
+    studio.drag(page, (0, 20), (30, 20))
+    studio.is_done(page, 2)
+    assert np.abs(pictured(page) - before).max() > 60
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
 def test_nothing_is_painted_that_is_not_seen(studio: Studio) -> None:
     page = studio.page()
     for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
