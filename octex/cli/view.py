@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
+    from octex.viewer.session import Session
 
 _DEPTH = 9
 
@@ -49,27 +50,23 @@ def view(options: Options, program: str) -> int:
             from octex.viewer import Viewer
             from octex.viewer.key import user_key
 
-            session = None
-            if options.paint is not None:
-                from octex.viewer.session import Session
-
-                texture = read()
-                assert surface is not None and not isinstance(texture, octex.TextureSet)
-                session = Session(texture, surface, options.paint, recover=options.recover)
-                if session.repeated:
-                    what = "command is" if session.repeated == 1 else "commands are"
-                    progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
             port, key = options.port or 0, user_key()
-            viewer = Viewer(
-                read,
-                path or model,
-                surface,
-                motion=motion,
-                session=session,
-                port=port,
-                key=key,
-                log=progress.note,
-            )
+            session = None if options.paint is None else _session(options, read(), surface, progress)
+            try:
+                viewer = Viewer(
+                    read,
+                    path or model,
+                    surface,
+                    motion=motion,
+                    session=session,
+                    port=port,
+                    key=key,
+                    log=progress.note,
+                )
+            except OctexError:
+                if session is not None:
+                    session.close()
+                raise
         else:
             from octex.viewer import write_page
 
@@ -87,6 +84,20 @@ def view(options: Options, program: str) -> int:
             say(unsaved)
         return ExitCode.DONE
     return tell_file(options, "", {"notes": notes}, *notes, path=page)
+
+
+def _session(
+    options: Options, texture: OctreeTexture | TextureSet, surface: Surface | None, progress: Reporter
+) -> Session:
+    """Return the session that paints the texture."""
+    from octex.viewer.session import Session
+
+    assert surface is not None and not isinstance(texture, octex.TextureSet)
+    session = Session(texture, surface, options.paint, recover=options.recover)
+    if session.repeated:
+        what = "command is" if session.repeated == 1 else "commands are"
+        progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
+    return session
 
 
 def _reader(

@@ -72,7 +72,8 @@ class _State(NamedTuple):
     parts: list[Part]
     prepared: list[Prepared]
     session: dict[str, Any] | None  # what is told of one
-    changes: tuple[Change, ...] | None  # since the time before, if they are known
+    before: OctreeTexture | None  # the session's texture at the time before
+    changes: tuple[Change, ...]  # since then
 
 
 class Viewer:
@@ -215,15 +216,15 @@ class Viewer:
     def _read(self, stamp: str) -> _State:
         told: dict[str, Any] | None
         if self.session is not None:
-            texture, told, changes = self.session.shown
+            texture, told, before, changes = self.session.shown
             parts = parts_of(texture, self._surface)
         else:
-            told, changes = None, None
+            told, before, changes = None, None, ()
             parts = [
                 part._replace(texture=copy.deepcopy(part.texture))
                 for part in parts_of(self._open(), self._surface)
             ]
-        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, changes)
+        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
 
     def _stamp(self) -> str:
         if self.session is not None:
@@ -271,8 +272,8 @@ def _change(before: _State, after: _State) -> Packed | None:
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
         if not is_like(was.header, now.header):
             return None
-        is_whole = was.texture is before.parts[number].texture and now.texture is after.parts[number].texture
-        if is_whole and after.changes is not None and len(after.changes) == 1:
+        is_whole = now.texture is after.parts[number].texture and was.texture is after.before
+        if is_whole and len(after.changes) == 1:
             counts, stream = change_of(after.changes[0], was.texture, now.texture)
         else:
             counts, stream = change_between(was.texture, now.texture)

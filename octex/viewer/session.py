@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import queue
 import re
@@ -16,14 +17,14 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Array, Int32s
+from octex.arrays import Array
 from octex.cameras.camera import Camera
-from octex.channels import decode
+from octex.channels import BASE_COLOR, decode
 from octex.checks import as_number, as_reals, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
 from octex.nearest.triangles import Triangles
-from octex.painting.options import DRAWN_ANGLE, PaintOptions
+from octex.painting.options import DRAWN_ANGLE, PaintOptions, format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.surface import Surface
@@ -71,7 +72,8 @@ class Shown(NamedTuple):
 
     texture: OctreeTexture
     told: dict[str, Any]
-    changes: tuple[Change, ...]  # since the time before
+    before: OctreeTexture | None  # the texture at the time before
+    changes: tuple[Change, ...]  # since then
 
 
 class Session:
@@ -80,12 +82,14 @@ class Session:
     ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
     ``changed`` is called after each.
     Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
-    repeated first. Raises what `Painter` raises.
+    repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
         self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
     ) -> None:
+        format_of(texture, BASE_COLOR.name)
+        texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
         self._painter = Painter(texture, surface)
         self._surface = surface.placed_in(texture)
         self._output = output
@@ -95,8 +99,10 @@ class Session:
         self._baked: dict[str, int] = {}  # and that is done
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._is_saved, self._fault, self._is_ending = True, "", False
-        self._changes: tuple[Change, ...] = ()  # of the command that is done
+        self._fault, self._is_ending = "", False
+        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
+        self._before: OctreeTexture | None = None  # the texture before the last command
+        self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
         self._journal = Journal(output, texture, surface)
@@ -107,7 +113,8 @@ class Session:
                 if command.kind != "save":
                     self._do(command)
                     self.repeated += 1
-        self._is_saved = not self._numbers
+        if self.repeated:
+            self._saved = None  # what was saved of them is not known
         self.shown = self._shown()
         self._worker = threading.Thread(target=self._work, args=(texture, surface), daemon=True)
         self._worker.start()
@@ -130,7 +137,6 @@ class Session:
                 raise ArgumentError("too many pages have painted; start octex view again")
             self._journal.append(body)
             self._numbers[command.page] = command.number
-            self._is_saved = False
             self._queue.put(command)
         return command.number
 
@@ -143,7 +149,7 @@ class Session:
         self._is_ending = True
         self._queue.put(None)
         self._worker.join()
-        steps, is_saved = len(self._steps), self._is_saved
+        steps, is_saved = len(self._steps), self._is_saved and self._numbers == self._baked
         self._journal.close(remove=is_saved)
         if is_saved:
             return ""
@@ -152,6 +158,10 @@ class Session:
             f"{steps} painted {what} not saved: the same command with --recover paints {again} again, "
             f"from {self._journal.path}"
         )
+
+    @property
+    def _is_saved(self) -> bool:
+        return self._painter.strokes == self._saved
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -174,17 +184,20 @@ class Session:
             "isSaved": self._is_saved,
             "fault": self._fault,
         }
-        return Shown(self._painter.texture(), told, self._changes)
+        return Shown(self._painter.texture(), told, self._before, self._changes)
 
     def _do(self, command: Command) -> None:
         """Do a command; what fails changes nothing, and is told."""
-        self._fault, self._changes = "", ()
+        self._fault, self._before, self._changes = "", self._painter.texture(), ()
         try:
             getattr(self, f"_do_{command.kind}")(command)
         except (OctexError, MemoryError) as error:
             self._fault = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
+        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+            self._painter.undo()  # a part of what has failed
+            self._undone.clear()
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
@@ -203,7 +216,7 @@ class Session:
             if (axis := _mirror_of(command)) is not None:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
                 numbers.add(self._part_at(point))
-            regions = [self._parts == number for number in sorted(numbers)]
+            regions = [self._surface.parts == number for number in sorted(numbers)]
         self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
 
     def _middle(self, vertices: Array) -> Array:
@@ -211,15 +224,11 @@ class Session:
         return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
 
     @cached_property
-    def _parts(self) -> Int32s:
-        return self._surface.parts
-
-    @cached_property
     def _nearest(self) -> Triangles:
         return Triangles.of(self._surface.rest, self._surface.triangles)
 
     def _part_at(self, point: Array) -> int:
-        return int(self._parts[self._nearest.nearest(point[None]).triangles[0]])
+        return int(self._surface.parts[self._nearest.nearest(point[None]).triangles[0]])
 
     def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)
@@ -249,10 +258,9 @@ class Session:
         )
         self._steps.append(step)
 
-    def _do_save(self, command: Command) -> None:
+    def _do_save(self, command: Command) -> None:  # noqa: ARG002
         self._painter.texture().save(self._output)
-        with self._lock:
-            self._is_saved = self._numbers[command.page] == command.number and self._queue.empty()
+        self._saved = self._painter.strokes
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -183,6 +183,60 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio) 
 
 
 @needs_jit
+def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio: Studio) -> None:
+    page = studio.page()
+    box = page.locator("#picture").bounding_box()
+    before = page.evaluate("String(viewer.camera.view)")
+    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.mouse.down()
+    page.mouse.wheel(0, -200)
+    page.keyboard.press("ArrowLeft")
+    page.mouse.move(box["width"] / 2 + 20, box["height"] / 2)
+    assert page.evaluate("String(viewer.camera.view)") == before
+    page.evaluate(_HOLD)
+    page.mouse.up()
+    page.keyboard.press("Control+z")
+    page.wait_for_function("viewer.painting.sending.waiting.length === 2")
+    page.evaluate("release()")
+    studio.is_done(page, 2)
+    assert page.evaluate("[viewer.painting.last.steps, viewer.painting.last.done]") == [["Brush"], 0]
+    assert_same(studio.session.shown.texture, studio.texture)
+    page.close()
+
+
+@needs_jit
+def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio) -> None:
+    page = studio.page()
+    studio.drag(page, (-30, 0), (0, 0))
+    studio.is_done(page, 1)
+    before = pictured(page)
+    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+    page.wait_for_function("viewer.isLost")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost && viewer.isSharp")
+    assert (pictured(page) == before).all()
+    studio.drag(page, (0, 20), (30, 20))
+    studio.is_done(page, 2)
+    assert np.abs(pictured(page) - before).max() > 60
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
+def test_nothing_is_painted_that_is_not_seen(studio: Studio) -> None:
+    page = studio.page()
+    for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
+        page.evaluate(look)
+        studio.drag(page, (0, 0), (10, 0))
+        assert "to paint" in page.locator("#paint-note").inner_text()
+        page.evaluate("viewer.look.cubes = false; viewer.look.shown = 'lit'")
+    studio.drag(page, (0, 0), (10, 0))
+    studio.is_done(page, 1)
+    assert page.locator("#paint-note").inner_text() == ""
+    page.close()
+
+
+@needs_jit
 def test_keys_and_the_picker_set_the_brush(studio: Studio) -> None:
     page = studio.page()
     brush = "viewer.painting.brush"

@@ -163,6 +163,20 @@ def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name: str,
     assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
+def test_what_is_undone_needs_no_saving(tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octex")
+    said = []
+    for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
+        session.take(body)
+        session.wait()
+        said.append(session.shown.told["isSaved"])
+    assert said == [False, True, False, True, False]
+    session.take(plain("redo", 6))
+    session.wait()
+    assert session.close() == ""
+    assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
+
+
 def test_a_save_that_fails_is_told_and_changes_nothing(session: Session, tmp_path: Path) -> None:
     session.take(stroke(1))
     (tmp_path / "out.octex").mkdir()
@@ -213,6 +227,57 @@ def test_after_a_crash_the_same_session_is_painted_again(tmp_path: Path) -> None
     again = Session(texture, surface, output, recover=True)
     assert again.shown.told["done"] == 3
     again.close()
+
+
+#: Paints until it is killed, and says what it has taken.
+_KILLED = """
+import sys; sys.path.insert(0, '.')
+from pathlib import Path
+from tests.viewer.test_session import *
+session = Session(*canvas(), Path(sys.argv[1]))
+for number in range(1, 10**6):
+    print(session.take(stroke(number)) if number % 4 else session.take(plain('undo', number)), flush=True)
+    if number % 8 == 0:
+        session.wait()
+"""
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_KILLS", "2"))))
+def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_path: Path) -> None:
+    random, output = np.random.default_rng(seed), tmp_path / "out.octex"
+    words = [sys.executable, "-c", _KILLED, str(output)]
+    root = Path(octex.__file__).parents[1]
+    taken = 0
+    with subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        killer = threading.Timer(60.0, process.kill)
+        for line in process.stdout:
+            if not taken:
+                killer.cancel()
+                killer = threading.Timer(random.uniform(0.0, 1.0), process.kill)
+                killer.start()
+            taken = int(line)
+        killer.join()
+    assert taken
+    texture, surface = canvas()
+    session = Session(texture, surface, output, recover=True)
+    assert session.repeated in (taken, taken + 1)  # the last one may not have been said
+    painter = octex.Painter(texture, surface)
+    for number in range(1, session.repeated + 1):
+        if number % 4:
+            painted(painter, number)
+        else:
+            painter.undo()
+    assert_same(session.shown.texture, painter.texture())
+    session.close()
+
+
+def test_a_texture_without_base_color_is_refused(tmp_path: Path) -> None:
+    surface = ball(12)
+    rough = octex.convert(surface.with_sources({"roughness": 0.5}).with_channels(["roughness"]), depth=3)
+    with pytest.raises(ArgumentError, match="base_color"):
+        Session(rough, surface, tmp_path / "out.octex")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path) -> None:
@@ -266,6 +331,31 @@ def test_what_fails_or_hits_nothing_is_no_step(session: Session, monkeypatch: py
     session.take(stroke(3))
     session.wait()
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
+
+
+def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paint, calls = octex.Painter.paint, iter(range(9))
+
+    def fails(painter: octex.Painter, *given: Any, **options: Any) -> Any:
+        return paint(painter, *given, **options) if next(calls) == 0 else 1 / 0
+
+    session.take(stroke(1))
+    session.take(stroke(2))
+    session.take(plain("undo", 3))
+    session.wait()
+    before = session.shown.texture
+    with monkeypatch.context() as patched:
+        patched.setattr(octex.Painter, "paint", fails)
+        session.take(stroke(4, mirror="x"))
+        session.wait()
+    assert_same(session.shown.texture, before)
+    for number, kind in enumerate(("redo", "undo", "redo"), 5):
+        session.take(plain(kind, number))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush 1"]
+    assert_same(session.shown.texture, before)
 
 
 def deflated(content: bytes) -> bytes:
@@ -464,6 +554,14 @@ def test_words_that_make_no_sense_are_refused(
         Path(name).touch()
     assert main(["view", *words]) == ExitCode.REFUSED
     assert message in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_leaves_no_journal(served: Served, tmp_path: Path) -> None:
+    canvas()[0].save(tmp_path / "a.octex")
+    octex.write_model(canvas()[1], tmp_path / "a.ply")
+    words = [str(tmp_path / "a.octex"), str(tmp_path / "a.ply"), "--paint", str(tmp_path / "b.octex")]
+    assert main(["view", *words, "--port", str(served.viewer.port)]) == ExitCode.REFUSED
+    assert not [*tmp_path.glob("b.*")]
 
 
 def test_the_command_says_what_is_not_saved_and_recovers_it(

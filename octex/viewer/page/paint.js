@@ -12,7 +12,7 @@ const ICONS = {
   redo: "m16 5 5.5 5.5L16 16v-4h-5.5a3.8 3.8 0 0 0 0 7.5H15V22h-4.5a6.2 6.2 0 0 1 0-12.5H16z",
   save: "M4 3h12l5 5v13H3V4a1 1 0 0 1 1-1zm3 2v5h8V5zm5 8a3 3 0 1 0 0 6 3 3 0 0 0 0-6z",
   swap: "M8 3 3 8l5 5V9.2h7V6.8H8zm8 8v3.8H9v2.4h7V21l5-5z",
-  theme: "M12 3a9 9 0 1 0 0 18zm0 0a9 9 0 0 1 0 18",
+  theme: "M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20zm0 2.4v15.2a7.6 7.6 0 0 1 0-15.2z",
 };
 const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
@@ -57,6 +57,7 @@ class Painting {
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
     this.pen = null; // which pointer draws, and where it was
+    this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
   }
 
@@ -163,6 +164,11 @@ class Painting {
     on("pointerup", (event) => this.up(event));
     on("pointercancel", (event) => this.up(event));
     on("pointerleave", (event) => event.target === canvas && this.outline(null));
+    main.addEventListener("wheel", (event) => {
+      if (!this.pen) return; // the view stays while a stroke is drawn on it
+      event.preventDefault();
+      event.stopPropagation();
+    }, { capture: true, passive: false });
     on("dblclick", (event) => event.target === canvas && this.isOnModel && event.stopPropagation());
     document.addEventListener("keydown", (event) => this.key(event), true);
     window.addEventListener("beforeunload", (event) => {
@@ -182,6 +188,14 @@ class Painting {
     return this.isOnModel;
   }
 
+  // Why nothing can be painted on what is shown; or nothing.
+  get hindrance() {
+    const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
+    if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
+    if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
+    return "";
+  }
+
   down(event) {
     if (this.pen) {
       if (event.pointerType === "touch" && this.pen.type === "touch") this.giveUp(event);
@@ -193,12 +207,17 @@ class Painting {
     document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
     if (event.altKey || this.tool === "pick") return this.pick(event);
     if (this.tool === "fill") return this.fill(event);
-    if (this.viewer.look.moved && this.viewer.player?.isPlaying) return this.say("Stop the animation to paint.");
+    const why = this.hindrance;
+    if (why !== this.hindered) this.say((this.hindered = why));
+    if (why) return;
     this.viewer.canvas.setPointerCapture(event.pointerId);
     const at = this.place(event);
     this.pen = { id: event.pointerId, type: event.pointerType, at, first: event, dirty: null };
     this.viewer.look.marked = null;
-    this.strokes.begin(this.brush);
+    this.viewer.turn(false);
+    element("turntable").checked = false;
+    const { width, height } = this.viewer.film, [{ K, pose }] = this.viewer.camera.file("", width, height).cameras;
+    this.strokes.begin({ ...this.brush, camera: { width, height, K, pose } });
     this.draw(at, at);
   }
 
@@ -236,10 +255,9 @@ class Painting {
     this.pen = null;
     const stroke = this.strokes.end();
     if (!stroke) return;
-    const { width, height } = this.viewer.film, [{ K, pose }] = this.viewer.camera.file("", width, height).cameras;
-    const { box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera: { width, height, K, pose }, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, opacity, maxAngle, backFaces, mirror };
     stroke.number = this.sending.send(command, deflated(coverage));
     this.strokes.keep(stroke);
   }
@@ -270,7 +288,7 @@ class Painting {
   }
 
   undo() {
-    if (this.last.done > 0) this.sending.send({ kind: "undo" });
+    if (this.last.done > 0 || this.strokes.sent.length) this.sending.send({ kind: "undo" });
   }
 
   redo() {
@@ -296,9 +314,9 @@ class Painting {
       "}": () => this.set({ hardness: hardness + 0.1 }),
     };
     const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
+    if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view
     if (!run) return;
     event.preventDefault();
-    event.stopImmediatePropagation();
     run();
   }
 
