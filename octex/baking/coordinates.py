@@ -155,8 +155,9 @@ def _look_otherwise(
 
 
 def fineness(
-    texture: OctreeTexture, mesh: Mesh, names: list[str], areas: Float64s, steps: tuple[Float64s, Float64s]
-) -> int:
+    texture: OctreeTexture, mesh: Mesh, names: list[str], leaf: float, areas: Float64s,
+    steps: tuple[Float64s, Float64s],
+) -> int:  # fmt: skip
     """Return how many times finer texels must be, 1, 2 or 4, to read like the texture where it varies.
 
     Triangles weigh their ``areas`` (m,); ``steps`` (m, 3) go from a texel to the next, right and down.
@@ -168,7 +169,7 @@ def fineness(
     def look(places: Float64s, width: float = 0.0) -> dict[str, Float32s]:
         return texture.sample(places, names, normals=normals, width=width, threads=1)
 
-    wanted, width = _stored(look(places)), _AVERAGED * leaf_of(texture, mesh)
+    wanted, width = _stored(look(places)), _AVERAGED * leaf
     varies = (np.abs(wanted - _stored(look(places, width))) > _VARIES).any(axis=1)
     varies &= texture.contains(places, threads=1)
     if varies.mean() <= _MOST:

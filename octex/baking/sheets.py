@@ -165,12 +165,13 @@ def _atlas(
     texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None
 ) -> Layout:
     """Return an atlas of a size, or of the first that keeps the texture's leaves and reads like it."""
-    texel, sizes = _ABOUT * leaf_of(texture, mesh), [size or _LARGEST]
+    leaf, sizes = leaf_of(texture, mesh), [size or _LARGEST]
+    texel = _ABOUT * leaf
     if size is None:
         normals = unit(area_vectors(mesh.rest[mesh.triangles]))
         right = across(normals)
         steps = texel * right, texel * np.cross(normals, right)
-        texel /= fineness(texture, mesh, names, areas_of(mesh), steps)
+        texel /= fineness(texture, mesh, names, leaf, areas_of(mesh), steps)
         first = _size_for(texel, areas_of(mesh).sum(), 0.6)
         sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())]
     return atlas_layout(mesh, sizes, padding, texel)
@@ -183,14 +184,14 @@ def _fitted(
     """Return a layout of a size, or of one that keeps leaves and materials' texels and reads like them."""
     if size is not None:
         return layout.sized(size)
-    texel = _ABOUT * leaf_of(texture, mesh)
+    leaf = leaf_of(texture, mesh)
     is_squeezed, areas = squeezed(texture, mesh, _LARGEST), areas_of(mesh)
     chosen = ~is_squeezed
     part = unit_area(layout._replace(uv=layout.uv.of(np.flatnonzero(chosen).astype(np.int32))))
-    size = _size_for(texel, areas[chosen].sum(), part)
+    size = _size_for(_ABOUT * leaf, areas[chosen].sum(), part)
     corners = size * layout.uv.values[layout.uv.rows].astype(np.float64)
     steps = steps_between(mesh.rest[mesh.triangles], corners)
-    size = min(size * fineness(texture, mesh, names, areas * chosen, steps), _LARGEST)
+    size = min(size * fineness(texture, mesh, names, leaf, areas * chosen, steps), _LARGEST)
     if is_squeezed.any():
         read = [each.texture for material in materials for each in material.inputs.values()]
         own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
