@@ -7,7 +7,7 @@ import numpy as np
 from octex.arrays import Bools, Int8s, Int64s, Uint64s
 from octex.conversion.evaluator import SPLIT_KIND, is_refined, kind_of
 from octex.field.splines import QUADRATIC
-from octex.field.windows import BEGIN, INSIDE, cell_at, follow, new_walk
+from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
 from octex.jit import kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
@@ -19,12 +19,13 @@ _NO_KEPT = np.empty(0, np.uint32)
 def kinds_around(arrays: TreeArrays, codes: Int64s, depth: int) -> Uint64s:
     """Return the kinds of all leaves that lookups in some cells of a level (n,), which ascend, may read."""
     walk, kinds = new_walk(), np.empty(codes.size, np.uint64)
+    way = Way(arrays, _NO_KEPT, walk, QUADRATIC, 2, 1, False)
     of_levels = np.zeros(MAX_DEPTH + 1, np.uint64)
     shift = MAX_DEPTH - depth
     for n in range(codes.size):
         i, j, k = decode(codes[n])
         walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the cell before
-        last = follow(arrays, _NO_KEPT, walk, i << shift, j << shift, k << shift, QUADRATIC, 2)
+        last = follow(way, i << shift, j << shift, k << shift)
         for level in range(walk.previous[5] + 1, last + 1):
             found = of_levels[level - 1] if is_refined(walk, level) else np.uint64(0)
             inside = INSIDE[0, walk.levels[level, BEGIN], 0]

@@ -266,7 +266,7 @@ class OctreeTexture:
         task = given, answers.arrays, look_up_block, how
         is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
         if is_crowded:
-            here._field.prepare(FILTERS.index(filter))
+            here._field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             in_space(*task, self.placement, LEAST_SORTED)
         elif here._field.n_leaves >= _MANY_LEAVES or is_crowded:
