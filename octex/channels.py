@@ -5,6 +5,7 @@ Values are averaged, filtered and blended in linear light; encoding and decoding
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
@@ -74,6 +75,24 @@ def linear_to_srgb(linear: npt.ArrayLike) -> Float64s:
     return np.where(
         linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     )
+
+
+def screen_color(text: str) -> tuple[int, int, int] | None:
+    """Return the red, green and blue codes of the sRGB colour #rrggbb; None for other text."""
+    if not re.fullmatch("#[0-9a-fA-F]{6}", text):
+        return None
+    red, green, blue = bytes.fromhex(text[1:])
+    return red, green, blue
+
+
+def color_in_light(text: str, form: ChannelFormat) -> Float32s:
+    """Return the linear light (3,) of the sRGB colour #rrggbb, or raise ArgumentError."""
+    codes = screen_color(text)
+    if codes is None:
+        raise ArgumentError(f"{text!r} is not a colour '#rrggbb', like '#ff0000'")
+    if form.components != 3 or form.space not in ("srgb", "linear"):
+        raise ArgumentError(f"{form.name!r} holds no colours, so {text!r} has no meaning; give numbers")
+    return decode(np.array(codes, np.uint8), "srgb")
 
 
 def check_range(values: Floats, form: ChannelFormat, dtype: str, name: str = "") -> None:

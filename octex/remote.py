@@ -12,7 +12,7 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.arrays import Array, Int64s, Uint8s
 from octex.errors import MissingExtraError, OutputError, TextureFileError
 
 #: Bytes fetched at least.
@@ -55,14 +55,13 @@ class RemoteFile:
         except Exception as error:
             raise self._failed(error) from error
         self.size, self._stamp = self._described()
-        has_stamp = len(self._stamp) > 1
+        if len(self._stamp) == 1:  # nobody would know whether the file has changed
+            cache = None
+        self._folder = cache or tempfile.gettempdir()
         try:
-            file, known = _made(cache if has_stamp else None, address, self._stamp, self.size)
+            file, known = _made(cache, address, self._stamp, self.size)
         except OSError as error:
-            raise OutputError(
-                f"{cache or tempfile.gettempdir()}: the cache for {address} cannot be written: "
-                f"{error.strerror or error}; make room or choose another folder"
-            ) from error
+            raise self._full(error) from error
         self._file, self._is_here = file, known
         self._checks_later, self._is_checked = False, True
         weakref.finalize(self, file.close)
@@ -74,22 +73,20 @@ class RemoteFile:
         """Whether all blocks are here."""
         return bool(self._is_here.all())
 
-    def fetch(self, ranges: Int64s) -> bool:
-        """Fetch what is not here of bytes (n, 2), from … to before …; say whether there was any."""
+    def fetch(self, ranges: Iterable[tuple[int, int]]) -> bool:
+        """Fetch what is not here of bytes from … to before …; say whether there was any."""
         with self._lock:
             wanted = np.zeros(self._is_here.size, np.bool_)
-            for begin, end in ranges.tolist():
+            for begin, end in ranges:
                 wanted[begin // BLOCK : -(-end // BLOCK)] = True
-            wanted &= self._is_here == 0
-            if not wanted.any():
+            blocks = np.flatnonzero(wanted & (self._is_here == 0))
+            if not blocks.size:
                 return False
-            runs = _runs(wanted)
-            begin = size = 0
-            for last, (first, end) in enumerate(runs.tolist(), 1):
-                size += end - first
-                if size >= _MOST or last == len(runs):
-                    self._fetch(np.minimum(runs[begin:last], self.size))
-                    begin, size = last, 0
+            for first in range(0, blocks.size, _MOST // BLOCK):
+                own = blocks[first : first + _MOST // BLOCK]
+                parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+                runs = np.array([(part[0], part[-1] + 1) for part in parts]) * BLOCK
+                self._fetch(np.minimum(runs, self.size))
             self._is_checked = False
             if not self._checks_later:
                 self._check_unchanged()
@@ -109,7 +106,7 @@ class RemoteFile:
 
     def fetch_all(self) -> None:
         """Fetch all that is not here."""
-        self.fetch(np.array([[0, self.size]]))
+        self.fetch([(0, self.size)])
 
     def holds(self, array: Array) -> bool:
         """Say whether an array is empty or a view of the mapping."""
@@ -139,10 +136,7 @@ class RemoteFile:
                 self._file.write(part)
             self._file.flush()
         except OSError as error:
-            raise OutputError(
-                f"{tempfile.gettempdir()}: the cache for {self.address} cannot be written: "
-                f"{error.strerror or error}; make room"
-            ) from error
+            raise self._full(error) from error
         for begin, end in runs.tolist():
             self._is_here[begin // BLOCK : -(-end // BLOCK)] = 1
 
@@ -167,17 +161,17 @@ class RemoteFile:
             raise TextureFileError(f"{self.address}: changed after it was opened; open it again")
         self._is_checked = True
 
+    def _full(self, error: OSError) -> OutputError:
+        return OutputError(
+            f"{self._folder}: the cache for {self.address} cannot be written: {error.strerror or error}; "
+            "make room or choose another folder"
+        )
+
     def _failed(self, error: Exception) -> TextureFileError:
         what = str(error) or type(error).__name__
         if isinstance(error, FileNotFoundError):
             what = f"there is no such file, or nobody answers ({what})"
         return TextureFileError(f"{self.address}: cannot be read: {what}")
-
-
-def _runs(wanted: Bools) -> Int64s:
-    """Return where runs of blocks begin and end, in bytes."""
-    found: Int64s = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2) * BLOCK
-    return found
 
 
 def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:
@@ -194,10 +188,12 @@ def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -
         if not old.name.startswith(f"{name}-{version}."):
             old.unlink(missing_ok=True)
     opened: list[BinaryIO] = []
+    is_new = False  # then no block is here, whatever is said
     for ending, length in (("part", size), ("blocks", blocks)):
         path = cache / f"{name}-{version}.{ending}"
         file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b", 0)
-        if path.stat().st_size != length:
+        if is_new or path.stat().st_size != length:
+            is_new = True
             file.truncate(0)
             file.truncate(length)
         opened.append(file)

@@ -83,11 +83,16 @@ def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have cameras refined by a tenth of the points: enough for small pictures."""
-    from octex.photos import refine
+    """Compare photographs at a tenth of the points: enough for small pictures."""
+    from octex.photos import balance, refine, sharpness
 
-    for name in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
-        monkeypatch.setattr(refine, name, getattr(refine, name) // 10)
+    for module, names in (
+        (refine, ("_POINTS", "_COARSE", "_TELLING", "_MOST")),
+        (balance, ("_POINTS",)),
+        (sharpness, ("_POINTS",)),
+    ):
+        for name in names:
+            monkeypatch.setattr(module, name, getattr(module, name) // 10)
 
 
 @pytest.fixture(scope="session")

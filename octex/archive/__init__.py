@@ -2,13 +2,10 @@
 
 layout      blocks, the streams in them, and names; coarse levels first
 entropy     symbols and bits, whose frequencies follow what occurs, to words and back
-around      what lies around a cell: what is known of it before it is decoded
-structure   which children a node has, and flags
+structure   what is known around a cell before it is decoded; which children a node has, and flags
 areas       of cells, from what the others of their column leave, and their siblings
 values      of channels, from their parents' and from what came before; rows, from their cells'
-weights     of guesses, fitted by least squares
 blocks      the streams of a block, in order: the same for noting and decoding
-head        the directory, read and checked
 write       a file; blocks of a level in parallel
 read        a file, whole or in part
 """

@@ -7,13 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from octex.archive import areas, structure, values
-from octex.archive.around import around_children, around_nodes
-from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, noter
+from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
 from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, DamagedError, owners_of
-from octex.arrays import Int32s, Uint8s, Uint32s
+from octex.arrays import Array
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
-
-_AREA_TABLES = areas.area_tables()
 
 
 def code_block(
@@ -30,32 +27,29 @@ def code_block(
     raises DamagedError for one that makes no sense. ``models`` are what streams have learned in the last
     level of one block. They are copied, or if the block is its level's only one, go on.
     """
-    arrays, begin, end, found = content.arrays, block.begin, block.end, []
-    around = around_nodes(arrays, block)
-    rows = np.empty((0, 4), np.int32)
+    arrays, found = content.arrays, []
+    around = structure.around_nodes(arrays, block)
+    rows, owners = np.empty((0, 4), np.int32), np.empty(0, np.uint32)
     is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
     for kind in kinds:
-        if kind != STRUCTURE and len(rows) == 0:  # once which children there are is known
-            rows, owners = np.empty((end.cell - begin.cell, 4), np.int32), owners_of(content.split, block)
-            around_children(arrays.groups, block.first, block.last, around, begin.cell, rows)
-        model = models.get(kind) or _new_model(kind, codings)
+        if kind != STRUCTURE and not rows.size:  # once which children there are is known
+            rows, owners = structure.around_children(arrays, block, around), owners_of(content.split, block)
+        contexts, most_notes = _extent(kind, codings, block)
+        model = models.get(kind) or new_model(*contexts)
         if is_only:
             models[kind] = model
         else:
             model = Model(model.numbers.copy(), model.odds.copy())
         if streams is None:
-            coder = noter(model, _most_notes(kind, codings, block))
+            coder = noter(model, most_notes)
         else:
             place, stream = next(streams)
             coder = decoder(model, stream)
         if kind == STRUCTURE:
-            places = block.first, block.last, begin.node, begin.cell, end.node, end.cell
-            may_be_nodes = block.level + 3 < arrays.level_cells.size
-            structure.code_structure(arrays.groups, arrays.flags, *places, may_be_nodes, around, coder)
+            structure.code_structure(arrays, block, around, coder)
         elif kind == AREAS:
-            areas.code_areas(rows, around, arrays.flags, arrays.areas, begin.cell, _AREA_TABLES, coder)
-            row_areas = owners, content.split.areas, begin.row, arrays.areas
-            areas.code_row_areas(*row_areas, _AREA_TABLES, coder)
+            areas.code_areas(arrays, block.begin.cell, rows, around, coder)
+            areas.code_row_areas(owners, content.split.areas, block.begin.row, arrays.areas, coder)
         else:
             _code_channel(content, kind, codings[kind], block, (owners, rows, around), coder)
         if streams is None:
@@ -69,21 +63,16 @@ def code_block(
     return found
 
 
-def _new_model(kind: str, codings: Mapping[str, Coding]) -> Model:
-    if kind in codings:
-        return values.model_of(codings[kind].form)
-    return areas.model() if kind == AREAS else structure.model()
-
-
-def _most_notes(kind: str, codings: Mapping[str, Coding], block: Block) -> int:
-    """Return how many notes a stream may have."""
-    _, cell, _, row, kept = (after - before for before, after in zip(block.begin, block.end, strict=True))
+def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tuple[int, int], int]:
+    """Return how many contexts of symbols, and of bits, a stream has, and how many notes it may have."""
+    _, cell, _, row, kept = block.counts
     if kind == STRUCTURE:
-        return structure.MOST * (block.last - block.first)
+        return structure.CONTEXTS, structure.MOST * (block.last - block.first)
     if kind == AREAS:
-        return cell + row
+        return areas.CONTEXTS, cell + row
     form = codings[kind].form
-    return (cell + row + kept) * (form.components * (1 if form.size == 1 else 9) + 1)
+    contexts = values.SETS * form.components * values.CONTEXTS, 4
+    return contexts, (cell + row + kept) * (form.components * (1 if form.size == 1 else 9) + 1)
 
 
 def _list_flagged(content: Content, block: Block) -> None:
@@ -104,37 +93,27 @@ def _list_flagged(content: Content, block: Block) -> None:
 
 
 def _code_channel(
-    content: Content,
-    name: str,
-    coding: Coding,
-    block: Block,
-    found: tuple[Uint32s, Int32s, Uint32s],
-    coder: Coder,
+    content: Content, name: str, coding: Coding, block: Block, found: tuple[Array, ...], coder: Coder
 ) -> None:
     """Note or decode the values of a channel, those of cells, of rows of split cells, and of kept nodes."""
     form, (owners, rows, around), begin, end = coding.form, found, block.begin, block.end
-    given, decoded = content.given[name], content.decoded[name]
-    cells, kept = slice(begin.cell, end.cell), slice(begin.kept, end.kept)
-    decodes = coder.work == DECODES
-
-    def numbers_of(raw: Uint8s, room: int = 0) -> Uint32s:
-        numbers = np.zeros((len(raw) + room, form.components), np.uint32)
+    decodes, raw = coder.work == DECODES, content.decoded[name].values
+    tables = zip(
+        (values.CELLS, values.SPLIT_ROWS, values.KEPT_NODES),
+        (slice(begin.cell, end.cell), slice(begin.row, end.row), slice(begin.kept, end.kept)),
+        (None, owners, content.kept.cells[begin.kept : end.kept]),
+        content.given[name],
+        content.decoded[name],
+        strict=True,
+    )
+    for kind, own, owned, theirs, ours in tables:
+        given = theirs[own]
+        numbers = np.zeros((len(given) + 1, form.components), np.uint32)  # the last row is room
         if not decodes:
-            numbers[: len(raw)] = values.numbers_of(raw, form)
-        return numbers
-
-    def keep(numbers: Uint32s, raw: Uint8s) -> None:
+            numbers[:-1] = values.numbers_of(given, form)
+        if owned is None:
+            values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights, coder)
+        elif owned.size:
+            values.code_rows(owned, values.numbers_of(raw[owned], form), numbers, kind, form, coder)
         if decodes or form.error:  # else they are what was given
-            values.write_numbers(numbers, raw, form)
-
-    numbers, raw = numbers_of(given.values[cells], 1), decoded.values.reshape(-1)
-    values.code_values(rows, around, raw, numbers, form, coding.weights, values.STEPS, coder)
-    keep(numbers[:-1], decoded.values[cells])
-    for owned, own, theirs, ours, kind in (
-        (owners, slice(begin.row, end.row), given.split_values, decoded.split_values, values.SPLIT_ROWS),
-        (content.kept.cells[kept], kept, given.kept_values, decoded.kept_values, values.KEPT_NODES),
-    ):
-        if owned.size:
-            numbers, of_cells = numbers_of(theirs[own]), values.numbers_of(decoded.values[owned], form)
-            values.code_rows(owned, of_cells, numbers, kind, form, values.STEPS, coder)
-            keep(numbers, ours[own])
+            values.write_numbers(numbers[:-1], ours[own], form)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Int16s, Int64s, Uint8s, Uint32s
+from octex.arrays import Int16s, Int64s, Uint32s
 from octex.jit import chosen, inlined, kernel, mask_bits, popcount, put, sixteen, sixteen_at
 
 #: Bits of a frequency.
@@ -24,6 +24,7 @@ _LEAST = 1 << 31  # a state is this or more between two symbols
 NOTES, DECODES = 0, 1  # what a coder does
 # What a coder's state holds, after the states of rANS, that which is next first.
 PLACE, FAULT = 2, 3
+_BEGIN = [_LEAST] * STATES + [0, 0]
 
 #: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
 #: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
@@ -34,10 +35,11 @@ _ROW = 32
 #: the first symbols of a context move it far.
 _RATES = np.repeat(np.arange(1, 8), [1, 2, 4, 12, 40, 100, 90])
 #: Of the tokens of numbers: the least number, and how many bits follow.
-_TOKENS = np.array([*range(8), 8, 12, 16, 24, 32, 48, 64, 128]), np.array([0] * 8 + [2, 2, 3, 3, 4, 4, 6, 7])
-_TOKEN_OF = np.searchsorted(_TOKENS[0], np.arange(256), side="right").astype(np.uint8) - np.uint8(1)
-_LONG = np.append(_TOKENS[1][:-1], 5)
-_STEPS = _RATES, *_TOKENS, _LONG, _TOKEN_OF, np.zeros(SYMBOLS, np.int64)
+_LEAST_OF = np.array([*range(8), 8, 12, 16, 24, 32, 48, 64, 128])
+_BITS_OF = np.array([0] * 8 + [2, 2, 3, 3, 4, 4, 6, 7])
+_BITS_OF_LONG = np.append(_BITS_OF[:-1], 5)
+_TOKEN_OF = np.searchsorted(_LEAST_OF, np.arange(256), side="right").astype(np.uint8) - np.uint8(1)
+_NO_BITS = np.zeros(SYMBOLS, np.int64)
 #: What a context begins with.
 _EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] * (_ROW - _SEEN), np.int16)
 _LANES = np.arange(SYMBOLS, dtype=np.int16)
@@ -50,7 +52,7 @@ class Model(NamedTuple):
     odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
 
 
-def new_model(symbols: int, bits: int = 0) -> Model:
+def new_model(symbols: int, bits: int) -> Model:
     """Return a model of so many contexts of symbols, and of bits."""
     return Model(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
 
@@ -62,27 +64,17 @@ class Coder(NamedTuple):
     state: Int64s  # the states, then PLACE and FAULT
     stream: Int64s  # the words that are decoded, or notes: size | start << 16 | plain << 32 | count << 48
     model: Model
-    rates: Int64s
-    least: Int64s  # (16,)   of tokens
-    bits: Int64s  # (16,)
-    long_bits: Int64s  # (16,)   of numbers of more than a byte
-    tokens: Uint8s  # (256,)   of numbers
-    none: Int64s  # (16,)   of symbols: no bits
-
-
-def _coder(work: int, stream: Int64s, model: Model) -> Coder:
-    return Coder(work, np.array([_LEAST] * STATES + [0, 0], np.int64), stream, model, *_STEPS)
 
 
 def noter(model: Model, most: int) -> Coder:
     """Return a coder that notes, with room for so many notes."""
-    return _coder(NOTES, np.empty(most, np.int64), model)
+    return Coder(NOTES, np.array(_BEGIN, np.int64), np.empty(most, np.int64), model)
 
 
 def decoder(model: Model, content: bytes) -> Coder:
     """Return a coder that reads a stream's bytes; a zero ends its words. These begin with the states."""
     words = np.frombuffer(content, "<u4", len(content) // 4)
-    coder = _coder(DECODES, np.append(words, np.uint32(0)).astype(np.int64), model)
+    coder = Coder(DECODES, np.array(_BEGIN, np.int64), np.append(words, np.uint32(0)).astype(np.int64), model)
     if words.size >= 2 * STATES:
         coder.state[:STATES] = words[: 2 * STATES].view("<i8")
         coder.state[PLACE] = 2 * STATES
@@ -139,8 +131,8 @@ def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder
     size = wide(numbers[own + np.uint64(1)]) - start + 1
     plain = _code(start + symbol, size, plain, bits[np.uint64(symbol)], coder)
     seen = wide(numbers[np.uint64(at + _SEEN)])
-    numbers[np.uint64(at + _SEEN)] = min(seen + 1, coder.rates.size - 1)
-    row, rate = sixteen_at(numbers, at), sixteen(coder.rates[np.uint64(seen)])
+    numbers[np.uint64(at + _SEEN)] = min(seen + 1, _RATES.size - 1)
+    row, rate = sixteen_at(numbers, at), sixteen(_RATES[np.uint64(seen)])
     is_after = sixteen_at(_LANES, 0) > sixteen(symbol)
     put(numbers, at, row - (row >> rate) + chosen(is_after, sixteen(_MOST) >> rate, sixteen(0)))
     return symbol, plain
@@ -149,7 +141,7 @@ def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder
 @inlined
 def code_symbol(symbol: int, context: int, coder: Coder) -> int:
     """Note or decode a symbol of 16 in a context; return it."""
-    return code_token(symbol, 0, coder.none, context, coder)[0]
+    return code_token(symbol, 0, _NO_BITS, context, coder)[0]
 
 
 @inlined
@@ -176,18 +168,18 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
     """
     high, token, plain = number >> unit, wide(0), wide(0)
     if coder.work != DECODES:
-        token = wide(coder.tokens[np.uint64(min(high, 255))])
-        plain = high - coder.least[np.uint64(token)]
+        token = wide(_TOKEN_OF[np.uint64(min(high, 255))])
+        plain = high - _LEAST_OF[np.uint64(token)]
     if is_byte:
-        token, plain = code_token(token, plain, coder.bits, context, coder)
-        about = coder.least[np.uint64(token)]  # known before its bits are
+        token, plain = code_token(token, plain, _BITS_OF, context, coder)
+        about = _LEAST_OF[np.uint64(token)]  # known before its bits are
         return about + plain, about
     if token == SYMBOLS - 1:
         plain = wide(0)
         while high >> 8 + plain:
             plain += 1
-    token, plain = code_token(token, plain, coder.long_bits, context, coder)
-    least, bits = coder.least[np.uint64(token)] + plain, wide(0)
+    token, plain = code_token(token, plain, _BITS_OF_LONG, context, coder)
+    least, bits = _LEAST_OF[np.uint64(token)] + plain, wide(0)
     if token == SYMBOLS - 1:
         bits = 7 + plain
         least = wide(1) << bits
@@ -205,18 +197,6 @@ def _code_long(value: int, count: int, coder: Coder) -> int:
         found |= _code(0, ONE, value >> done & (1 << some) - 1, some, coder) << done
         done += some
     return found
-
-
-@inlined
-def folded(off: int) -> int:
-    """Return 0, 1, 2, 3 … for 0, −1, 1, −2 …."""
-    return wide(off << 1 ^ off >> 63)
-
-
-@inlined
-def unfolded(number: int) -> int:
-    """Return what was folded."""
-    return wide(number >> 1 ^ -(number & 1))
 
 
 @kernel

@@ -7,15 +7,14 @@ one for each channel. A stream is decoded with nothing but the levels above its 
 
 from __future__ import annotations
 
-import os
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Int64s, Uint8s, Uint32s, bit_counts
-from octex.files import open_file
+from octex.container import without_duplicates
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import no_kept, no_split
 
@@ -26,6 +25,11 @@ BLOCK = 1 << 14
 #: Bytes of a piece of another tensor.
 PIECE = 1 << 20
 START = 32
+#: What a guess of a value weighs: sums of differences on the cell's side, on all, beside; the mean of the
+#: siblings' so far; how 3 components were off, and differ.
+TERMS = 10
+#: Weights are of 2²⁰, and others for each class of how much the cells around vary.
+WEIGHT_BITS, CLASSES = 20, 5
 
 #: The kinds of streams beside the channels, whose names do not begin so.
 STRUCTURE, AREAS = "\0structure", "\0areas"
@@ -33,13 +37,6 @@ STRUCTURE, AREAS = "\0structure", "\0areas"
 TREE_NAMES = tuple(f"tree/{name}" for name in TreeArrays._fields)
 SPLIT_NAMES = tuple(f"split/{name}" for name in SplitTable._fields)
 KEPT_NAME = "kept/cells"
-
-
-def is_archive(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file begins as an archive does."""
-    with suppress(OSError), open_file(path) as file:
-        return file.read(len(MAGIC)) == MAGIC
-    return False
 
 
 class DamagedError(Exception):
@@ -64,6 +61,11 @@ class Block(NamedTuple):
     last: int
     begin: Place
     end: Place
+
+    @property
+    def counts(self) -> Place:
+        """How many of each it has."""
+        return Place(*(after - before for before, after in zip(self.begin, self.end, strict=True)))
 
 
 class Named(NamedTuple):
@@ -131,6 +133,20 @@ def known_names(tensors: Mapping[str, object], channels: Sequence[str]) -> set[s
     return found & tensors.keys()
 
 
+def channels_in(metadata: Mapping[str, str]) -> list[str]:
+    """Return the names of a render file's channels; raises KeyError, TypeError or ValueError."""
+    channels = json.loads(metadata["channels"], object_pairs_hook=without_duplicates)
+    return list(channels.keys()) if isinstance(channels, dict) else []
+
+
+def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Yield the pieces of other tensors, of whose bytes there are so many: which, from where to where."""
+    known = known_names(sizes, channels)
+    for name, size in sizes.items():
+        for begin in range(0, size if name not in known else 0, PIECE):
+            yield name, begin, min(begin + PIECE, size)
+
+
 def runs(first: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield the first node of each block of a level, and that after its last."""
     while first < end:
@@ -146,12 +162,12 @@ def after_root(flags: int, n_nodes: int) -> Place:
     return Place(min(n_nodes, 1), 1, is_split, rows, int(flags & KEPT > 0))
 
 
-def of_root(content: Content, channels: Mapping[str, Named], place: Place) -> list[Array]:
+def of_root(content: Content, place: Place) -> list[Array]:
     """Return what the root has: flags, area, areas of its rows, and of each channel its rows of values."""
-    arrays = content.arrays
+    arrays, rows = content.arrays, (1, place.row, place.kept)
     found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
-    for values, split_values, kept_values in channels.values():
-        found += [values[:1], split_values[: place.row], kept_values[: place.kept]]
+    for channel in content.given.values():
+        found += [array[:count] for array, count in zip(channel, rows, strict=True)]
     return found
 
 

@@ -1,26 +1,151 @@
-"""Which children a node has, which of them are leaves, and their flags, by what is known around."""
+"""What lies around the nodes of a block and their children; and these children and their flags, coded by it.
+
+A block is a run of nodes of one level. Around a node are the six cells of its level that it shares faces
+with, in the order −x, +x, −y, +y, −z, +z. They are found from the root down, for the block's ancestors alone,
+so that a block needs the levels above it and nothing else.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from octex.archive.around import NO_NODE, NODES, OWN, before, children_of, lowest, ones
-from octex.archive.entropy import DECODES, FAULT, Coder, Model, code_bit, code_symbol, new_model, wide
-from octex.arrays import Int64s, Uint8s, Uint32s, Uint64s
-from octex.jit import inlined, kernel
-from octex.tree.layout import FACING_FLAGS
+from octex.archive.entropy import DECODES, FAULT, Coder, code_bit, code_symbol, wide
+from octex.archive.layout import Block
+from octex.arrays import Int32s, Int64s, Uint32s, Uint64s
+from octex.jit import inlined, kernel, part, popcount, trailing_zeros
+from octex.tree.children import children
+from octex.tree.layout import FACING_FLAGS, MAX_CELLS, TreeArrays
 
-#: Contexts of symbols: of the four lower octants 2¹⁰, of the upper 2¹¹.
-_SYMBOLS = 3 << 10
-# Where those of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
+# A row of what is known of a node: the cells around it, its own, and the nodes around it. Its own cell stands
+# also where there is none, NO_NODE where there is no node.
+OWN, NODES = 6, 7
+_AROUND = 13
+NO_NODE = MAX_CELLS
+# A row of what is known of a child: which of the block's cells lies across its faces −x, −y and −z, −1 for
+# none; then ABOUT: bits 0 … 3 how many children of its node are left, with itself, 4 whether any of these is
+# a node, 5 … 7 its octant; 8 … 13 of each axis whether a cell lies beyond its node, and a sibling.
+ABOUT = 3
+
+# Where contexts of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
 _LEAVES, _ALIKE, _FACINGS, _SPLIT, _KEPT, _BITS = 0, 8, 16, 64, 82, 84
+#: Contexts of symbols, of the four lower octants 2¹⁰, of the upper 2¹¹; and of bits.
+CONTEXTS = 3 << 10, _BITS
 #: The most bits of a node: 8 children with a leaf, six facings and two other flags.
 MOST = 8 * 9 + 3
 
 
-def model() -> Model:
-    """Return what a stream of structure begins with."""
-    return new_model(_SYMBOLS, _BITS)
+@inlined
+def children_of(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
+    """Return as `children` which children of a node are nodes, which are stored, and the first of both."""
+    nodes, stored, first_node, first_cell = children(groups, node)
+    return int(np.int64(nodes)), int(np.int64(stored)), first_node, first_cell
+
+
+@inlined
+def before(mask: int, place: int) -> int:
+    """Count a mask's bits before a place."""
+    return popcount(mask & (1 << place) - 1)
+
+
+@part
+def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: int) -> Uint32s:
+    """Return what lies around nodes ``first`` to ``last``, children of those from ``begin`` on."""
+    below = np.empty((last - first, _AROUND), np.uint32)
+    room = np.empty((4, 7), np.int64)
+    inner, stored, next_node, next_cell = room[0], room[1], room[2], room[3]
+    for row in range(above.shape[0]):
+        inner[OWN], stored[OWN], next_node[OWN], next_cell[OWN] = children_of(groups, begin + row)
+        for k in range(6):
+            node = int(np.int64(above[row, NODES + k]))
+            inner[k] = stored[k] = 0
+            if node != NO_NODE:
+                inner[k], stored[k], next_node[k], next_cell[k] = children_of(groups, node)
+        child, bits = next_node[OWN], inner[OWN]
+        while bits:
+            octant = trailing_zeros(bits)
+            bits &= bits - 1
+            if first <= child < last:
+                own, cell = np.uint64(child - first), next_cell[OWN] + before(stored[OWN], octant)
+                below[own, OWN] = cell
+                for k in range(6):
+                    across = octant ^ 1 << (k >> 1)
+                    at = np.uint64(k if octant >> (k >> 1) & 1 == k & 1 else OWN)  # else a sibling
+                    other, node = next_cell[at] + before(stored[at], across), next_node[at]
+                    node += before(inner[at], across)
+                    below[own, k] = other if stored[at] >> across & 1 else cell
+                    below[own, NODES + k] = node if inner[at] >> across & 1 else NO_NODE
+            child += 1
+    return below
+
+
+@inlined
+def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
+    """Return the node of ``low`` … ``high`` whose child a node is."""
+    high -= 1
+    while low < high:
+        middle = low + high + 1 >> 1
+        if children_of(groups, middle)[2] <= node:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@kernel
+def around_nodes(arrays: TreeArrays, block: Block) -> Uint32s:
+    """Return a row for each of a block's nodes (n, 13). Reads the levels above."""
+    groups, level_nodes, level = arrays.groups, arrays.level_nodes, block.level
+    runs = np.empty((level + 1, 2), np.int64)
+    runs[level, 0], runs[level, 1] = block.first, block.last
+    for above in range(level - 1, -1, -1):
+        low, high = level_nodes[above], level_nodes[above + 1]
+        runs[above, 0] = _parent(groups, low, high, runs[above + 1, 0])
+        runs[above, 1] = _parent(groups, low, high, runs[above + 1, 1] - 1) + 1
+    around = np.zeros((1, _AROUND), np.uint32)
+    around[0, NODES:] = NO_NODE
+    for above in range(level):
+        around = _descended(groups, runs[above, 0], around, runs[above + 1, 0], runs[above + 1, 1])
+    return around
+
+
+@kernel
+def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s:
+    """Return a row for each child of the nodes of a block, in order."""
+    first, begin, count = block.first, block.begin.cell, block.last - block.first
+    rows = np.empty((block.end.cell - begin, 4), np.int32)
+    stored, firsts = np.empty(count, np.uint8), np.empty(count, np.int32)
+    has_nodes = np.empty(count, np.uint8)
+    for n in range(count):
+        inner, mask, _, cell = children_of(arrays.groups, first + n)
+        has_nodes[n], stored[n], firsts[n] = inner != 0, mask, cell - begin
+    masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
+    t = 0
+    for own in range(count):
+        masks[OWN], begins[OWN] = stored[own], firsts[own]
+        for k in range(6):
+            beyond = np.int64(around[own, NODES + k]) - first
+            masks[k], begins[k] = 0xFF if around[own, k] != around[own, OWN] else 0, -1
+            if 0 <= beyond < count:
+                masks[k], begins[k] = stored[beyond], firsts[beyond]
+        left = popcount(masks[OWN])
+        bits = masks[OWN]
+        while bits:
+            octant = trailing_zeros(bits)
+            bits &= bits - 1
+            about, row = left | np.int64(has_nodes[own]) << 4 | octant << 5, np.uint64(t)
+            for axis in range(3):
+                across = octant ^ 1 << axis
+                upper = octant >> axis & 1
+                beyond = masks[np.uint64(2 * axis + upper)] >> across & 1
+                about |= ((masks[OWN] >> across & 1) << 1 | beyond) << 2 * axis + 8
+                at = np.uint64(OWN if upper else 2 * axis)
+                other = begins[at] + before(masks[at], across)
+                is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
+                rows[row, axis] = other if is_beside else -1
+            rows[row, ABOUT] = about
+            left -= 1
+            t += 1
+    return rows
 
 
 @inlined
@@ -31,24 +156,20 @@ def _mask(masks: Int64s, node: int) -> int:
 
 
 @kernel
-def code_structure(
-    groups: Uint64s,
-    flags: Uint8s,
-    first: int,
-    last: int,
-    next_node: int,
-    next_cell: int,
-    end_node: int,
-    end_cell: int,
-    may_be_nodes: bool,
-    around: Uint32s,
-    coder: Coder,
-) -> None:
-    """Note or decode the children of nodes ``first`` … ``last``, around which lie cells and nodes.
+def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Coder) -> None:
+    """Note or decode the children of a block's nodes, around which lie cells and nodes.
 
-    Decoding, it writes their masks and the groups' ranks, and their flags. Its children are numbered from
-    ``next_node`` and ``next_cell`` on, up to the ends: what goes beyond sets FAULT.
+    Decoding, it writes their masks and the groups' ranks, and their flags. What goes beyond the block's ends
+    sets FAULT.
     """
+    groups, flags, first, last = arrays.groups, arrays.flags, block.first, block.last
+    next_node, next_cell, end_node, end_cell = (
+        block.begin.node,
+        block.begin.cell,
+        block.end.node,
+        block.end.cell,
+    )
+    may_be_nodes = block.level + 3 < arrays.level_cells.size
     decodes = coder.work == DECODES
     # Of the block's nodes: which children they have, and which is the first.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
@@ -78,15 +199,15 @@ def code_structure(
         context = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | there
         context |= (faces >> 1 & 1 | faces >> 2 & 2 | faces >> 3 & 4) << 8
         there |= code_symbol(given >> 4, 1024 + context, coder) << 4
-        if there == 0 or next_cell + ones(there) > end_cell:
+        if there == 0 or next_cell + popcount(there) > end_cell:
             coder.state[FAULT] = 1
             return
         masks[own], begins[own] = there, next_cell
         parent = wide(flags[around[own, OWN]])
-        count, leaves, alike = ones(there), wide(0), wide(1)
+        count, leaves, alike = popcount(there), wide(0), wide(1)
         bits = there if may_be_nodes else 0
         while bits:
-            octant = lowest(bits)
+            octant = trailing_zeros(bits)
             bits &= bits - 1
             was_leaf = code_bit(is_leaf >> octant & 1, _LEAVES + was_leaf * 4 + min(leaves_beside, 3), coder)
             leaves |= was_leaf << octant
@@ -95,13 +216,13 @@ def code_structure(
         shown = parent & FACING_FLAGS
         for n in range(0 if decodes else count):
             alike &= wide(flags[np.uint64(next_cell + n)] == shown)
-        alike = code_bit(alike, _ALIKE + 2 * min(ones(shown), 3) + (parent >> 7), coder)
+        alike = code_bit(alike, _ALIKE + 2 * min(popcount(shown), 3) + (parent >> 7), coder)
         beside_split, union, bits = wide(0), wide(0), there & alike - 1
         for n in range(count if decodes and alike else 0):
             flags[np.uint64(next_cell + n)] = shown
         next_cell += count & -alike
         while bits:
-            octant = lowest(bits)
+            octant = trailing_zeros(bits)
             bits &= bits - 1
             some = wide(0)
             for axis in range(3):
@@ -111,13 +232,13 @@ def code_structure(
                     some |= wide(flags[begins[other] + before(masks[other], across)])
             flag, found, left = (0 if decodes else wide(flags[next_cell])), wide(0), shown
             while left:
-                facing = lowest(left)
+                facing = trailing_zeros(left)
                 left &= left - 1
                 place = 0 if found else 1 + wide(left == 0)
                 known = (some >> facing & 1) << 1 | union >> facing & 1
-                context = _FACINGS + (known * 3 + place) * 4 + min(ones(shown), 4) - 1
+                context = _FACINGS + (known * 3 + place) * 4 + min(popcount(shown), 4) - 1
                 found |= code_bit(flag >> facing & 1, context, coder) << facing
-            context = _SPLIT + (min(ones(found), 2) * 2 + (parent >> 7)) * 3 + beside_split
+            context = _SPLIT + (min(popcount(found), 2) * 2 + (parent >> 7)) * 3 + beside_split
             found |= code_bit(flag >> 7, context, coder) << 7
             if leaves >> octant & 1 == 0:
                 found |= code_bit(flag >> 6 & 1, _KEPT + (parent >> 6 & 1), coder) << 6
@@ -127,7 +248,7 @@ def code_structure(
                 flags[next_cell] = found
             next_cell += 1
         inner = there & ~leaves
-        next_node += ones(inner)
+        next_node += popcount(inner)
         if next_node > end_node:
             coder.state[FAULT] = 1
             return

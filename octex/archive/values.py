@@ -16,57 +16,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.archive.around import ABOUT, OWN
-from octex.archive.entropy import (
-    DECODES,
-    Coder,
-    Model,
-    code_bit,
-    code_number,
-    folded,
-    new_model,
-    unfolded,
-    wide,
-)
-from octex.archive.layout import Form
+from octex.archive.entropy import DECODES, Coder, code_bit, code_number, wide
+from octex.archive.layout import CLASSES, TERMS, WEIGHT_BITS, Form
+from octex.archive.structure import ABOUT, OWN
 from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
-#: Types of values.
-DTYPES = "uint8", "uint16", "float16", "float32"
-#: What a guess weighs: sums of differences on the cell's side, on all, beside; the mean of the
-#: siblings' so far; how 3 components were off, and differ.
-TERMS = 10
-#: How much the cells around vary, in steps of the channel's unit: classes have weights, contexts frequencies.
-CLASSES = 5
+#: How much the cells around vary, in steps of the channel's unit, has so many contexts.
 CONTEXTS = 11
-#: Leaves, nodes, rows of split cells, kept nodes.
+#: Sets of these: leaves, nodes, rows of split cells, kept nodes; and where those of each table begin.
 SETS = 4
-SPLIT_ROWS, KEPT_NODES = 2, 3
-#: Weights are of 2²⁰.
-WEIGHT_BITS = 20
+CELLS, SPLIT_ROWS, KEPT_NODES = 0, 2, 3
 _MOST_TERM = 1 << 12
 
-Steps = tuple[Uint8s, Uint8s, Int64s, Int64s]
-
-
-def _steps(ends: list[int]) -> Uint8s:
-    return np.searchsorted(ends, np.arange(1 << 8), side="right").astype(np.uint8)
-
-
-#: What kernels take: the class, and the context, of how much differences vary, 0 … 255; 2¹⁶ / n; and by how
-#: many bits terms are shifted before they are added to the weights of a class.
-STEPS: Steps = (
-    _steps([1, 4, 16, 48]),
-    _steps([1, 2, 3, 6, 10, 16, 24, 36, 52, 80]),
-    np.array([0, *(65536 // n for n in range(1, 9))], np.int64),
-    np.array([9, 8, 7, 5, 3], np.int64),
+#: The class, and the context, of how much differences vary, 0 … 255.
+CLASS_OF = np.searchsorted([1, 4, 16, 48], np.arange(256), side="right").astype(np.uint8)
+_CONTEXT_OF = np.searchsorted([1, 2, 3, 6, 10, 16, 24, 36, 52, 80], np.arange(256), side="right").astype(
+    np.uint8
 )
-
-
-def model_of(form: Form) -> Model:
-    """Return what a stream of a channel begins with."""
-    return new_model(SETS * form.components * CONTEXTS, 4)
+#: 2¹⁶ / n for n from 1 to 8.
+PART_OF = np.array([0, *(65536 // n for n in range(1, 9))], np.int64)
+#: By how many bits terms are shifted before they are added to the weights of a class.
+_SHIFTS = np.array([9, 8, 7, 5, 3], np.int64)
 
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
@@ -119,9 +90,9 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
             off = (number - guess + form.error) // step
             off = off + steps if off < -half else off - steps if off >= steps - half else off
     unit, is_byte = form.unit + 4 * (form.size > 1), form.size == 1
-    sign, about = code_number(folded(off), unit, is_byte, context, coder)
+    sign, about = code_number(off << 1 ^ off >> 63, unit, is_byte, context, coder)  # 0, −1, 1, −2 … from 0 on
     if coder.work == DECODES:  # else what comes next need not wait
-        off = unfolded(sign)
+        off = wide(sign >> 1 ^ -(sign & 1))
     noise = (about + 1 & -2) * step >> form.unit
     number = guess + off * step
     if form.error == 0:
@@ -136,6 +107,7 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
 class _Room(NamedTuple):
     """What is known of a node, by component, and of a child."""
 
+    numbers: Uint32s  # of all cells by component; at the end the node's own, for cells that are not there
     sides: Int64s  # (components · 6,)   what the cells around have more than the node's
     values: Int64s  # of the node's cell
     total: Int64s  # of ``sides``
@@ -153,14 +125,7 @@ class _Room(NamedTuple):
 
 @kernel
 def code_values(
-    rows: Int32s,
-    around: Uint32s,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    weights: Int64s,
-    tables: Steps,
-    coder: Coder,
+    rows: Int32s, around: Uint32s, raw: Uint8s, numbers: Uint32s, form: Form, weights: Int64s, coder: Coder
 ) -> None:
     """Note or decode the values of a block's cells, around which lie ``rows`` and ``around``.
 
@@ -170,73 +135,54 @@ def code_values(
     each, free = np.zeros((9, 4), np.int64), weights.copy()
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
     known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
-    room = _Room(sides, *known, terms, places, free)
-    flat = numbers.reshape(-1)
+    room = _Room(numbers.reshape(-1), sides, *known, terms, places, free)
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
-        _code_values(rows, around, raw, flat, Form(3, 1, 0, 0, 0), tables, room, coder)
+        _code_values(rows, around, raw, Form(3, 1, 0, 0, 0), room, coder)
     elif is_plain and form.components == 1:
-        _code_values(rows, around, raw, flat, Form(1, 1, 0, 0, 0), tables, room, coder)
+        _code_values(rows, around, raw, Form(1, 1, 0, 0, 0), room, coder)
     else:
-        _code_values(rows, around, raw, flat, form, tables, room, coder)
+        _code_values(rows, around, raw, form, room, coder)
 
 
 @inlined
-def _code_values(
-    rows: Int32s,
-    around: Uint32s,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    tables: Steps,
-    room: _Room,
-    coder: Coder,
-) -> None:
+def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _Room, coder: Coder) -> None:
     node, left, flat, was_flat = wide(-1), wide(1), wide(0), wide(0)
     for t in range(np.uint64(rows.shape[0])):
         about = wide(rows[t, ABOUT])
         if left == 1:
             node += 1
             own = around[np.uint64(node)]
-            flat = _begin_node(wide(t), about, own, was_flat, raw, numbers, form, tables, room, coder)
+            flat = _begin_node(wide(t), about, own, was_flat, raw, form, room, coder)
             was_flat = was_flat if flat < 0 else flat
         left = about & 15
         if flat > 0:
             for j in range(form.components):
-                numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
+                room.numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
-        part = tables[2][np.uint64(left)]
+        part = PART_OF[np.uint64(left)]
         spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
         for axis in range(3):
             other = wide(rows[t, np.uint64(axis)])
             room.places[axis] = 2 * axis + (about >> 5 + axis & 1)
             room.places[3 + axis] = (other if other >= 0 else spare) * form.components
         # Each component has code of its own, in which its number is known.
-        noise = _code_component(wide(t), 0, part, 0, numbers, form, tables, room, coder)
+        noise = _code_component(wide(t), 0, part, 0, form, room, coder)
         if form.components > 1:
-            noise = _code_component(wide(t), 1, part, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 1, part, noise, form, room, coder)
         if form.components > 2:
-            noise = _code_component(wide(t), 2, part, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 2, part, noise, form, room, coder)
         if form.components > 3:
-            noise = _code_component(wide(t), 3, part, noise, numbers, form, tables, room, coder)
+            noise = _code_component(wide(t), 3, part, noise, form, room, coder)
 
 
 @inlined
 def _begin_node(
-    t: int,
-    about: int,
-    around: Uint32s,
-    was_flat: int,
-    raw: Uint8s,
-    numbers: Uint32s,
-    form: Form,
-    tables: Steps,
-    room: _Room,
-    coder: Coder,
+    t: int, about: int, around: Uint32s, was_flat: int, raw: Uint8s, form: Form, room: _Room, coder: Coder
 ) -> int:
     """Look around a node; return whether its children are as the cells around, −1 if these differ."""
-    differ = wide(0)
+    differ, numbers = wide(0), room.numbers
     for j in range(form.components):
         value, total, sum_ = _number_at(raw, wide(around[OWN]), j, form), wide(0), wide(0)
         for k in range(6):
@@ -250,10 +196,10 @@ def _begin_node(
         room.values[own], room.sums[own], room.total[own] = value, 0, sum_
         numbers[np.uint64(numbers.size - form.components + j)] = np.uint32(value)
         most = min(total >> form.unit + 1, 255)
-        class_ = np.uint64(tables[0][np.uint64(most)])
+        class_ = np.uint64(CLASS_OF[np.uint64(most)])
         kind = (about >> 4 & 1) * form.components + j
         room.most[own], room.contexts[own] = most, kind * CONTEXTS
-        room.at[own], room.shifts[own] = (kind * CLASSES + wide(class_)) * TERMS, tables[3][class_]
+        room.at[own], room.shifts[own] = (kind * CLASSES + wide(class_)) * TERMS, _SHIFTS[class_]
     if differ != 0:
         return wide(-1)
     is_flat = wide(1)
@@ -273,20 +219,10 @@ def _term(difference: int, form: Form) -> int:
 
 
 @inlined
-def _code_component(
-    t: int,
-    j: int,
-    part: int,
-    noise: int,
-    numbers: Uint32s,
-    form: Form,
-    tables: Steps,
-    room: _Room,
-    coder: Coder,
-) -> int:
+def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Room, coder: Coder) -> int:
     """Note or decode component ``j`` of a child; return how much the components so far were off."""
     components, own = form.components, np.uint64(j)
-    terms, weights, value = room.terms, room.weights, room.values[own]
+    terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[own]
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
@@ -299,7 +235,7 @@ def _code_component(
     count, total = np.uint64(4 + 2 * min(j, 3)), wide(1 << WEIGHT_BITS - 1)
     for k in range(count):
         total += weights[place + k] * terms[k]
-    context = room.contexts[own] + wide(tables[1][np.uint64(min(room.most[own] + noise, 255))])
+    context = room.contexts[own] + wide(_CONTEXT_OF[np.uint64(min(room.most[own] + noise, 255))])
     at = np.uint64(t * components + j)
     guess = value + (total >> WEIGHT_BITS << form.unit)
     number, off, more = _coded(wide(numbers[at]), guess, context, form, coder)
@@ -315,9 +251,7 @@ def _code_component(
 
 
 @kernel
-def code_rows(
-    owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: Form, tables: Steps, coder: Coder
-) -> None:
+def code_rows(owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: Form, coder: Coder) -> None:
     """Note or decode numbers of rows, a row of each cell of ``owners``, whose own numbers these are."""
     before = np.zeros(4, np.int64)
     for n in range(owners.size):
@@ -327,7 +261,7 @@ def code_rows(
         for j in range(form.components):
             guess = own[n, j] + (shift if form.components >= 3 else 0)
             varies = min((abs(before[j]) >> form.unit) + noise, 255)
-            context = (kind * form.components + j) * CONTEXTS + wide(tables[1][varies])
+            context = (kind * form.components + j) * CONTEXTS + wide(_CONTEXT_OF[varies])
             number, _, more = _coded(wide(numbers[n, j]), guess, context, form, coder)
             numbers[n, j] = np.uint32(number)
             before[j] = shift = number - own[n, j]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import lzma
 import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import chain, pairwise
 from typing import Any
 
@@ -14,13 +14,16 @@ import numpy as np
 from octex import container
 from octex.archive.blocks import code_block
 from octex.archive.entropy import Model
-from octex.archive.head import channels_in, packed, pieces_of
 from octex.archive.layout import (
     AREAS,
+    CLASSES,
     FORMAT_VERSION,
     MAGIC,
+    PIECE,
     START,
     STRUCTURE,
+    TERMS,
+    WEIGHT_BITS,
     Block,
     Coding,
     Content,
@@ -28,21 +31,31 @@ from octex.archive.layout import (
     Named,
     Place,
     after_root,
+    channels_in,
     content_of,
     of_root,
+    pieces_of,
     runs,
 )
-from octex.archive.values import numbers_of
-from octex.archive.weights import fitted, sampled
-from octex.arrays import Array, zeros
+from octex.archive.structure import ABOUT, OWN, around_children, around_nodes
+from octex.archive.values import CLASS_OF, PART_OF, numbers_of
+from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
 from octex.tree.children import children_before
+from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
 
 #: So many of the last cells are looked at to choose a unit.
-_SAMPLE = 1 << 14
+_LAST = 1 << 14
+#: About so many nodes of each of the two deepest levels are looked at to fit weights, so many at a time.
+_SAMPLE, _RUN = 1 << 10, 1 << 8
+_ROUNDS = 3
+_MOST = 8 << WEIGHT_BITS
+
+#: Of some nodes: their children's first cell, and what lies around.
+_Sampled = list[tuple[int, Int32s, Uint32s]]
 
 
 def write(
@@ -60,20 +73,22 @@ def write(
     first, channels = container.header(tensors, metadata), channels_in(metadata)
     content = content_of(tensors, channels)
     Octree(*content[:3]).validate()
-    sample, codings = sampled(content.arrays), {}
+    place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
+    sample, codings, decoded = _sampled(content.arrays), {}, dict(content.given)
     for name, channel in content.given.items():
         form = _form(channel, tensors[f"channels/{name}"].dtype, max_error)
-        codings[name] = Coding(form, fitted(channel.values, form, sample))
-    place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
-    root = of_root(content, content.given, place)
-    decoded = dict(content.given)
-    for name, channel in content.given.items():
-        if codings[name].form.error:  # what is read will differ, but for the root's
+        codings[name] = Coding(form, _fitted(channel.values, form, sample))
+        if form.error:  # what is read will differ, but for the root's
             decoded[name] = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
-            own = [of_root(content, {name: each}, place)[3:] for each in (decoded[name], channel)]
-            for array, given in zip(*own, strict=True):
-                array[:] = given
-    encode = partial(_encoded, content._replace(decoded=decoded), codings, {})
+            for made, given, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
+                made[:count] = given[:count]
+    content, kinds = content._replace(decoded=decoded), (STRUCTURE, AREAS, *codings)
+    models: dict[str, Model] = {}
+
+    def encode(block: Block) -> tuple[list[int], list[bytes]]:
+        """Return what a block's record begins with, and its streams."""
+        return list(block.counts), code_block(content, codings, block, kinds, models)
+
     with replacing(path) as file, workers() as executor:
         file.write(bytes(START))
         records: list[int] = []
@@ -86,8 +101,8 @@ def write(
         told: list[Array] = [*content.arrays[1:3]]
         for form, weights in codings.values():
             told += [np.array([form.error, form.unit], "<u4"), weights.astype("<i4")]
-        begins = b"".join(array.tobytes() for array in [*told, *root])
-        parts = [first[8:].rstrip(b" "), begins, np.array(records, "<u4").tobytes()]
+        begins = b"".join(array.tobytes() for array in [*told, *of_root(content, place)])
+        parts = first[8:].rstrip(b" "), begins, np.array(records, "<u4").tobytes()
         begin, sizes = file.tell(), np.array([len(part) for part in parts], "<u4").tobytes()
         directory = sizes + packed(b"".join(parts))
         file.write(directory)
@@ -96,6 +111,12 @@ def write(
         file.seek(0)
         file.write(start + zlib.crc32(start).to_bytes(4, "little"))
         file.seek(0, os.SEEK_END)
+
+
+def packed(content: bytes) -> bytes:
+    """Return bytes packed by xz, at most some megabytes, which ``unpacked`` checks."""
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": 4, "dict_size": PIECE}]
+    return lzma.compress(content, check=lzma.CHECK_NONE, filters=filters)
 
 
 def _pieces(tensors: Mapping[str, Array], channels: Sequence[str]) -> Iterator[tuple[list[int], list[bytes]]]:
@@ -128,15 +149,79 @@ def _form(channel: Named, dtype: np.dtype[Any], error: int) -> Form:
     _, components, size = channel.values.shape
     form = Form(components, size, int(dtype.kind == "f"), 0, 0)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
-        differ = np.abs(np.diff(numbers_of(channel.values[-_SAMPLE:], form), axis=0))
+        differ = np.abs(np.diff(numbers_of(channel.values[-_LAST:], form), axis=0))
         unit = max(int(np.median(differ)).bit_length() - 3, 0) if differ.size else 0
         form = form._replace(unit=unit)
     return form._replace(error=0 if form.is_float else error)
 
 
-def _encoded(
-    content: Content, codings: Mapping[str, Coding], models: dict[str, Model], block: Block
-) -> tuple[list[int], list[bytes]]:
-    """Return what a block's record begins with, and its streams."""
-    streams = code_block(content, codings, block, (STRUCTURE, AREAS, *codings), models)
-    return [after - before for before, after in zip(block.begin, block.end, strict=True)], streams
+def _sampled(arrays: TreeArrays) -> _Sampled:
+    """Return nodes all over the two deepest levels of nodes."""
+    found = []
+    for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
+        begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
+        count = min(_SAMPLE // _RUN, -(-(end - begin) // _RUN))
+        for first in (begin + (end - begin) * n // count for n in range(count)):
+            last = min(first + _RUN, end)
+            begins = children_before(arrays.groups, np.array([first, last]))[0].tolist()
+            block = Block(level, first, last, *(Place(0, cell, 0, 0, 0) for cell in begins))
+            around = around_nodes(arrays, block)
+            found.append((begins[0], around_children(arrays, block, around), around[:, : OWN + 1]))
+    return found
+
+
+def _fitted(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:
+    """Return the weights (2 · components · classes · terms,) of a channel's values (cells, components, size).
+
+    Squares are weighted so that their sum is about that of what guesses are off by.
+    """
+    weights = np.zeros((2, form.components, CLASSES, TERMS), np.int64)
+    if not sample:
+        return weights.reshape(-1)
+    runs_of_terms = zip(*(_terms(raw, form, *run) for run in sample), strict=True)
+    terms, more, groups, kinds = (np.concatenate(each, axis=-1) for each in runs_of_terms)
+    for j in range(form.components):
+        for kind, group in np.ndindex(2, CLASSES):
+            own = (kinds == kind) & (groups[j] == group)
+            known, wanted = terms[j][: 4 + 2 * min(j, 3), own].astype(np.float64), more[j, own]
+            if wanted.size < 4 * TERMS:
+                continue
+            off = wanted
+            for _ in range(_ROUNDS):
+                weighted = known / (np.abs(off) + 0.5)
+                square = weighted @ known.T + 1e-3 * np.sqrt(wanted.size) * np.eye(len(known))
+                found = np.linalg.solve(square, weighted @ wanted)
+                off = wanted - found @ known
+            whole = np.clip(np.rint(found * (1 << WEIGHT_BITS)), -_MOST, _MOST)
+            weights[kind, j, group, : len(known)] = whole
+            for later in terms[j + 1 :]:
+                if j < 3:
+                    later[4 + 2 * j, own], later[5 + 2 * j, own] = np.rint(off), more[j, own]
+    return weights.reshape(-1)
+
+
+def _terms(raw: Uint8s, form: Form, begin: int, rows: Int32s, cells: Uint32s) -> tuple[Array, ...]:
+    """Return terms (components, terms, cells), what values have more than their parents', classes, and kinds.
+
+    All but the kinds are by component and cell, in the channel's unit.
+    """
+    about, count = rows[:, ABOUT], len(rows)
+    left = about & 15
+    node = np.cumsum(np.append(1, left[:-1] == 1)) - 1
+    firsts = np.flatnonzero(np.diff(node, prepend=-1))[node]
+    numbers = numbers_of(raw[begin : begin + count], form)
+    around = numbers_of(raw[cells.reshape(-1)], form).reshape(-1, 7, form.components)
+    values, sides = around[node, OWN], around[:, :OWN] - around[:, OWN:]
+    most = np.minimum(np.abs(sides).sum(axis=1) >> form.unit + 1, 255)[node]
+    more = numbers - values
+    sums = np.cumsum(more, axis=0) - more
+    near = beside = np.zeros_like(more)
+    for axis in range(3):
+        near = near + (sides[node, 2 * axis + (about >> 5 + axis & 1)] >> form.unit)
+        other = rows[:, axis]
+        beside = beside + np.where(other[:, None] >= 0, numbers[other] - values, 0)
+    mean = (sums - sums[firsts] >> form.unit) * PART_OF[left, None] >> 16
+    known = near, (sides >> form.unit).sum(axis=1)[node], beside >> form.unit, mean
+    terms = np.zeros((form.components, TERMS, count), np.int64)
+    terms[:, :4] = np.stack(known).transpose(2, 0, 1)
+    return terms, more.T >> form.unit, CLASS_OF[most].T, about >> 4 & 1

@@ -14,7 +14,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
 from octex.baking.directions import across, in_tangent_space, turned, unit
 from octex.baking.gutters import Borders, fill_up, gutter_of
-from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors
+from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, Shown, Texels, texel_points
@@ -76,7 +76,8 @@ def bake(
                    for the whole surface (by xatlas if it is installed); "auto": keep, unless in some material
                    more than 1 % overlaps with different colours or is too small for its detail
     texture_size   width of the square maps in texels, 64 to 16384. Default: the least power of two, up to
-                   8192, whose texels are no wider than the leaves
+                   8192, whose texels have on average the area of a leaf; doubled, at most twice, until
+                   bilinear reading is within 3/255 (RMS) of the texture where the texture varies
     padding        texels around each chart of an atlas, 0 to 64 (default 8, fewer if there is little room)
     channels       names of the channels to bake (default: all that materials have)
     bits           of each number: 8; 16; or 32, floats in linear light, with directions as (x + 1) / 2
@@ -239,18 +240,13 @@ class _Job:
         rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
         for sheet in sheets:
             flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
-        first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
-        one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-        doubled = doubled_areas(flat)
-        scale = np.where(doubled != 0, 1.0 / np.where(doubled != 0, doubled, 1.0), 0.0)[:, None]
         #: (m, 3)   how rest positions change from a lookup to the next at the right, and below
-        self.dPdx = (first * two[:, 1:] - second * one[:, 1:]) * scale
-        self.dPdy = (second * one[:, :1] - first * two[:, :1]) * scale
+        self.dPdx, self.dPdy = steps_between(rest, flat)
         leaf = texture.placement.size / 2**texture.tree.max_depth
         #: (m,)   whether a lookup averages over no more than a leaf
         self.is_fine = (self.dPdx**2).sum(axis=1) + (self.dPdy**2).sum(axis=1) <= leaf**2
         self.sizes = supersample * np.linalg.norm(np.cross(self.dPdx, self.dPdy), axis=1) ** 0.5  # of texels
-        self.normals = unit(np.cross(first, second))
+        self.normals = unit(area_vectors(rest))
         self.blocks = None
         if other is None:
             self.blocks = Blocks.of(texture, names, self.normals, self.dPdx, self.dPdy)

@@ -139,7 +139,7 @@ class Blocks(NamedTuple):
                 if self.alpha is not None:
                     covered = np.empty_like(weights)
                     _weigh(rows, weights, self.alpha, covered)
-                    _decode_ones(cells, covered, planes, used)
+                    _decode(cells, rows, weights, self.alpha, 1, planes, used)
                 for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
                     shares = weights if is_alpha else covered
                     _decode(cells, rows, shares, codes, 1 + weighs + lane, planes, used)
@@ -272,13 +272,6 @@ def _weigh(rows: Uint32s, weights: Float32s, alpha: Codes, covered: Float32s) ->
     """Multiply weights by alpha."""
     for n in range(rows.size):
         covered[n] = weights[n] * _value(alpha, int(rows[n]), 0)
-
-
-@kernel
-def _decode_ones(cells: Int32s, weights: Float32s, planes: int, coefficients: Float32s) -> None:
-    """Add weights to the second lane of cells."""
-    for n in range(cells.size):
-        coefficients[np.uint64(planes * cells[n]), 1] += weights[n]
 
 
 @kernel

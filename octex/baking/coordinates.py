@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.baking.layout import Layout, doubled_areas, unit_area
 from octex.baking.texels import Drawing, Texels, barycentric_at
 from octex.channels import CHANNELS, linear_to_srgb
@@ -29,6 +29,13 @@ _MOST_DRAWN = 8.0
 _LONG, _UNEVEN = 4.0, 16.0
 #: Rows of texels in one task.
 _ROWS = 128
+#: Points at which sizes of texels are tried, and how many times finer than a leaf texels may be chosen.
+_COMPARED, _FINER = 5_000, (1, 2, 4)
+#: Root mean square, of 1, of what reading between texels may miss where the texture varies; the worst 1 % of
+#: points are left out, which also lie at the surface's rims, beyond which there is no texture to read.
+_READ = 3.0 / 255.0
+#: The texture varies where averaging over so many leaves changes it by more than this, of 1.
+_AVERAGED, _VARIES = 4.0, 2.0 / 255.0
 
 
 def check_overlaps(
@@ -127,9 +134,9 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 
-def _scattered(areas: Float64s) -> tuple[Int64s, Float64s]:
+def _scattered(areas: Float64s, count: int = _TRIED) -> tuple[Int64s, Float64s]:
     """Return the triangles, and the barycentric coordinates, of random places on triangles of some areas."""
-    random = np.random.default_rng(0).random((_TRIED, 3))
+    random = np.random.default_rng(0).random((count, 3))
     own = np.minimum(np.searchsorted(np.cumsum(areas), random[:, 0] * areas.sum()), len(areas) - 1)
     root = np.sqrt(random[:, 1:2])
     return own, np.concatenate([1 - root, root * (1 - random[:, 2:]), root * random[:, 2:]], axis=1)
@@ -139,24 +146,58 @@ def _look_otherwise(
     texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
 ) -> Bools:
     """Say where two places, each given by triangles (n,) and barycentric coordinates, look otherwise."""
-    kept = [name for name in names if CHANNELS[name].space != "direction"]
     codes = []
     for triangles, weights in ends:
         rows = mesh.triangles[triangles]
         normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
-        found = texture.sample(places, kept, normals=normals, width=width, threads=1)
-        codes.append(
-            [
-                linear_to_srgb(np.clip(found[name], 0, 1))
-                if CHANNELS[name].space == "srgb"
-                else found[name].astype(np.float64)
-                for name in kept
-            ]
-        )
-    differs = np.zeros(len(ends[0][0]), np.bool_)
-    for one, two in zip(*codes, strict=True):
-        differs |= (np.abs(one - two) > _LOOKS_ALIKE).any(axis=1)
-    return differs
+        codes.append(_stored(texture.sample(places, names, normals=normals, width=width, threads=1)))
+    return np.asarray((np.abs(codes[0] - codes[1]) > _LOOKS_ALIKE).any(axis=1))
+
+
+def fineness(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], areas: Float64s, steps: tuple[Float64s, Float64s]
+) -> int:
+    """Return how many times finer texels must be, 1, 2 or 4, to read like the texture where it varies.
+
+    Triangles weigh their ``areas`` (m,); ``steps`` (m, 3) go from a texel to the next, right and down.
+    """
+    own, weights = _scattered(areas, _COMPARED)
+    rows = mesh.triangles[own]
+    places, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
+
+    def look(places: Float64s, width: float = 0.0) -> dict[str, Float32s]:
+        return texture.sample(places, names, normals=normals, width=width, threads=1)
+
+    wanted, width = _stored(look(places)), _AVERAGED * leaf_of(texture, mesh)
+    varies = (np.abs(wanted - _stored(look(places, width))) > _VARIES).any(axis=1)
+    varies &= texture.contains(places, threads=1)
+    if varies.mean() <= _MOST:
+        return 1
+    wanted, places, normals = wanted[varies], places[varies], normals[varies]
+    right, down = (each[own[varies]] for each in steps)
+    x, y = np.random.default_rng(1).random((2, len(places), 1))
+    for finer in _FINER[:-1]:
+        read: dict[str, Float32s] = {}
+        for i, j in np.ndindex(2, 2):
+            share = np.float32((x if i else 1.0 - x) * (y if j else 1.0 - y))
+            for name, values in look(places + ((i - x) * right + (j - y) * down) / finer).items():
+                read[name] = read.get(name, np.float32(0.0)) + share * values
+        missed = np.sort(((_stored(read) - wanted) ** 2).max(axis=1))[: -int(_MOST * _COMPARED)]
+        if missed.mean() <= _READ**2:
+            return finer
+    return _FINER[-1]
+
+
+def _stored(values: dict[str, Float32s]) -> Float64s:
+    """Return channels side by side (n, components) as they are stored, from 0 to 1; not directions."""
+    known = [each for each in values.items() if CHANNELS[each[0]].space != "direction"]
+    if not known:
+        return np.zeros((len(next(iter(values.values()))), 1))
+    columns = [
+        linear_to_srgb(np.clip(each, 0, 1)) if CHANNELS[name].space == "srgb" else each
+        for name, each in known
+    ]
+    return np.concatenate(columns, axis=1, dtype=np.float64)
 
 
 def _drawn(layout: Layout, pool: Executor) -> Texels:

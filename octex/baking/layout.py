@@ -123,3 +123,14 @@ def doubled_areas(corners: Float64s) -> Float64s:
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     doubled: Float64s = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     return doubled
+
+
+def steps_between(rest: Float64s, flat: Float64s) -> tuple[Float64s, Float64s]:
+    """Return how rest positions of triangles change (m, 3) with x and with y in a map."""
+    first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
+    one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    doubled = doubled_areas(flat)
+    scale = np.where(doubled != 0, 1.0 / np.where(doubled != 0, doubled, 1.0), 0.0)[:, None]
+    return (first * two[:, 1:] - second * one[:, 1:]) * scale, (
+        second * one[:, :1] - first * two[:, :1]
+    ) * scale

@@ -61,22 +61,14 @@ class Values(NamedTuple):
         return self.values[..., self.lanes[name]]
 
 
-@kernel
 def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: Float32s) -> None:
     """Write the means of n² texels, by how much of each is ``covered``, and how much is of all."""
-    for row in range(areas.shape[0]):
-        for column in range(areas.shape[1]):
-            total = np.float32(0.0)
-            for lane in range(values.shape[2]):
-                values[row, column, lane] = 0.0
-            for part in range(n * n):
-                y, x = n * row + part // n, n * column + part % n
-                total += covered[y, x]
-                for lane in range(values.shape[2]):
-                    values[row, column, lane] += covered[y, x] * fine[y, x, lane]
-            areas[row, column] = total / np.float32(n * n)
-            for lane in range(values.shape[2] if total > np.float32(0.0) else 0):
-                values[row, column, lane] /= total
+    for row, column in np.ndindex(n, n):
+        part = covered[row::n, column::n]
+        areas += part
+        values += part[..., None] * fine[row::n, column::n]
+    values /= np.where(areas > 0.0, areas, np.float32(1.0))[..., None]
+    areas /= np.float32(n * n)
 
 
 def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
@@ -99,7 +91,7 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
             lanes = tuple(range(first, first + form.components))
             strength = 1.0
             if form.space == "srgb" and bits != _FLOAT:
-                strength = max(1.0, largest(maps.values, maps.lanes[name].start, form.components))
+                strength = max(1.0, float(maps.channel(name).max(initial=0.0)))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
         images.append((texels, {name: inputs[name] for name in given}))
     firsts = range(0, len(maps.areas), _ENCODED)
@@ -111,17 +103,6 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
                 inputs[name] = number
                 texels[..., list(read.lanes)] = _one(texels)
     return inputs
-
-
-@kernel
-def largest(values: Float32s, lane: int, components: int) -> float:
-    """Return the largest of some lanes of values (height, width, lanes), 0 at least."""
-    most = np.float32(0.0)
-    for row in range(values.shape[0]):
-        for column in range(values.shape[1]):
-            for k in range(components):
-                most = max(most, values[row, column, lane + k])
-    return float(most)
 
 
 def _number(name: str, given: Input, texels: Texels, alike: float) -> Input | None:

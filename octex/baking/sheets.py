@@ -11,10 +11,19 @@ import numpy as np
 
 from octex.arrays import Int32s
 from octex.baking.atlas import atlas_layout
-from octex.baking.coordinates import PROBE, areas_of, check_overlaps, check_stretches, leaf_of, squeezed
-from octex.baking.layout import BEYOND, PADDING, Layout, Layouts, kept_layout, unit_area
+from octex.baking.coordinates import (
+    PROBE,
+    areas_of,
+    check_overlaps,
+    check_stretches,
+    fineness,
+    leaf_of,
+    squeezed,
+)
+from octex.baking.directions import across, unit
+from octex.baking.layout import BEYOND, PADDING, Layout, Layouts, kept_layout, steps_between, unit_area
 from octex.errors import ModelError, ModelWarning
-from octex.source.corners import Corners
+from octex.source.corners import Corners, area_vectors
 from octex.source.materials import Material, MaterialSource
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
@@ -67,7 +76,7 @@ def sheets_of(
         except ModelError:
             if uv == "keep":
                 raise
-    layout = _atlas(texture, surface, size, padding)
+    layout = _atlas(texture, surface, names, size, padding)
     every = np.arange(len(surface.triangles), dtype=np.int32)
     kinds: dict[tuple[str, bool], list[int]] = {}
     for number in np.unique(owners).tolist():
@@ -102,7 +111,7 @@ def _kept(
         numbers = np.searchsorted(alike, owners[chosen]).astype(np.int32)
         mesh = surface.picked(chosen)[0]
         if own is None:
-            yield Sheet(mesh, chosen, _atlas(texture, mesh, size, padding), shown, numbers)
+            yield Sheet(mesh, chosen, _atlas(texture, mesh, names, size, padding), shown, numbers)
             continue
         mesh.uv = own.of(chosen)
         layout = kept_layout(mesh, size or PROBE, around)
@@ -113,13 +122,13 @@ def _kept(
             if not tiles:
                 raise
         else:
-            yield Sheet(mesh, chosen, _fitted(texture, mesh, layout, size, shown), shown, numbers)
+            yield Sheet(mesh, chosen, _fitted(texture, mesh, names, layout, size, shown), shown, numbers)
             continue
         for name, tile, there in tiles:
             layout = kept_layout(tile, size or PROBE, around)
             check_overlaps(texture, tile, names, layout, pool)
             named = [each._replace(name=f"{each.name}.{name}") for each in shown]
-            of_tile = _fitted(texture, tile, layout, size, shown)
+            of_tile = _fitted(texture, tile, names, layout, size, shown)
             yield Sheet(tile, chosen[there], of_tile, named, numbers[there])
 
 
@@ -152,34 +161,46 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
     return tiles
 
 
-def _atlas(texture: OctreeTexture, mesh: Mesh, size: int | None, padding: int | None) -> Layout:
-    """Return an atlas of a size, or of the first that keeps the texture's leaves."""
-    leaf = leaf_of(texture, mesh)
-    first = size or _size_for(leaf, areas_of(mesh).sum(), 0.6)
-    sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())] if size is None else [size]
-    return atlas_layout(mesh, sizes, padding, _ABOUT * leaf)
+def _atlas(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None
+) -> Layout:
+    """Return an atlas of a size, or of the first that keeps the texture's leaves and reads like it."""
+    texel, sizes = _ABOUT * leaf_of(texture, mesh), [size or _LARGEST]
+    if size is None:
+        normals = unit(area_vectors(mesh.rest[mesh.triangles]))
+        right = across(normals)
+        steps = texel * right, texel * np.cross(normals, right)
+        texel /= fineness(texture, mesh, names, areas_of(mesh), steps)
+        first = _size_for(texel, areas_of(mesh).sum(), 0.6)
+        sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())]
+    return atlas_layout(mesh, sizes, padding, texel)
 
 
 def _fitted(
-    texture: OctreeTexture, mesh: Mesh, layout: Layout, size: int | None, materials: list[Material]
-) -> Layout:
-    """Return a layout of a size, or of one that keeps leaves and materials' texels apart."""
+    texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, size: int | None,
+    materials: list[Material],
+) -> Layout:  # fmt: skip
+    """Return a layout of a size, or of one that keeps leaves and materials' texels and reads like them."""
     if size is not None:
         return layout.sized(size)
-    leaf = leaf_of(texture, mesh)
-    is_squeezed = squeezed(texture, mesh, _LARGEST)
-    if not is_squeezed.any():
-        return layout.sized(_size_for(leaf, areas_of(mesh).sum(), unit_area(layout)))
-    read = [each.texture for material in materials for each in material.inputs.values()]
-    own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
-    others = np.flatnonzero(~is_squeezed).astype(np.int32)
-    part = unit_area(layout._replace(uv=layout.uv.of(others)))
-    return layout.sized(max(_size_for(leaf, areas_of(mesh)[others].sum(), part), _power_above(own)))
+    texel = _ABOUT * leaf_of(texture, mesh)
+    is_squeezed, areas = squeezed(texture, mesh, _LARGEST), areas_of(mesh)
+    chosen = ~is_squeezed
+    part = unit_area(layout._replace(uv=layout.uv.of(np.flatnonzero(chosen).astype(np.int32))))
+    size = _size_for(texel, areas[chosen].sum(), part)
+    corners = size * layout.uv.values[layout.uv.rows].astype(np.float64)
+    steps = steps_between(mesh.rest[mesh.triangles], corners)
+    size = min(size * fineness(texture, mesh, names, areas * chosen, steps), _LARGEST)
+    if is_squeezed.any():
+        read = [each.texture for material in materials for each in material.inputs.values()]
+        own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
+        size = max(size, _power_above(own))
+    return layout.sized(size)
 
 
-def _size_for(leaf: float, area: float, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows an area with texels about as wide as a leaf."""
-    return _power_above(np.sqrt(area / max(part, 1e-6)) / (_ABOUT * leaf))
+def _size_for(texel: float, area: float, part: float) -> int:
+    """Return the size of maps of which a ``part`` shows an area with texels of this width."""
+    return _power_above(np.sqrt(area / max(part, 1e-6)) / texel)
 
 
 def _power_above(side: float) -> int:

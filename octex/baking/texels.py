@@ -62,10 +62,21 @@ def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, fir
     centroids, cut = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
     _mark_cut(corners, edges, first, cut)
     _fill(corners, first, cut, triangles, areas, centroids)
-    _find_owners(corners, first, cut, triangles, areas)
-    _find_centroids(corners, charts, first, cut, triangles, areas, centroids)
-    _find_triangles(corners, charts, first, cut, triangles, centroids)
+    room = _Pieces(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3)))
+    count = _list_pieces(corners, first, cut, room)
+    pieces = _Pieces(np.empty(count, np.int64), np.empty(count, np.int32), np.zeros((count, 3)))
+    _list_pieces(corners, first, cut, pieces)
+    flat = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
+    _settle(corners, charts, first, width, pieces, *flat)
     return Texels(triangles, centroids, areas)
+
+
+class _Pieces(NamedTuple):
+    """Triangles in texels that edges of charts cut, and in some that they only come near."""
+
+    texels: Int64s  # (n,)   counted row by row
+    triangles: Int32s  # (n,)
+    covered: Float64s  # (n, 3)   the area, and that times its centroid relative to the texel
 
 
 @inlined
@@ -225,53 +236,26 @@ def _covered(
 
 
 @kernel
-def _find_owners(corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s) -> None:
-    """Write the triangle that covers most of each ``cut`` texel, and how much."""
+def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> int:
+    """Write the pieces of triangles in ``cut`` texels, as far as there is room; return how many there are."""
     one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
+    count, room = 0, pieces.texels.size
     for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
-        for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
-            for column in range(low, high):
-                if not cut[row - first, column] or not _meets(lines, column, row):
-                    continue
-                area, _, _ = _covered(corners, triangle, column, row, one, two)
-                if area > np.float64(areas[row - first, column]) and area > _LEAST:
-                    areas[row - first, column] = area
-                    triangles[row - first, column] = triangle
-
-
-@kernel
-def _find_centroids(
-    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, areas: Float32s,
-    centroids: Float32s,
-) -> None:  # fmt: skip
-    """Write how much of each ``cut`` texel the chart of its triangle covers, and the centroid of that."""
-    one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
-    for row in range(areas.shape[0]):
-        for column in range(areas.shape[1]):
-            if cut[row, column]:
-                areas[row, column] = 0.0
-    for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
+        top, bottom, left, right = _enter(corners, triangle, first, cut.shape, lines)
         for row in range(top, bottom):
             low, high = _span(lines, row, left, right)
             for column in range(low, high):
                 if not cut[row - first, column]:
                     continue
-                owner = triangles[row - first, column]
-                if owner >= 0 and charts[owner] == charts[triangle] and _meets(lines, column, row):
-                    area, x, y = _covered(corners, triangle, column, row, one, two)
-                    areas[row - first, column] += np.float32(area)
-                    centroids[row - first, column, 0] += np.float32(x)
-                    centroids[row - first, column, 1] += np.float32(y)
-    for row in range(areas.shape[0]):
-        for column in range(areas.shape[1]):
-            if cut[row, column] and areas[row, column] > 0.0:
-                for axis in range(2):
-                    middle = centroids[row, column, axis] / areas[row, column]
-                    centroids[row, column, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
-                areas[row, column] = min(areas[row, column], np.float32(1.0))
+                if count < room:
+                    pieces.texels[count] = (row - first) * cut.shape[1] + column
+                    pieces.triangles[count] = triangle
+                    if _meets(lines, column, row):
+                        area, x, y = _covered(corners, triangle, column, row, one, two)
+                        covered = pieces.covered[count]
+                        covered[0], covered[1], covered[2] = area, x, y
+                count += 1
+    return count
 
 
 @inlined
@@ -301,38 +285,49 @@ def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Fl
 
 
 @kernel
-def _find_triangles(
-    corners: Float64s, charts: Int32s, first: int, cut: Bools, triangles: Int32s, centroids: Float32s
-) -> None:
-    """Write the triangle of its chart that each ``cut`` texel's centroid lies on, or comes nearest to."""
-    nearest = np.full(triangles.shape, np.inf, np.float32)
-    lines = np.empty((3, 3))
-    for row in range(triangles.shape[0]):
-        for column in range(triangles.shape[1]):
-            if triangles[row, column] >= 0 and cut[row, column]:
-                x, y = (
-                    column + np.float64(centroids[row, column, 0]),
-                    first + row + np.float64(centroids[row, column, 1]),
-                )
-                p, q, r = _barycentric(corners, int(triangles[row, column]), x, y)
-                nearest[row, column] = min(p, min(q, r))
-    for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
-        for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
-            for column in range(low, high):
-                if nearest[row - first, column] >= 0.0:
-                    continue
-                owner = triangles[row - first, column]
-                if charts[owner] != charts[triangle]:
-                    continue
-                x = column + np.float64(centroids[row - first, column, 0])
-                y = row + np.float64(centroids[row - first, column, 1])
-                p, q, r = _barycentric(corners, triangle, x, y)
-                inside = min(p, min(q, r))
-                if inside > np.float64(nearest[row - first, column]):
-                    nearest[row - first, column] = inside
-                    triangles[row - first, column] = triangle
+def _settle(
+    corners: Float64s, charts: Int32s, first: int, width: int, pieces: _Pieces, cut: Bools,
+    triangles: Int32s, areas: Float32s, centroids: Float32s,
+) -> None:  # fmt: skip
+    """Write what ``cut`` texels show of the chart whose triangle covers most, and how much of that."""
+    at, of, covered = pieces
+    for n in range(at.size):
+        if covered[n, 0] > max(np.float64(areas[at[n]]), _LEAST):
+            areas[at[n]], triangles[at[n]] = covered[n, 0], of[n]
+    for texel in range(cut.size):
+        if cut[texel]:
+            areas[texel] = 0.0
+    for n in range(at.size):
+        owner = triangles[at[n]]
+        if owner >= 0 and charts[owner] == charts[of[n]]:
+            areas[at[n]] += np.float32(covered[n, 0])
+            centroids[at[n], 0] += np.float32(covered[n, 1])
+            centroids[at[n], 1] += np.float32(covered[n, 2])
+    nearest = np.full(cut.size, np.inf, np.float32)
+    for texel in range(cut.size):
+        if cut[texel] and triangles[texel] >= 0:
+            for axis in range(2):
+                middle = centroids[texel, axis] / areas[texel]
+                centroids[texel, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
+            areas[texel] = min(areas[texel], np.float32(1.0))
+            nearest[texel] = _inside(corners, int(triangles[texel]), first, width, texel, centroids)
+    # The triangle of the chart that lies at the centroid, or comes nearest.
+    for n in range(at.size):
+        texel = at[n]
+        if nearest[texel] < 0.0 and charts[triangles[texel]] == charts[of[n]]:
+            inside = _inside(corners, int(of[n]), first, width, texel, centroids)
+            if inside > np.float64(nearest[texel]):
+                nearest[texel], triangles[texel] = inside, of[n]
+
+
+@inlined
+def _inside(
+    corners: Float64s, triangle: int, first: int, width: int, texel: int, centroids: Float32s
+) -> float:
+    """Return the least barycentric coordinate of a texel's centroid on a triangle."""
+    x, y = np.float64(centroids[texel, 0]), np.float64(centroids[texel, 1])
+    p, q, r = _barycentric(corners, triangle, texel % width + x, first + texel // width + y)
+    return min(p, min(q, r))
 
 
 class Shown(NamedTuple):
@@ -357,98 +352,57 @@ def texel_points(
     ``corners`` (k, 3, 2) were drawn, ``faces`` (k,) are the surface's triangles that they show, of which
     ``triangles`` (m, 3) has the rows of ``rest`` (n, 3).
     """
-    most = int(np.count_nonzero(drawn.triangles >= 0))
+    row, column = np.nonzero(drawn.triangles >= 0)
+    width = drawn.triangles.shape[1]
+    shows = drawn.triangles[row, column].astype(np.int64)
+    tile = (row >> 5) * (width // _TILE + 1) + (column >> 5)
+    square = column >> 3 & 1 | row >> 2 & 2 | column >> 2 & 4 | row >> 1 & 8
+    keys = (tile << 31 | shows) << 10 | square << 6 | (row & 7) << 3 | column & 7
+    order = np.argsort(keys)
+    starts = np.flatnonzero(np.diff(keys[order] >> 10, prepend=-1))
+    runs = shows[order[starts]].astype(np.int32)
+    count = row.size
     shown = Shown(
-        np.empty(most, np.int32), np.empty((most, 3)), np.empty((most, 3)),
-        np.empty(most + 1, np.int32), np.empty(most, np.int32),
+        (row * width + column)[order].astype(np.int32), np.empty((count, 3)), np.empty((count, 3)),
+        np.append(starts, count).astype(np.int32), faces[runs],
     )  # fmt: skip
-    runs = _find_points(corners, faces, *drawn[:2], first, rest, triangles, shown)
-    return shown._replace(starts=shown.starts[: runs + 1], triangles=shown.triangles[:runs])
+    _find_points(corners, runs, drawn.centroids, first, rest, triangles, shown)
+    return shown
 
 
 @kernel
 def _find_points(
-    corners: Float64s, faces: Int32s, drawn: Int32s, centroids: Float32s, first: int, rest: Float64s,
-    triangles: Int32s, shown: Shown,
-) -> int:  # fmt: skip
-    """Write what texels of rows show; return the number of runs."""
-    height, width = drawn.shape
-    order, runs = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
-    known, ends = np.empty(_TILE * _TILE, np.int32), np.empty(_TILE * _TILE, np.int32)
-    numbers = np.zeros(corners.shape[0], np.int32)  # of runs in the tile, by triangle
-    count = n_runs = 0
-    for top in range(0, height, _TILE):
-        for left in range(0, width, _TILE):
-            n_known = n = 0
-            for code in range(_TILE * _TILE):
-                row = top + (8 * _even_bits(code >> 7) | code >> 3 & 7)
-                column = left + (8 * _even_bits(code >> 6) | code & 7)
-                if row >= height or column >= width or drawn[row, column] < 0:
-                    continue
-                triangle = drawn[row, column]
-                run = numbers[triangle]
-                if run >= n_known or known[run] != triangle:
-                    run = n_known
-                    numbers[triangle], known[run], ends[run] = run, triangle, 0
-                    n_known += 1
-                order[n], runs[n] = row * width + column, run
-                ends[run] += 1
-                n += 1
-            total = count
-            for run in range(n_known):
-                shown.starts[n_runs + run], shown.triangles[n_runs + run] = total, faces[known[run]]
-                total, ends[run] = total + ends[run], total
-            for m in range(n):
-                shown.places[ends[runs[m]]] = order[m]
-                ends[runs[m]] += 1
-            for run in range(n_known):
-                begin = shown.starts[n_runs + run]
-                task = corners, faces, int(known[run]), centroids, first, rest, triangles
-                _place(*task, shown, begin, ends[run])
-            n_runs += n_known
-            count = total
-    shown.starts[n_runs] = count
-    return n_runs
-
-
-@inlined
-def _even_bits(code: int) -> int:
-    """Return bits 0 and 2."""
-    return code & 1 | code >> 1 & 2
-
-
-@inlined
-def _place(
-    corners: Float64s, faces: Int32s, of: int, centroids: Float32s, first: int, rest: Float64s,
-    triangles: Int32s, shown: Shown, begin: int, end: int,
+    corners: Float64s, runs: Int32s, centroids: Float32s, first: int, rest: Float64s, triangles: Int32s,
+    shown: Shown,
 ) -> None:  # fmt: skip
-    """Write the points of texels of a triangle."""
-    width, owner = centroids.shape[1], faces[of]
-    a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
-    left, top = corners[of, 0, 0], corners[of, 0, 1]
-    bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
-    cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
-    doubled = bx * cy - by * cx
-    inverse = 1.0 / doubled if doubled != 0.0 else 0.0
-    bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
-    ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
-    sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
-    tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
-    over = (1.0 + 1e-12) / width
-    for n in range(begin, end):
-        place = shown.places[n]
-        row = np.int32(np.float64(place) * over)
-        row -= np.int32(row * width > place)
-        column = place - row * width
-        x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
-        y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
-        q, r = x * cy - y * cx, bx * y - by * x
-        p = 1.0 - q - r
-        if min(p, min(q, r)) < 0.0:
-            p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
-            total = p + q + r
-            p, q, r = p / total, q / total, r / total
-        shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
-        shown.rest[n, 0] = ax + q * sx + r * tx
-        shown.rest[n, 1] = ay + q * sy + r * ty
-        shown.rest[n, 2] = az + q * sz + r * tz
+    """Write the points of texels, run by run of those that show what was drawn as number ``runs`` (n,)."""
+    width, over = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
+    for run in range(runs.size):
+        of, owner = runs[run], shown.triangles[run]
+        a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
+        left, top = corners[of, 0, 0], corners[of, 0, 1]
+        bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
+        cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
+        doubled = bx * cy - by * cx
+        inverse = 1.0 / doubled if doubled != 0.0 else 0.0
+        bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
+        ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
+        sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
+        tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
+        for n in range(shown.starts[run], shown.starts[run + 1]):
+            place = shown.places[n]
+            row = np.int32(np.float64(place) * over)
+            row -= np.int32(row * width > place)
+            column = place - row * width
+            x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
+            y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
+            q, r = x * cy - y * cx, bx * y - by * x
+            p = 1.0 - q - r
+            if min(p, min(q, r)) < 0.0:
+                p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+                total = p + q + r
+                p, q, r = p / total, q / total, r / total
+            shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
+            shown.rest[n, 0] = ax + q * sx + r * tx
+            shown.rest[n, 1] = ay + q * sy + r * ty
+            shown.rest[n, 2] = az + q * sz + r * tz

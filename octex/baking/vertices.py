@@ -110,7 +110,7 @@ def bake_vertices(
         places = in_order(points.places[edges[halved]])
         near = _have_two(settled, points.places, places[places[:, 1] < first])
         ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.places, places)
-        if not len(ends) or len(triangles) + len(settled) + int((cut.middles >= 0).sum()) > most:
+        if not len(ends) or len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most:
             break
         first = int(points.places.max()) + 1
         points = points.with_middles(ends, texture)
@@ -189,15 +189,13 @@ def _codes(colors: Floats) -> Int32s:
     return np.concatenate([encode(colors[:, :3], "uint16", "srgb"), alpha], axis=1).astype(np.int32)
 
 
-class _Cut(NamedTuple):
-    """Triangles some of whose sides are halved."""
+def _cut_at(
+    triangles: Int64s, places: Int64s, halved: Int64s
+) -> tuple[Int64s, tuple[Int64s, Int64s], Int64s]:
+    """Return the edges (k, 2) between ``halved`` vertices, the triangles that they cut, and the others.
 
-    triangles: Int64s  # (m, 3)
-    middles: Int64s  # (m, 3)   the vertex in the middle of each side; −1 for none
-
-
-def _cut_at(triangles: Int64s, places: Int64s, halved: Int64s) -> tuple[Int64s, _Cut, Int64s]:
-    """Return the edges (k, 2) between ``halved`` vertices, the triangles cut, and the others."""
+    With those cut (m, 3) are the vertices in the middles of their sides (m, 3), −1 for none.
+    """
     near = _have_two(triangles, places, halved)
     some = triangles[near]
     edges, sides = edges_of(some)
@@ -207,7 +205,7 @@ def _cut_at(triangles: Int64s, places: Int64s, halved: Int64s) -> tuple[Int64s, 
     numbers[is_cut] = len(places) + np.arange(int(is_cut.sum()))
     middles = numbers[sides]
     divided = _any(middles >= 0)
-    cut = _Cut(some[divided], middles[divided])
+    cut = some[divided], middles[divided]
     return edges[is_cut], cut, np.concatenate([triangles[~near], some[~divided]])
 
 

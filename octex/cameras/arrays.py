@@ -60,10 +60,9 @@ def read(path: Path, content: bytes) -> list[Frame]:
     if not known:
         raise BrokenError(f"must have one of {', '.join(_INTRINSICS)}; has {', '.join(arrays)}")
     columns = {known[0]: _numbers(arrays, known[0], 3)}
-    if "width" in arrays and "height" in arrays:
-        columns |= {name: _numbers(arrays, name, 1) for name in ("width", "height")}
-    if "distortion" in arrays:
-        columns["distortion"] = _numbers(arrays, "distortion", 2)
+    for name, dimensions in (("width", 1), ("height", 1), ("distortion", 2)):
+        if name in arrays:
+            columns[name] = _numbers(arrays, name, dimensions)
     if "names" in arrays:
         columns["names"] = np.atleast_1d(arrays["names"])
     for name, column in columns.items():
@@ -76,7 +75,7 @@ def read(path: Path, content: bytes) -> list[Frame]:
             with within(pose):
                 row[pose] = (_inverse(matrices[number]) if is_inverse else matrices[number]).tolist()
             record = Record({**shared, **row})
-            size = record.size() if "width" in record else None
+            size = record.size() if "width" in record or "height" in record else None
             frame = frame_of(path, str(row.get("names", number)), record, size, known[0], pose, _SHAPES)
             frames.append(frame._replace(is_named="names" in arrays))
     return frames

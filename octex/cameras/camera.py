@@ -301,7 +301,6 @@ class Camera:
         normals = as_points(normals, "normals").astype(np.float64, copy=False)
         if len(points) != len(normals):
             raise ArgumentError(f"there are {len(normals)} normals for {len(points)} points")
-        points, normals = np.ascontiguousarray(points), np.ascontiguousarray(normals)
         right, down = np.empty((2, len(points), 3))
         differentials(self.eye, self.projection == "pinhole", points, normals, right, down)
         return right, down
@@ -378,6 +377,8 @@ def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
 
 def _as_distortion(distortion: Sequence[float], model: DistortionModel) -> Distortion:
     numbers = as_reals(distortion, "distortion", *((count,) for count in COUNTS[model]), most=LARGEST)
+    if model == "fov" and not abs(numbers[0]) < np.pi:
+        raise ArgumentError(f"distortion of fov must be an angle of less than π, not {numbers[0]:g}")
     if model != "opencv":
         return tuple(numbers.tolist())
     whole = np.append(numbers, np.zeros(8 - len(numbers))).tolist()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import Frame, Optics, is_file, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, distortion_of, is_file, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes
@@ -20,26 +20,29 @@ class _Model(NamedTuple):
     """The numbers of one of COLMAP's models: focal lengths, then a centre, then the distortion."""
 
     focals: int
-    distortion: int
+    distortion: str = ""
     lens: DistortionModel = "opencv"
+
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers there are."""
+        return self.focals + 2 + len(self.distortion.split())
 
 
 #: COLMAP's models in the order of their numbers.
 _MODELS = {
-    "SIMPLE_PINHOLE": _Model(1, 0),
-    "PINHOLE": _Model(2, 0),
-    "SIMPLE_RADIAL": _Model(1, 1),
-    "RADIAL": _Model(1, 2),
-    "OPENCV": _Model(2, 4),
-    "OPENCV_FISHEYE": _Model(2, 4, "fisheye"),
-    "FULL_OPENCV": _Model(2, 8),
-    "FOV": _Model(2, 1, "fov"),
-    "SIMPLE_RADIAL_FISHEYE": _Model(1, 1, "fisheye"),
-    "RADIAL_FISHEYE": _Model(1, 2, "fisheye"),
-    "THIN_PRISM_FISHEYE": _Model(2, 8, "fisheye"),
+    "SIMPLE_PINHOLE": _Model(1),
+    "PINHOLE": _Model(2),
+    "SIMPLE_RADIAL": _Model(1, "k1"),
+    "RADIAL": _Model(1, "k1 k2"),
+    "OPENCV": _Model(2, "k1 k2 p1 p2"),
+    "OPENCV_FISHEYE": _Model(2, "k1 k2 k3 k4", "fisheye"),
+    "FULL_OPENCV": _Model(2, "k1 k2 p1 p2 k3 k4 k5 k6"),
+    "FOV": _Model(2, "omega", "fov"),
+    "SIMPLE_RADIAL_FISHEYE": _Model(1, "k1", "fisheye"),
+    "RADIAL_FISHEYE": _Model(1, "k1 k2", "fisheye"),
+    "THIN_PRISM_FISHEYE": _Model(2, "k1 k2 p1 p2 k3 k4 sx1 sy1", "fisheye"),
 }
-#: How many numbers a distortion has at least; COLMAP leaves out the last ones.
-_LEAST: dict[DistortionModel, int] = {"opencv": 4, "fisheye": 4, "fov": 1}
 _CAMERA, _IMAGE = "CAMERA_ID MODEL WIDTH HEIGHT", "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 
 
@@ -76,36 +79,35 @@ def read(folder: Path, ending: str) -> list[Frame]:
         return frames
 
 
-def _optics(model: str, record: Record) -> Optics:
-    focals, count, lens = _MODELS[model]
+def _optics(model: _Model, record: Record) -> Optics:
     size = record.size()
-    values = record.numbers("parameters", focals + 2 + count).tolist()
-    focal_x, focal_y = values[0], values[focals - 1]
-    center_x, center_y, *rest = values[focals:]
+    values = record.numbers("parameters", model.n_numbers).tolist()
+    focal_x, focal_y = values[0], values[model.focals - 1]
+    center_x, center_y, *bends = values[model.focals :]
     if not (focal_x > 0.0 and focal_y > 0.0):
         raise BrokenError(f"focal lengths must be above zero, not {focal_x:g} and {focal_y:g}")
-    rest += [0.0] * (_LEAST[lens] - count)
-    return Optics(size, intrinsics(focal_x, focal_y, center_x, center_y), tuple(rest), lens)
+    distortion = distortion_of(model.lens, model.distortion, bends)
+    return Optics(size, intrinsics(focal_x, focal_y, center_x, center_y), distortion, model.lens)
 
 
-def _parameters_of(model: str) -> int:
-    if model not in _MODELS:
+def _model_of(name: str) -> _Model:
+    if name not in _MODELS:
         raise BrokenError(
-            f"model {reprlib.repr(model)} is not known; undistort the pictures to one of {', '.join(_MODELS)}"
+            f"model {reprlib.repr(name)} is not known; undistort the pictures to one of {', '.join(_MODELS)}"
         )
-    return _MODELS[model].focals + 2 + _MODELS[model].distortion
+    return _MODELS[name]
 
 
 def _cameras_binary(content: bytes) -> Iterator[tuple[int, Optics]]:
     data = Bytes(content)
     with within("the number of cameras"):
         (count,) = data.take("Q")
-    for number in range(count):
-        with within(f"camera {number + 1} of {count}"):
-            key, model, width, height = data.take("iiQQ")
-            name = list(_MODELS)[model] if 0 <= model < len(_MODELS) else f"number {model}"
-            parameters = list(data.take(f"{_parameters_of(name)}d"))
-            yield key, _optics(name, Record({"width": width, "height": height, "parameters": parameters}))
+    for each in range(1, count + 1):
+        with within(f"camera {each} of {count}"):
+            key, number, width, height = data.take("iiQQ")
+            model = _model_of(dict(enumerate(_MODELS)).get(number, f"number {number}"))
+            parameters = list(data.take(f"{model.n_numbers}d"))
+            yield key, _optics(model, Record({"width": width, "height": height, "parameters": parameters}))
 
 
 def _images_binary(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
@@ -138,10 +140,10 @@ def _cameras(content: bytes) -> Iterator[tuple[int, Optics]]:
         if not line:
             continue
         with within(f"line {number}"):
-            key, model, width, height, *parameters = _columns(line, _CAMERA)
-            count = _parameters_of(model)
-            if len(parameters) != count:
-                raise BrokenError(f"{model} must have {count} parameters, not {len(parameters)}")
+            key, name, width, height, *parameters = _columns(line, _CAMERA)
+            model = _model_of(name)
+            if len(parameters) != model.n_numbers:
+                raise BrokenError(f"{name} must have {model.n_numbers} parameters, not {len(parameters)}")
             record = Record({"width": width, "height": height, "parameters": parameters}, are_texts=True)
             yield _int(key, "CAMERA_ID"), _optics(model, record)
 

@@ -18,6 +18,17 @@ from octex.errors import ArgumentError, CameraError
 from octex.files import referred
 from octex.source.models.gltf_file import rotation_matrix
 
+#: The numbers of a distortion in the order of `Camera`'s; of fisheyes also all that COLMAP's have.
+_ORDERS = {"opencv": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "fov": "omega"}
+_WHOLE_FISHEYE = "k1 k2 p1 p2 k3 k4 sx1 sy1"
+
+
+def distortion_of(model: DistortionModel, names: str, numbers: Sequence[float]) -> Distortion:
+    """Return the numbers of a distortion, given in the order of their ``names``, in that of `Camera`'s."""
+    known = dict(zip(names.split(), numbers, strict=True))
+    order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in known else _ORDERS[model]
+    return tuple(known.get(name, 0.0) for name in order.split())
+
 
 class Optics(NamedTuple):
     """The lens and the picture size that frames of one camera share."""

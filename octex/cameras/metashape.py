@@ -14,7 +14,8 @@ import numpy as np
 
 from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, view_of
+from octex.cameras.frames import Frame, Optics, distortion_of, view_of
+from octex.cameras.lens import DistortionModel
 
 #: Coordinates that are not local, by their names in WKT.
 _ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PROJCRS", "COMPOUNDCRS"
@@ -103,7 +104,6 @@ def _optics(sensor: Element) -> Optics:
             raise BrokenError(f"{field} must be zero: octex has no such number; undistort the photos")
     K = np.array([[focal + b1, b2, width / 2 + cx], [0.0, focal, height / 2 + cy], [0.0, 0.0, 1.0]])
     # Metashape's p1 goes with x², which is OpenCV's second.
-    *numbers, k4 = (record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4"))
-    if kind == "fisheye":
-        return Optics(size, K, (*numbers, k4, 0.0, 0.0), "fisheye")
-    return Optics(size, K, tuple(numbers))
+    numbers = [record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4")]
+    model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
+    return Optics(size, K, distortion_of(model, "k1 k2 p1 p2 k3 k4", numbers), model)

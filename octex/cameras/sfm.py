@@ -19,6 +19,7 @@ from octex.cameras.frames import (
     Frame,
     Optics,
     centred,
+    distortion_of,
     is_file,
     picture_path,
     rigid,
@@ -33,23 +34,26 @@ BUNDLER_MARK = b"# Bundle file"
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 #: How many numbers a camera of Bundler's has.
 _WIDTH = 15
-#: How many numbers a distortion of Meshroom's has, by its name and by the camera's type of older versions.
+#: The numbers of Meshroom's distortions, by their names and by the camera's types of older versions.
 _MESHROOM = {
-    "none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4,
-    "pinhole": 0, "radial1": 1, "radial3": 3,
-}  # fmt: skip
-#: OpenMVG's distortions by their fields: octex's model, how many numbers it has, where those of the field go.
-_OPENMVG: dict[str, tuple[DistortionModel, int, list[int]]] = {
-    "disto_k1": ("opencv", 5, [0]),
-    "disto_k3": ("opencv", 5, [0, 1, 4]),
-    "disto_t2": ("opencv", 5, [0, 1, 4, 2, 3]),
-    "fisheye": ("fisheye", 4, [0, 1, 2, 3]),
+    **dict.fromkeys(("none", "pinhole"), ""),
+    **dict.fromkeys(("radialk1", "radial1"), "k1"),
+    **dict.fromkeys(("radialk3", "radial3"), "k1 k2 k3"),
+    "brown": "k1 k2 k3 p1 p2",
+    "fisheye": "k1 k2 k3 k4",
 }
-#: OpenSfM's distortions by projection_type: octex's model, and the fields of its numbers in its order.
-_OPENSFM: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
-    **dict.fromkeys(("perspective", "simple_radial", "radial"), ("opencv", ("k1", "k2"))),
-    "brown": ("opencv", ("k1", "k2", "p1", "p2", "k3")),
-    **dict.fromkeys(("fisheye", "fisheye_opencv"), ("fisheye", ("k1", "k2", "k3", "k4"))),
+#: OpenMVG's distortions by their fields: octex's model, and the numbers of the field.
+_OPENMVG: dict[str, tuple[DistortionModel, str]] = {
+    "disto_k1": ("opencv", "k1"),
+    "disto_k3": ("opencv", "k1 k2 k3"),
+    "disto_t2": ("opencv", "k1 k2 k3 p1 p2"),
+    "fisheye": ("fisheye", "k1 k2 k3 k4"),
+}
+#: OpenSfM's distortions by projection_type: octex's model, and the fields of its numbers.
+_OPENSFM: dict[str, tuple[DistortionModel, str]] = {
+    **dict.fromkeys(("perspective", "simple_radial", "radial"), ("opencv", "k1 k2")),
+    "brown": ("opencv", "k1 k2 p1 p2 k3"),
+    **dict.fromkeys(("fisheye", "fisheye_opencv"), ("fisheye", "k1 k2 k3 k4")),
 }
 
 
@@ -105,13 +109,11 @@ def _meshroom_optics(record: Record, version: list[float]) -> Optics:
     across, down = _meshroom_focal(record, version, size[0])
     if not min(across, down) > 0.0:
         raise BrokenError(f"the focal length must be above zero, not {min(across, down):g}")
-    count = _MESHROOM[kind]
-    numbers: list[float] = record.numbers("distortionParams", count).tolist() if count else []
+    names = _MESHROOM[kind]
+    numbers = record.numbers("distortionParams", len(names.split())).tolist() if names else []
     K = intrinsics(across, down, center[0] + 0.5, center[1] + 0.5)
-    if kind == "fisheye":
-        return Optics(size, K, tuple(numbers), "fisheye")
-    k1, k2, k3, p1, p2 = [*numbers, *[0.0] * (5 - count)]
-    return Optics(size, K, (k1, k2, p1, p2, k3))
+    model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
+    return Optics(size, K, distortion_of(model, names, numbers), model)
 
 
 def _meshroom_focal(record: Record, version: list[float], width: int) -> tuple[float, float]:
@@ -166,11 +168,10 @@ def _openmvg_optics(record: Record) -> Optics:
     size, focal = record.size(), record.positive("focal_length")
     center = record.numbers("principal_point", 2) + 0.5
     K = intrinsics(focal, focal, *center.tolist())
-    for field, (model, count, places) in _OPENMVG.items():
+    for field, (model, names) in _OPENMVG.items():
         if field in record:
-            numbers = np.zeros(count)
-            numbers[places] = record.numbers(field, len(places))
-            return Optics(size, K, tuple(numbers.tolist()), model)
+            numbers = record.numbers(field, len(names.split())).tolist()
+            return Optics(size, K, distortion_of(model, names, numbers), model)
     return Optics(size, K)
 
 
@@ -211,8 +212,9 @@ def _opensfm_optics(record: Record) -> Optics:
     center_x, center_y = (record.number(field, 0.0) * side for field in ("c_x", "c_y"))
     focal_x, focal_y = (record.positive(field) * side for field in (x, y))
     K = intrinsics(focal_x, focal_y, width / 2 + center_x, height / 2 + center_y)
-    model, fields = _OPENSFM[kind]
-    return Optics(size, K, tuple(record.number(field, 0.0) for field in fields), model)
+    model, names = _OPENSFM[kind]
+    numbers = [record.number(field, 0.0) for field in names.split()]
+    return Optics(size, K, distortion_of(model, names, numbers), model)
 
 
 def read_bundler(path: Path, content: bytes) -> list[Frame]:

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from octex.arrays import Float64s
-from octex.cameras.camera import Distortion, intrinsics
+from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, is_file, picture_path, view_of
+from octex.cameras.frames import Frame, Optics, distortion_of, is_file, picture_path, view_of
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
+#: Fields of a distortion's numbers.
+_NUMBERS = "k1 k2 p1 p2 k3 k4"
 #: The values of camera_model, and the meaning of their numbers k1, k2, …
 _MODELS: dict[str, DistortionModel] = {
     "PINHOLE": "opencv", "SIMPLE_PINHOLE": "opencv", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv",
@@ -55,11 +57,10 @@ def _optics(record: Record) -> Optics:
         if record.find(field):
             raise BrokenError(f"{field} is set: such cameras are not known; undistort the pictures")
     size = record.size("w", "h") if "w" in record or "h" in record else None
-    *numbers, k4 = (record.number(field, 0.0) for field in ("k1", "k2", "p1", "p2", "k3", "k4"))
-    distortion: Distortion = (*numbers, k4, 0.0, 0.0) if model == "fisheye" else tuple(numbers)
-    if model != "fisheye" and k4 != 0.0:
+    numbers = [record.number(field, 0.0) for field in _NUMBERS.split()]
+    if model != "fisheye" and numbers[-1] != 0.0:
         raise BrokenError("k4 must be zero: octex knows k1, k2, k3, p1, p2; undistort the pictures")
-    return Optics(size, _intrinsics(record), distortion, model)
+    return Optics(size, _intrinsics(record), distortion_of(model, _NUMBERS, numbers), model)
 
 
 def _intrinsics(record: Record) -> Callable[[int, int], Float64s]:

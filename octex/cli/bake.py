@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import octex
@@ -34,12 +33,11 @@ _LARGE = 10_000_000
 
 def bake(options: Options, program: str) -> int:
     """Run octex bake."""
-    began = time.perf_counter()
     ending = options.OUTPUT.suffix.lower()
     inputs = options.TEXTURE, options.MODEL, options.rest, options.original
     check_outputs([(options.OUTPUT, BAKED_ENDINGS, "OUTPUT")], inputs, force=options.force)
     if ending == PTEX_ENDING:
-        return _write_ptex(options, program, began)
+        return _write_ptex(options, program)
     at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if at_vertices else ("images", _OF_VERTICES)
     refuse(options, others, f"cannot be used with {work}")
@@ -48,8 +46,7 @@ def bake(options: Options, program: str) -> int:
     images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
-    from octex.formats.models import check_extra
-    from octex.formats.shared import materials_of
+    from octex.formats.models import check_extra, materials_of
 
     check_extra(options.OUTPUT)
     with Reporter(program, options.quiet) as progress:
@@ -100,10 +97,10 @@ def bake(options: Options, program: str) -> int:
         webp = "" if ending in USD_ENDINGS else "webp makes them smaller without loss, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
         hints = [f"{taken}: --image-format {webp}jpeg makes colours far smaller with some"]
-    return tell_file(options, began, f"{', '.join(names)} {where}", made, *hints)
+    return tell_file(options, f"{', '.join(names)} {where}", made, *hints)
 
 
-def _write_ptex(options: Options, program: str, began: float) -> int:
+def _write_ptex(options: Options, program: str) -> int:
     """Write a .ptx file: texels for the polygons of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
     refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
@@ -116,4 +113,4 @@ def _write_ptex(options: Options, program: str, began: float) -> int:
 
     with PtexFile(options.OUTPUT) as file:
         made = {"faces": file.n_faces, "texels": int(file.faces.counts.sum())}
-    return tell_file(options, began, f"{made['texels']:,} texels on {made['faces']:,} faces", made)
+    return tell_file(options, f"{made['texels']:,} texels on {made['faces']:,} faces", made)

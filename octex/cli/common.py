@@ -146,7 +146,6 @@ def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None
 
 def tell_file(
     options: SimpleNamespace,
-    began: float,
     text: str,
     made: Mapping[str, Any],
     *lines: str,
@@ -157,7 +156,7 @@ def tell_file(
 
     ``others`` are further files by their names in JSON, each with a description; None is left out.
     """
-    path, seconds = path or options.OUTPUT, time.perf_counter() - began
+    path, seconds = path or options.OUTPUT, time.perf_counter() - options.began
     size = path.stat().st_size
     written = {name: other for name, other in (others or {}).items() if other[0] is not None}
     facts = {"output": str(path), "bytes": size, **made, "seconds": round(seconds, 3)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,7 +80,6 @@ def check_output_kind(path: Path | Address, output: Path) -> None:
 
 
 def _convert(options: Options, program: str) -> int:
-    began = time.perf_counter()
     path, output = options.INPUT, options.OUTPUT
     outputs = (output, OUTPUT_ENDINGS, "OUTPUT"), (options.preview, (".png",), "--preview")
     sources = [each.path if isinstance(each, FunctionName) else each for _, each in options.source]
@@ -137,7 +135,7 @@ def _convert(options: Options, program: str) -> int:
         made["separated"] = {**overlaps_as_json(found), "moved": separation["moved"]}
         lines += _separated_text(separation["moved"], found)
     others = {"preview": (options.preview, "a picture of it")}
-    return tell_file(options, began, text, made, *lines, others=others)
+    return tell_file(options, text, made, *lines, others=others)
 
 
 def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
@@ -190,7 +188,6 @@ def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[
 
 
 def _convert_parts(options: Options, program: str) -> int:
-    began = time.perf_counter()
     folder = options.OUTPUT
     _check_folder(folder, force=options.force)
     with Reporter(program, options.quiet) as progress:
@@ -202,7 +199,7 @@ def _convert_parts(options: Options, program: str) -> int:
     leaves = sum(texture.tree.n_leaves for texture in made.values())
     facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"]}
     text = f"{len(made):,} part{'' if len(made) == 1 else 's'}, {leaves:,} leaves"
-    return tell_file(options, began, text, facts)
+    return tell_file(options, text, facts)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:

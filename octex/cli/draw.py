@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,6 @@ _REFUSED = {
 
 def draw(options: Options, program: str) -> int:
     """Run octex draw."""
-    began = time.perf_counter()
     kind = vars(options)["as"] or "panels"
     _check(options, kind)
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
@@ -50,7 +48,7 @@ def draw(options: Options, program: str) -> int:
         "camera": (options.camera_out, "its camera"),
     }
     made = {"size": [width, height]}
-    return tell_file(options, began, f"{width}×{height} pixels", made, others=others)
+    return tell_file(options, f"{width}×{height} pixels", made, others=others)
 
 
 def _check(options: Options, kind: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import octex
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
 def edit(options: Options, program: str) -> int:
     """Run octex edit."""
-    began = time.perf_counter()
     if options.depth is not None:
         from octex.checks import as_depth
 
@@ -33,7 +31,7 @@ def edit(options: Options, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         texture = _edited(options)
         write_texture(texture, options.OUTPUT, progress, options.loss or 0)
-    return tell_file(options, began, *facts_of(texture))
+    return tell_file(options, *facts_of(texture))
 
 
 def _edited(options: Options) -> OctreeTexture:

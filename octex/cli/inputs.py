@@ -166,7 +166,7 @@ def _sources(options: Options) -> dict[str, Any]:
         if isinstance(given, Path) and given.suffix.lower() == PTEX_ENDING:
             sources[name] = octex.Ptex(given)
         elif options.project is not None and isinstance(given, Path):
-            sources[name] = octex.MappedImage(given, **options.project._asdict())
+            sources[name] = octex.MappedImage(given, **options.project)
     if options.project is not None and not any(isinstance(given, Path) for _, given in options.source):
         raise ArgumentError("--project needs an image to project: --source base_color=FILE")
     return sources

@@ -188,7 +188,7 @@ def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) 
     if found.width is None:
         yield f"at the centres of {found.points:,} leaves, those of both, by area"
     else:
-        yield f"at {found.points:,} points, uniform by area, the model averaged over {found.width:.4g}"
+        yield f"at {found.points:,} points, uniform by area, both averaged over {found.width:.4g}"
     for letter, names in zip("AB", found.unmatched, strict=True):
         if names:
             yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
+import time
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
@@ -35,7 +36,9 @@ def main(arguments: Sequence[str] | None = None, program: str | None = None) -> 
 def _run(name: str, rest: Sequence[str], program: str) -> int:
     if name not in COMMANDS:
         return _answer(name, rest)
+    began = time.perf_counter()
     options = Parser(program, COMMANDS[name], COMMANDS).parsed(rest)
+    options.began = began
     module = import_module(f"octex.cli.{_MODULES.get(name, name)}")
     with limited(getattr(options, "threads", None)):
         code: int = getattr(module, name.replace("-", "_"))(options, program)

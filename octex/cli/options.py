@@ -35,7 +35,7 @@ _TABLE = """
 --parts               write a folder with a texture for each part
 --margin SIZE         smallest allowed distance between parts, in the model's units (default 0)
 
---source CHANNEL=X    image, .ptx, FILE.py:FUNCTION or number(s) for a channel; may be repeated
+--source CHANNEL=X    image, .ptx, FILE.py:FUNCTION, number(s) or #rrggbb for a channel; repeatable
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
@@ -64,7 +64,7 @@ _TABLE = """
 --balance MODE        match exposures: gain; full: each colour, and vignetting
 --reference IMAGE     the picture that --balance and --refine-cameras do not change
 --refine-cameras JSON turn, move and zoom cameras until the pictures agree; write them
---holes MODE          unseen part of a new texture: smooth (default), leave, or a colour R,G,B
+--holes MODE          unseen part of a new texture: smooth (default), leave, or a colour #rrggbb
 --coverage            also store how much of each cell is painted, as the channel coverage
 --resume FOLDER       store finished stages here, and reuse them in a later run
 --layer-out LAYER     also write the paint alone, .octex; give it as an IMAGE later
@@ -84,7 +84,8 @@ _TABLE = """
 --empty-layer PNG     also write a transparent picture of the same size, to draw on
 
 --uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
---texture-size N      width and height of the images (default: as fine as the leaves, up to 8192)
+--texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
+                      to 4 where images would differ from the texture by more than 3/255, RMS)
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
 --max-distance D      how far the surface of --original may be, in its units (default: any)
 --padding N           texels around each chart (default 8)
@@ -98,6 +99,8 @@ _TABLE = """
 
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)
+--paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
+--recover             paint again what a session did not save
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
 
@@ -120,7 +123,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.dtypes: "--dtype",
     v.file_size: "--memory --max-size",
     v.file_here: "--rest --also --transfer --since --reference --original",
-    v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer",
+    v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer --paint",
     v.texture_file: "--combine",
     v.file_and_amount: "--mix",
     v.subdivision: "--subdiv",
@@ -182,10 +185,11 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
 view  Show a texture in the browser, until you close the page; or write the page.
   > droid.octex droid.glb
   > droid.octex droid.glb droid.html --max-size 20MB
+  > droid.octex droid.glb --paint painted.octex
   [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
   [MODEL]  its model; without it, the page shows the cells
   [PAGE]   NAME.html: write the page, which opens offline
-  --depth --part --max-size --port --no-browser SHAPE RUNNING
+  --depth --part --max-size --paint --recover --port --no-browser SHAPE RUNNING
 
 draw  Draw a texture, a model or both: side by side, one view, or how they differ.
   > droid.octex droid.glb droid.png --light studio

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
@@ -91,7 +90,6 @@ def _check_files(options: Options) -> None:
 
 
 def _paint(options: Options, program: str, has_layers: bool) -> int:
-    began = time.perf_counter()
     with Reporter(program, options.quiet) as progress:
         by_camera = not (has_layers or options.unwrap)
         shots, skipped = shots_of(options, progress) if by_camera else ([], [])
@@ -135,7 +133,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         "layer": (options.layer_out, "the paint alone"),
         "preview": (options.preview, "a picture of it"),
     }
-    return tell_file(options, began, f"{len(names):,} {kind} painted, {text}", facts, others=others)
+    return tell_file(options, f"{len(names):,} {kind} painted, {text}", facts, others=others)
 
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:

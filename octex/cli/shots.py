@@ -80,9 +80,7 @@ def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress
     """Lay the disc of --unwrap flat; note where it is no disc."""
     if size[0] != size[1]:
         raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
-    center, radius, up, conformal = options.unwrap
-    method = "conformal" if conformal else "exponential"
-    patch = octex.unwrap(surface, center, radius, up=up, size=size[0], method=method)
+    patch = octex.unwrap(surface, **options.unwrap, size=size[0])
     for fault in patch.faults:
         progress.note(f"--unwrap: {fault}; paint reaches what is seen")
     return patch

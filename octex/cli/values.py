@@ -31,7 +31,6 @@ BALANCES = "gain", "full"
 HOLES = "leave", "smooth"
 #: The widest and highest picture that is drawn: as large as octex reads.
 MOST_PIXELS = 16384
-_SOLID = "#[0-9a-fA-F]{6}"
 
 
 @dataclass(frozen=True)
@@ -76,26 +75,8 @@ class FunctionName(NamedTuple):
         return f"{self.path}:{self.name}"
 
 
-#: What a channel comes from: an image file, a function, or a number for each component.
-Source = Path | FunctionName | float | tuple[float, ...]
-
-
-class Projected(NamedTuple):
-    """How --project lays images on a surface."""
-
-    kind: str
-    axis: str = "z"
-    center: tuple[float, ...] | None = None
-    size: float | tuple[float, ...] | None = None
-
-
-class Disc(NamedTuple):
-    """A disc of the surface that --unwrap lays flat."""
-
-    center: tuple[float, ...]
-    radius: float
-    up: tuple[float, ...] | None
-    conformal: bool
+#: What a channel comes from: an image file, a function, a number for each component, or #rrggbb.
+Source = Path | FunctionName | float | tuple[float, ...] | str
 
 
 def is_texture_name(text: str) -> bool:
@@ -256,7 +237,7 @@ def dtypes(text: str) -> str | dict[str, str]:
 
 
 def source(text: str) -> tuple[str, Source]:
-    """Read the source of a channel: NAME=FILE, NAME=FILE.py:FUNCTION, or NAME=NUMBER,NUMBER,…."""
+    """Read the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
     form = "CHANNEL=FILE, such as roughness=rough.png"
     name, value = _pair(text, form)
     if not value:
@@ -264,15 +245,16 @@ def source(text: str) -> tuple[str, Source]:
     try:
         numbers = tuple(float(number) for number in value.split(","))
     except ValueError:
-        return name, function_name(value) or file_here(value)
+        is_color = value.startswith("#") and "." not in value
+        return name, value if is_color else function_name(value) or file_here(value)
     return name, numbers[0] if len(numbers) == 1 else numbers
 
 
-def projected(text: str) -> Projected:
-    """Read KIND[:axis=A][:center=X,Y,Z][:size=S]."""
+def projected(text: str) -> dict[str, Any]:
+    """Read KIND[:axis=A][:center=X,Y,Z][:size=S], as octex.MappedImage takes it."""
     kind, *settings = text.split(":")
     readers: dict[str, Callable[[str], Any]] = {"axis": one_of(*AXES), "center": position, "size": sizes}
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
@@ -283,15 +265,14 @@ def projected(text: str) -> Projected:
             found[name] = readers[name](value)
         except ArgumentError as error:
             raise ArgumentError(f"{name}: {error}") from None
-    made = Projected(one_of(*PROJECTIONS)(kind), **found)
-    if made.kind == "spherical" and made.size is not None:
+    if kind == "spherical" and "size" in found:
         raise ArgumentError("a spherical projection has no size: one copy of the image goes around")
-    return made
+    return found
 
 
 def mask(text: str) -> Path | str | tuple[int, int, int]:
     """Read a mask image, a pattern of them with {stem} or {name}, or a backdrop colour, #rrggbb or R,G,B."""
-    if re.fullmatch(rf"{_SOLID}|\d+,\d+,\d+", text):
+    if re.fullmatch(r"#[^.]*|\d+,\d+,\d+", text):
         return color(text)
     return str(file_here(text)) if "{stem}" in text or "{name}" in text else file_here(text)
 
@@ -361,16 +342,19 @@ def direction(text: str) -> tuple[float, ...]:
     return numbers
 
 
-def disc(text: str) -> Disc:
-    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z]."""
+def disc(text: str) -> dict[str, Any]:
+    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z], as octex.unwrap takes it."""
     sphere, *settings = text.split(":")
-    numbers, up = _sphere(sphere), None
+    numbers = _sphere(sphere)
+    found: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
     for setting in settings:
         if setting.startswith("up="):
-            up = direction(setting.removeprefix("up="))
-        elif setting != "conformal":
+            found["up"] = direction(setting.removeprefix("up="))
+        elif setting == "conformal":
+            found["method"] = setting
+        else:
             raise ArgumentError(f"{setting!r} is neither conformal nor up=X,Y,Z")
-    return Disc(numbers[:3], numbers[3], up, "conformal" in settings)
+    return found
 
 
 def file_and_amount(text: str) -> tuple[Path | Address, float]:
@@ -407,11 +391,10 @@ def picture_size(text: str) -> tuple[int, int]:
 
 def color(text: str) -> tuple[int, int, int]:
     """Read a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
+    from octex.channels import screen_color
+
     try:
-        if re.fullmatch(_SOLID, text):
-            numbers = list(bytes.fromhex(text[1:]))
-        else:
-            numbers = [int(number) for number in text.split(",")]
+        numbers = screen_color(text) or tuple(int(number) for number in text.split(","))
         red, green, blue = numbers * 3 if len(numbers) == 1 else numbers
     except ValueError:
         raise ArgumentError(f"{text!r} is not R,G,B from 0 to 255, nor #rrggbb") from None

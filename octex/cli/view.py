@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,20 +12,20 @@ import octex
 from octex.cli.common import Reporter, check_outputs, say, tell_file
 from octex.cli.inputs import kind_of, number_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
-from octex.cli.values import PAGE_ENDING
+from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS
 from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
+    from octex.viewer.session import Session
 
 _DEPTH = 9
 
 
 def view(options: Options, program: str) -> int:
     """Run octex view."""
-    began = time.perf_counter()
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     is_set = path is not None and path.is_dir()
     _check(options, is_set)
@@ -52,9 +51,22 @@ def view(options: Options, program: str) -> int:
             from octex.viewer.key import user_key
 
             port, key = options.port or 0, user_key()
-            viewer = Viewer(
-                read, path or model, surface, motion=motion, port=port, key=key, log=progress.note
-            )
+            session = None if options.paint is None else _session(options, read(), surface, progress)
+            try:
+                viewer = Viewer(
+                    read,
+                    path or model,
+                    surface,
+                    motion=motion,
+                    session=session,
+                    port=port,
+                    key=key,
+                    log=progress.note,
+                )
+            except OctexError:
+                if session is not None:
+                    session.close()
+                raise
         else:
             from octex.viewer import write_page
 
@@ -68,8 +80,24 @@ def view(options: Options, program: str) -> int:
             webbrowser.open(viewer.url)
         with suppress(KeyboardInterrupt):
             viewer.run()
+        if viewer.session is not None and (unsaved := viewer.session.close()):
+            say(unsaved)
         return ExitCode.DONE
-    return tell_file(options, began, "", {"notes": notes}, *notes, path=page)
+    return tell_file(options, "", {"notes": notes}, *notes, path=page)
+
+
+def _session(
+    options: Options, texture: OctreeTexture | TextureSet, surface: Surface | None, progress: Reporter
+) -> Session:
+    """Return the session that paints the texture."""
+    from octex.viewer.session import Session
+
+    assert surface is not None and not isinstance(texture, octex.TextureSet)
+    session = Session(texture, surface, options.paint, recover=options.recover)
+    if session.repeated:
+        what = "command is" if session.repeated == 1 else "commands are"
+        progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
+    return session
 
 
 def _reader(
@@ -99,6 +127,8 @@ def _check(options: Options, is_set: bool) -> None:
     """Refuse files and options that make no sense together."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
+        if page is not None and page.exists():
+            raise ArgumentError(f"{page}: is a page already; open it in a browser")
         raise ArgumentError("TEXTURE is missing; see octex view --help")
     if path is None and kind_of(model) != "model":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
@@ -106,14 +136,32 @@ def _check(options: Options, is_set: bool) -> None:
         refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
+    if options.paint is not None:
+        _check_painting(options, is_set)
+    else:
+        refuse(options, ["--recover"], "needs --paint")
     if model is None:
         refuse(options, ["--rest", "--pose", "--subdiv"], "needs a MODEL")
     if page is None:
-        refuse(options, ["--max-size", "--force", "--json"], f"is for pages, NAME{PAGE_ENDING}")
+        refuse(options, ["--max-size", "--json"], f"is for pages, NAME{PAGE_ENDING}")
+        if options.paint is None:
+            refuse(options, ["--force"], f"is for pages, NAME{PAGE_ENDING}, and --paint")
     else:
-        refuse(options, ["--port", "--no-browser"], "cannot be used when a page is written")
+        refuse(options, ["--port", "--no-browser", "--paint"], "cannot be used when a page is written")
         inputs = path, model, options.rest
         check_outputs([(page, (PAGE_ENDING,), "PAGE")], inputs, force=options.force)
+
+
+def _check_painting(options: Options, is_set: bool) -> None:
+    """Refuse what cannot be painted in a page."""
+    if options.MODEL is None:
+        raise ArgumentError("--paint needs a MODEL")
+    if is_set:
+        raise ArgumentError(f"--paint: {options.TEXTURE} is a folder; open the texture of one part")
+    inputs = options.TEXTURE, options.MODEL, options.rest
+    # What is recovered may have been saved before.
+    is_forced = options.force or options.recover
+    check_outputs([(options.paint, TEXTURE_ENDINGS, "--paint")], inputs, force=is_forced)
 
 
 def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:

@@ -12,9 +12,8 @@ from octex.errors import ExitCode
 
 def warm_up(options: Options, program: str) -> int:
     """Run octex warm-up."""
-    began = time.perf_counter()
     with Reporter(program, options.quiet, announce=False) as progress, ahead(*SECTIONS):
         compile_listed(progress)
     if not options.quiet:
-        say(f"compiled and cached in {time.perf_counter() - began:.1f} s")
+        say(f"compiled and cached in {time.perf_counter() - options.began:.1f} s")
     return ExitCode.DONE

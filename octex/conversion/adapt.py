@@ -11,28 +11,26 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from itertools import count
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Int64s, Uint8s
+from octex.channels import decode
 from octex.checks import as_real
-from octex.conversion.differences import Decoded, far_cells
-from octex.conversion.evaluator import Coefficients
+from octex.conversion import large
+from octex.conversion.differences import Reference, coefficients, far_all_over
+from octex.conversion.measure import ErrorColumns, far_values
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
-from octex.conversion.samples import Samples
-from octex.conversion.sides import Fit, Split
+from octex.conversion.samples import UNIT, Samples, sample_points
 from octex.errors import ArgumentError
-from octex.parallel import Progress, ordered_map, sharing
-from octex.texture.channel import Channel
+from octex.parallel import Progress, Run, ordered_map, sharing
+from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import near
 from octex.tree.octree import Octree, distinct
 
-#: Says something of finest cells (n,), which ascend.
-Judge: TypeAlias = Callable[[Int64s], Bools]
-
-#: Finest cells that are tested at once.
-_BLOCK = 1 << 14
+#: Finest cells that are tested at once, and samples that are looked up at once.
+_BLOCK, _ROWS = 1 << 14, 1 << 20
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
@@ -40,6 +38,11 @@ _ROUNDING = 1 / 16
 _PATIENCE = 2
 #: Each so many finest cells are tested before all are.
 _SPARSE = 8
+_BOX = np.array([[0.0] * 3, [1.0] * 3])
+#: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
+Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
+#: Splits leaves of a tree, given their means and their fitted values.
+Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
 
 
 def as_max_error(max_error: float) -> float:
@@ -112,20 +115,23 @@ class _Merger:
         self._finest = finest
         self._known = dict(known)
         self._samples = samples
+        self._columns = ErrorColumns.of(samples.channels)
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
-        self._decoded = Decoded.of(known, samples.channels)
-        self._full = self._decoded.pruned(prune(finest, limits))
+        self._full = self._texture(prune(finest, limits))
+        self._cells = np.arange(limits.size)
+        self._wanted = self._sampled(self._full, self._cells)
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
+        means = OctreeTexture(self._finest.tree, self._known, UNIT, _BOX)
         for done, level in enumerate(range(depth - 1, -1, -1)):
             self._progress("adapt", done, depth + 3)
-            self._merge(level, depths)
+            self._merge(means, level, depths)
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths.
         self._split(depths)
@@ -149,32 +155,37 @@ class _Merger:
         values = fit(pruned.tree, pruned.carried(self._known), is_merged)
         for name, channel in values.items():
             self._known[name].values[pruned.cells[merged]] = channel.values[merged]
-        self._decoded.put(self._known, self._samples.channels, pruned.cells[merged])
 
-    def _merge(self, level: int, depths: Uint8s) -> None:
+    def _merge(self, means: OctreeTexture, level: int, depths: Uint8s) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
 
         Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
         average is: beside an edge the former are not, but finer leaves on the edge will keep it.
         """
-        finest = self._finest
-        firsts = finest.firsts[level]
+        finest, firsts = self._finest, self._finest.firsts[level]
         candidates = np.maximum.reduceat(depths, firsts) == level + 1
         if not candidates.any():
             return
-        # What is small, finer levels have seen: one of the finest cells in each child will do, and most nodes
-        # that fail do so in the first.
-        averages = self._decoded.truncated(finest.tree, level)
-        merges = candidates.copy()
-        for first in (firsts, finest.first(level + 1)):
-            chosen = np.zeros(finest.codes.size, np.bool_)
-            chosen[first] = True
-            failing = self._far(averages, chosen & finest.spread(level, merges))
-            merges &= ~np.logical_or.reduceat(failing, firsts)
-        own = np.arange(firsts.size) + finest.tree.arrays.level_cells[level]
-        owners = np.repeat(own, np.diff(firsts, append=finest.codes.size))
-        failing = self._far(averages, finest.spread(level, candidates & ~merges), owners=owners)
-        merges |= candidates & ~np.logical_or.reduceat(failing, firsts)
+        means = means.level(level)
+        own = [
+            decode(means.channels[form.name].values[-firsts.size :], form.space)
+            for form in self._samples.channels
+        ]
+
+        def are_near(cells: Int64s, found: Float32s) -> Bools:
+            far = np.zeros(depths.size, np.bool_)
+            far[cells] = self._far(cells, found)
+            return ~np.logical_or.reduceat(far, firsts)
+
+        # What is small, finer levels have seen: one of the finest cells in each child will do.
+        chosen = np.zeros(depths.size, np.bool_)
+        chosen[finest.first(level + 1)] = True
+        cells = np.flatnonzero(chosen & finest.spread(level, candidates))
+        merges = candidates & are_near(cells, self._sampled(means, cells))
+        cells = np.flatnonzero(finest.spread(level, candidates & ~merges))
+        nodes = np.searchsorted(firsts, cells, side="right") - 1
+        counts = np.diff(self._samples.firsts)[cells]
+        merges |= candidates & are_near(cells, np.repeat(np.concatenate(own, axis=1)[nodes], counts, axis=0))
         depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:
@@ -183,58 +194,69 @@ class _Merger:
         Where it is not, it mostly is not in many cells: some of them find most leaves, before all are tested.
         """
         self._split(depths)
+        reference = Reference.of(self._full, self._samples)
         for step in (_SPARSE, 1):
-            tested = np.arange(depths.size) % step == 0
+            tested = self._cells % step == 0
             suspects = tested
             for attempt in count():
                 pruned = prune(self._finest, depths)
-                suspects = self._far(self._decoded.pruned(pruned), suspects, is_all_over=True)
-                suspects = self._refined(suspects, pruned, depths, 1 + attempt // _PATIENCE) & tested
+                found = coefficients(self._texture(pruned), self._samples.channels)
+                work = partial(far_all_over, found, reference, self._most)
+                cells, far = np.flatnonzero(suspects), np.zeros(depths.size, np.bool_)
+                blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
+                with sharing(self._executor) as pool:  # all samples are read, which do not travel
+                    far[cells] = np.concatenate(list(ordered_map(pool, work, blocks)))
+                suspects = self._refined(far, pruned, depths, 1 + attempt // _PATIENCE) & tested
                 if not suspects.any():
                     break
 
     def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""
         pruned = prune(self._finest, depths)
-        failing = self._far(self._decoded.pruned(pruned), np.ones(depths.size, np.bool_))
-        self._refined(failing, pruned, depths, 1)
+        far = self._far(self._cells, self._sampled(self._texture(pruned), self._cells))
+        self._refined(far, pruned, depths, 1)
 
     def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
         """Split leaves by some levels for cells that fail; changes ``depths``.
 
-        Returns the cells that this reaches.
+        These are the merged leaves that hold them; where the leaf there has not merged, those whose values
+        reach it. Returns the cells that this reaches.
         """
-        splits = self._splits(failing, pruned, depths)
+        may, codes = depths < self._limits, self._finest.codes
+        splits, others = failing & may, codes[failing & ~may]
+        for level in np.unique(depths[may]).tolist() if others.size else ():
+            splits |= self._beside(others, level) & may & (depths == level)
+        splits = np.repeat(np.logical_or.reduceat(splits, pruned.starts), pruned.sizes)
         starts = pruned.starts[splits[pruned.starts]]
         reached = np.zeros(depths.size, np.bool_)
         for level in np.unique(depths[starts]).tolist():  # in these leaves, and in cells of their size around
-            reached |= self._beside(self._finest.codes[starts[depths[starts] == level]], level)
+            reached |= self._beside(codes[starts[depths[starts] == level]], level)
         depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
         return reached
-
-    def _splits(self, failing: Bools, pruned: Pruned, depths: Uint8s) -> Bools:
-        """Mark the finest cells in the merged leaves that are to be split where the field is too far off.
-
-        Those that hold the place; where the leaf there has not merged, those whose values reach it.
-        """
-        may = depths < self._limits
-        chosen, others = failing & may, self._finest.codes[failing & ~may]
-        for level in np.unique(depths[may]).tolist() if others.size else ():
-            chosen |= self._beside(others, level) & may & (depths == level)
-        return np.repeat(np.logical_or.reduceat(chosen, pruned.starts), pruned.sizes)
 
     def _beside(self, codes: Int64s, level: int) -> Bools:
         """Mark the finest cells in the cells of a level that hold some of them, or beside these."""
         shift = 3 * (self._finest.tree.max_depth - level)
-        return near(self._finest.codes >> shift, distinct(codes >> shift), level)
+        cells = self._finest.codes[self._finest.firsts[level]] >> shift
+        return self._finest.spread(level, near(cells, distinct(codes >> shift), level))
 
-    def _far(self, found: Coefficients, chosen: Bools, **how: Any) -> Bools:
-        """Say in which of the chosen finest cells a field is too far off: see `far_cells`."""
-        work: Judge = partial(far_cells, found, self._full, self._samples, self._most, **how)
-        cells = np.flatnonzero(chosen)
-        blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        far = np.zeros(chosen.size, np.bool_)
-        with sharing(self._executor) as pool:  # all samples are read, which do not travel
-            for block, answer in zip(blocks, ordered_map(pool, work, blocks), strict=True):
-                far[block] = answer
-        return far
+    def _texture(self, pruned: Pruned) -> OctreeTexture:
+        return OctreeTexture(pruned.tree, pruned.carried(self._known), UNIT, _BOX)
+
+    def _sampled(self, texture: OctreeTexture, cells: Int64s) -> Float32s:
+        """Look a field up at the samples of finest cells, without normals."""
+        rows, names = self._samples.rows(cells), [form.name for form in self._samples.channels]
+        found: Float32s = large.empty((rows.size, self._columns.kinds.size), np.float32)
+        for begin in range(0, rows.size, _ROWS):
+            points = sample_points(self._samples, rows[begin : begin + _ROWS], UNIT)
+            values = texture.sample(points, names, normalize=False, run=Run(executor=self._executor))
+            np.concatenate([values[name] for name in names], axis=1, out=found[begin : begin + _ROWS])
+        return found
+
+    def _far(self, cells: Int64s, found: Float32s) -> Bools:
+        """Say in which finest cells values found at the samples are too far from the full tree's."""
+        rows = self._samples.rows(cells)
+        far = far_values(found, self._wanted[rows], self._columns, self._most)
+        counts = np.diff(self._samples.firsts)[cells]
+        answer: Bools = np.logical_or.reduceat(far, np.cumsum(counts) - counts)
+        return answer

@@ -39,6 +39,13 @@ def as_margin(separate: float | bool | None) -> float | None:
     return None if separate is None else as_number(separate, "separate", *RANGE)
 
 
+def as_fineness(depth: int | None, cell: float | None) -> tuple[int | None, float | None]:
+    """Return ``depth`` and ``cell`` as numbers, one at most, or raise ArgumentError."""
+    if depth is not None and cell is not None:
+        raise ArgumentError("give depth or cell, not both")
+    return None if depth is None else as_depth(depth), None if cell is None else as_positive(cell, "cell")
+
+
 def separate(
     surface: Surface, cells: float = CELLS, *, depth: int | None = None, cell: float | None = None
 ) -> Separated:
@@ -52,11 +59,8 @@ def separate(
     """
     as_surface(surface)
     cells = as_number(cells, "cells", *RANGE)
-    if depth is not None and cell is not None:
-        raise ArgumentError("give depth or cell, not both")
-    if cell is not None:
-        cell = as_positive(cell, "cell")
-    depth = as_depth(DEFAULT_DEPTH if depth is None else depth)
+    depth, cell = as_fineness(depth, cell)
+    depth = DEFAULT_DEPTH if depth is None else depth
 
     def reach(placed: Surface) -> float:
         edge = Placement.around(placed.bounds, depth).size / 2**depth if cell is None else cell

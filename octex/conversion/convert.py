@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,23 +17,21 @@ import octex
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import (
     as_bytes,
-    as_depth,
     as_entries,
     as_flag,
     as_names,
     as_path,
-    as_positive,
     is_path,
     is_several,
 )
 from octex.conversion import apart, large
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
-from octex.conversion.formats import Dtypes, formats_as
+from octex.conversion.fit import Fitter
 from octex.conversion.gaps import Remaining, without_gaps, without_opaque
-from octex.conversion.levels import CellLevels, assemble, cell_levels, memory_needed
+from octex.conversion.levels import CellLevels, Dtypes, assemble, cell_levels, formats_as, memory_needed
 from octex.conversion.points import convert_points
-from octex.conversion.sides import fitters
+from octex.conversion.sides import with_sides
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
@@ -46,7 +45,6 @@ from octex.texture.file import ENDING
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
-DEFAULT_DEPTH = 10
 DEFAULT_FILTER = "ewa"
 #: How many times the least that a conversion needs it takes at its peak: 3 to 6 times were measured.
 _MOST_TAKEN = 6
@@ -117,7 +115,7 @@ def convert(
     if run.memory is not None and target is None:
         raise ArgumentError("memory needs a path: where the texture is written, NAME.octex")
     most = None if max_error is None else as_max_error(max_error)
-    depth, cell = as_fineness(depth, cell)
+    depth, cell = apart.as_fineness(depth, cell)
     fit = as_flag(fit, "fit")
     margin = apart.as_margin(separate)
     if is_path(model):
@@ -206,7 +204,8 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     if known.samples is not None and plan.fit:
         # With a fitted alpha, what is covered would not seem to be beside gaps.
         unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
-        fit, split = fitters(known.samples, placement, pool, report, unfitted)
+        fitter = Fitter(known.samples, pool, report, unfitted)
+        fit, split = fitter.fit, partial(with_sides, fitter)
     tree, channels = adapted(
         known.tree, known.channels, known.samples,
         max_error=plan.max_error, wanted=known.wanted, fit=fit, split=split, executor=pool, progress=report,
@@ -293,18 +292,11 @@ def _as_target(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def as_fineness(depth: int | None, cell: float | None) -> tuple[int | None, float | None]:
-    """Return ``depth`` and ``cell`` as numbers, one at most, or raise ArgumentError."""
-    if depth is not None and cell is not None:
-        raise ArgumentError("give depth or cell, not both")
-    return None if depth is None else as_depth(depth), None if cell is None else as_positive(cell, "cell")
-
-
 def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Placement, int]:
     """Return the root cell of a surface and the finest level, for ``depth`` or ``cell`` as in ``convert``."""
     if cell is not None:
         return Placement.with_cell(surface.bounds, cell)
-    depth = DEFAULT_DEPTH if depth is None else depth
+    depth = apart.DEFAULT_DEPTH if depth is None else depth
     return Placement.around(surface.bounds, depth), depth
 
 

@@ -168,7 +168,7 @@ def _list(codes: Int64s, heads: Heads, chosen: Int64s, cubes: Cubes) -> None:
 def _number(cells: Int32s, first: int, end: int, outside: Outside) -> None:
     """Replace cells by their numbers: ``first`` … ``end`` − 1 from 0 on, then the rest as they came."""
     for n in range(cells.size):
-        cell = int(cells[n])
+        cell = int(np.int64(cells[n]))
         is_own = first <= cell < end
         cells[n] = cell - first if is_own else end - first + number_of(outside, cell)
 

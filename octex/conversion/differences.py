@@ -1,4 +1,4 @@
-"""How far two trees' fields are apart in finest cells: at samples, or all over the surface around them.
+"""How far two trees' fields are apart in finest cells, all over the surface around samples.
 
 On a finest cell both fields are rational functions. Their coefficients are gathered once a cell, and mostly
 say enough: the same leaves in both, or values that are all near to each other.
@@ -6,13 +6,13 @@ say enough: the same leaves in both, or values that are all near to each other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
-from octex.channels import ChannelFormat, ColorSpace, decode
+from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
+from octex.channels import ChannelFormat, decode
 from octex.conversion import large
 from octex.conversion.evaluator import (
     Coefficients,
@@ -23,17 +23,14 @@ from octex.conversion.evaluator import (
     is_refined,
     new_windows,
 )
-from octex.conversion.facings import HIDDEN
 from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
-from octex.conversion.prune import Pruned
-from octex.conversion.samples import MOST_POINTS, Samples, lay_first, lay_out
+from octex.conversion.samples import MOST_POINTS, Samples, lay_out
 from octex.field.weights import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import inlined, kernel
-from octex.texture.channel import Channel
+from octex.texture import OctreeTexture
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
-from octex.tree.octree import Octree
 
 #: A finest cell, and its level.
 Place: TypeAlias = tuple[int, int, int, int]
@@ -45,68 +42,49 @@ _FULL = 0.52
 #: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
 #: edges, dots and light up to 20) none then went beyond it.
 BETWEEN = 1.0
+#: By the facings that are taken in full: the kinds of cells that have none of them, and of split ones.
+#: Lookups with a normal that find none of these kinds find the same as those without.
+_HIDDEN = np.array(
+    [sum(1 << kind for kind in range(64) if kind & facings == 0) for facings in range(64)], np.uint64
+)
 
 
-class Decoded(NamedTuple):
-    """Channels of a tree side by side, decoded, as coefficients are laid out."""
-
-    values: Float32s  # (cells, columns)   components, a one, zeros
-    split_values: Float32s  # (rows, columns)
-    columns: ErrorColumns
-
-    @classmethod
-    def of(cls, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat]) -> Decoded:
-        """Decode the channels of some formats."""
-        given = [channels[form.name] for form in forms]
-        spaces = [channel.format.space for channel in given]
-        values = _side_by_side([channel.values for channel in given], spaces)
-        split_values = _side_by_side([channel.split_values for channel in given], spaces)
-        return cls(values, split_values, ErrorColumns.of(forms))
-
-    def put(self, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat], cells: Int64s) -> None:
-        """Take other values of some cells (n,), which channels of some formats have."""
-        spaces = [form.space for form in forms]
-        self.values[cells] = _side_by_side([channels[form.name].values[cells] for form in forms], spaces)
-
-    def field(self, tree: Octree, cells: Int64s | slice, split_rows: Bools | slice) -> Coefficients:
-        """Return the field of a tree that has some of the cells and of the rows for facings."""
-        some = large.taken(self.values, cells) if isinstance(cells, np.ndarray) else self.values[cells]
-        rows = large.joined([some, self.split_values[split_rows]])
-        kinds, _, alpha, _ = self.columns
-        return Coefficients(
-            tree.arrays, facings_of(tree).rows, tree.n_cells, rows.reshape(-1, 4), kinds.size, alpha
-        )
-
-    def truncated(self, tree: Octree, level: int) -> Coefficients:
-        """Return the field of the averages of a level."""
-        coarse = tree.truncated(level)
-        return self.field(coarse, slice(coarse.n_cells), slice(coarse.split.areas.size))
-
-    def pruned(self, pruned: Pruned) -> Coefficients:
-        """Return the field of a tree with some nodes as leaves."""
-        return self.field(pruned.tree, pruned.cells, pruned.split_rows)
-
-
-def _side_by_side(columns: Sequence[Array], spaces: Sequence[ColorSpace]) -> Float32s:
-    """Return columns decoded, with a one after them, and zeros up to whole vectors."""
-    components = sum(each.shape[1] for each in columns)
-    rows = large.zeros((len(columns[0]), (components + 4) // 4 * 4), np.float32)
-    for begin in range(0, len(rows), _BLOCK):
-        some = slice(begin, begin + _BLOCK)
-        given = [decode(each[some], space) for each, space in zip(columns, spaces, strict=True)]
-        np.concatenate(given, axis=1, out=rows[some, :components])
+def coefficients(texture: OctreeTexture, forms: Sequence[ChannelFormat]) -> Coefficients:
+    """Return the field of a texture's channels of some formats."""
+    tree = texture.tree
+    columns = ErrorColumns.of(forms)
+    components, cells = columns.kinds.size, tree.n_cells
+    rows = large.zeros((cells + tree.split.areas.size, (components + 4) // 4 * 4), np.float32)
     rows[:, components] = 1.0
-    return rows
+    end = 0
+    for form in forms:
+        start, end = end, end + form.components
+        channel = texture.channels[form.name]
+        for into, stored in ((rows[:cells], channel.values), (rows[cells:], channel.split_values)):
+            for begin in range(0, len(stored), _BLOCK):
+                some = slice(begin, begin + _BLOCK)
+                into[some, start:end] = decode(stored[some], form.space)
+    return Coefficients(
+        tree.arrays, facings_of(tree).rows, cells, rows.reshape(-1, 4), components, columns.alpha
+    )
 
 
-class Places(NamedTuple):
-    """Where the samples of finest cells lie: see `Samples`."""
+class Reference(NamedTuple):
+    """The full tree's field, and where the samples of its finest cells lie: see `Samples`."""
 
+    field: Coefficients
+    columns: ErrorColumns
     depth: int
     codes: Int64s
     firsts: Int64s
     places: Uint16s
     normals: Int8s
+
+    @classmethod
+    def of(cls, texture: OctreeTexture, samples: Samples) -> Reference:
+        """Take the full tree's texture."""
+        field = coefficients(texture, samples.channels)
+        return cls(field, ErrorColumns.of(samples.channels), samples.depth, *samples[2:6])
 
 
 class Scratch(NamedTuple):
@@ -120,118 +98,76 @@ class Scratch(NamedTuple):
     bounds: Float32s  # (2, components)
 
 
-def far_cells(
-    found: Coefficients,
-    full: Coefficients,
-    samples: Samples,
-    most: float,
-    cells: Int64s,
-    *,
-    owners: Int64s | None = None,
-    is_all_over: bool = False,
-) -> Bools:
-    """Say in which finest cells (n,), which ascend, a field is more than ``most`` codes from the full tree's.
-
-    That is, at a sample, looked up without a normal. With ``owners`` (all finest cells,) it is not the field
-    but the value of such a cell. If ``is_all_over``, also in the plane of the surface at a sample, as far as
-    it lies in the cell (see `lay_out`), by more than one code more; and both with the sample's own normal.
-    """
-    far = np.zeros(cells.size, np.bool_)
-    places = Places(samples.depth, samples.codes, samples.firsts, samples.places, samples.normals)
-    own = np.full(cells.size, -1, np.int64) if owners is None else owners[cells]
-    columns = ErrorColumns.of(samples.channels)
-    _find_far((found, full), places, columns, cells, own, is_all_over, float(most), far)
-    return far
-
-
 @kernel
-def _find_far(
-    fields: tuple[Coefficients, Coefficients],
-    samples: Places,
-    columns: ErrorColumns,
-    cells: Int64s,
-    owners: Int64s,
-    is_all_over: bool,
-    most: float,
-    far: Bools,
-) -> None:
-    components = columns.kinds.size
-    vectors = (components + 4) // 4
-    walks = (new_walk(), new_walk())
-    windows = new_windows(4, vectors)  # of both fields; of both looked up with a normal
+def far_all_over(found: Coefficients, reference: Reference, most: float, cells: Int64s) -> Bools:
+    """Say in which finest cells (n,), which ascend, a field is too far from the full tree's somewhere.
+
+    That is, at a sample by more than ``most`` codes; or in the plane of the surface there, as far as it lies
+    in the cell (see `lay_out`), by more than one code more; both without a normal and with the sample's own.
+    """
+    components = found.components
+    fields, walks = (found, reference.field), (new_walk(), new_walk())
+    windows = new_windows(4, (components + 4) // 4)  # of both fields; of both looked up with a normal
     scratch = Scratch(
-        np.zeros((vectors, 4), np.float32),
+        np.zeros(((components + 4) // 4, 4), np.float32),
         np.zeros((2, components, MOST_POINTS), np.float32),
         np.zeros((2 * components, MOST_POINTS), np.float64),
         np.zeros((3, MOST_POINTS), np.float32),
         np.zeros((1, 3), np.float32),
         np.zeros((2, components), np.float32),
     )
+    far = np.empty(cells.size, np.bool_)
     for n in range(cells.size):
-        cell, owner = int(cells[n]), int(owners[n])
-        far[n] = _is_far(fields, walks, windows, samples, columns, scratch, cell, owner, is_all_over, most)
+        far[n] = _is_far_all_over(fields, walks, windows, reference, scratch, cells[n], most)
+    return far
 
 
 @inlined
-def _is_far(
+def _is_far_all_over(
     fields: tuple[Coefficients, Coefficients],
     walks: tuple[Walk, Walk],
     windows: Windows,
-    samples: Places,
-    columns: ErrorColumns,
+    reference: Reference,
     scratch: Scratch,
     cell: int,
-    owner: int,
-    is_all_over: bool,
     most: float,
 ) -> bool:
-    """Say whether fields are too far apart in a finest cell, or the value of its owner if that is not −1."""
-    i, j, k = decode_cell(samples.codes[cell])
-    shift = MAX_DEPTH - samples.depth
+    i, j, k = decode_cell(reference.codes[cell])
+    shift = MAX_DEPTH - reference.depth
     full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
-    level = 0
-    if owner < 0:
-        level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
-        if level == full and not is_refined(walks[0], level):
-            return False  # both have the same leaves there
-    place = (i, j, k, samples.depth)
-    normal = scratch.normal
+    level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
+    if level == full and not is_refined(walks[0], level):
+        return False  # both have the same leaves there
+    place = (i, j, k, reference.depth)
+    columns, normal = reference.columns, scratch.normal
     view = view_of(normal, 0)
-    for sample in range(samples.firsts[cell], samples.firsts[cell + 1]):
-        if is_all_over:
-            count = lay_out(samples.places, samples.normals, sample, scratch.points)
-        else:
-            count = lay_first(samples.places, sample, scratch.points)
-        for look in range(2 if is_all_over else 1):  # without a normal, then with it
+    for sample in range(reference.firsts[cell], reference.firsts[cell + 1]):
+        count = lay_out(reference.places, reference.normals, sample, scratch.points)
+        for look in range(2):  # without a normal, then with it
             one, other = 0, 1
             if look == 1:
                 is_new = False
                 for axis in range(3):
-                    is_new |= normal[0, axis] != samples.normals[sample, axis]
-                    normal[0, axis] = samples.normals[sample, axis]
+                    is_new |= normal[0, axis] != reference.normals[sample, axis]
+                    normal[0, axis] = reference.normals[sample, axis]
                 view = view_of(normal, 0)
                 if is_new:
                     windows.known[2:] = False
-                hidden = HIDDEN[_full_facings(view)]
+                hidden = _HIDDEN[_full_facings(view)]
                 one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
                 other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
                 if one == 0 and other == 1:
                     continue  # the normal changes nothing
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
-            if owner >= 0:
-                _read_value(fields[0], owner, scratch)
-            else:
-                find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
-                is_first = look == 0 and sample == samples.firsts[cell]
-                if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
-                    return False
-                _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
+            find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
+            is_first = look == 0 and sample == reference.firsts[cell]
+            if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
+                return False
+            _look_up(fields[0], windows, one, level, place, 0, 1, scratch)
             _look_up(fields[1], windows, other, full, place, 0, 1, scratch)
             subtract(scratch.values, columns, 0, scratch.differences)
             if not are_near(scratch.differences, 0, most):
                 return True
-            if not is_all_over:
-                continue
             _look_up(fields[0], windows, one, level, place, 1, count, scratch)
             _look_up(fields[1], windows, other, full, place, 1, count, scratch)
             if _are_all_near(scratch.values, columns, count, most + BETWEEN, scratch.bounds):
@@ -241,15 +177,6 @@ def _is_far(
             if not are_near_between(scratch.differences, count, most + BETWEEN):
                 return True
     return False
-
-
-@inlined
-def _read_value(field: Coefficients, cell: int, scratch: Scratch) -> None:
-    """Write the value of a cell as the field's at the first point."""
-    vectors = (field.components + 4) // 4
-    for component in range(field.components):
-        row = cell * vectors + (component >> 2)
-        scratch.values[0, component, 0] = field.rows[row, component & 3]
 
 
 @inlined

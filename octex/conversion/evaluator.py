@@ -8,7 +8,7 @@ see `field.taps`.
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -16,14 +16,15 @@ from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import inlined, kernel, popcount, spline_box, trailing_zeros
+from octex.jit import chosen, inlined, kernel, popcount, put, spline_box, trailing_zeros
+from octex.jit.vectors import four, four_at
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
 _PLACES = 27
 _LEVELS = MAX_DEPTH + 1
-_NO_KEPT = np.empty(0, np.uint32)
+NO_KEPT = np.empty(0, np.uint32)
 _ZERO = np.float32(0)
 #: For kinds of cells, a bit for each of the 2⁶ sets of facings: split cells have that of the empty set.
 SPLIT_KIND = np.uint64(1)
@@ -68,7 +69,7 @@ def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int,
     Those of each second field from ``which`` on belong to the walk.
     """
     walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
-    level = follow(Way(field.arrays, _NO_KEPT, walk, QUADRATIC, 2, 1, False), i, j, k)
+    level = follow(Way(field.arrays, NO_KEPT, walk, QUADRATIC, 2, 1, False), i, j, k)
     for changed in range(walk.previous[5] + 1, level + 1):
         for each in range(which, windows.known.shape[0], 2):
             windows.known[each, changed] = False
@@ -132,13 +133,8 @@ def _gather(
     inside = INSIDE[0, begin, 0]
     leaves = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & inside
     start, stride = (which * vectors * _LEVELS + level) * _PLACES, _LEVELS * _PLACES
-    empty = inside
-    kinds = np.uint64(0)
+    empty, kinds = inside, np.uint64(0)
     is_below = is_refined(walk, level)
-    range_row = (which * _LEVELS + level) * vectors
-    if not is_facing:
-        for vector in range(vectors):
-            _begin_range(windows.ranges, range_row + vector, range_row + vector - vectors if is_below else -1)
     if is_below:
         for vector in range(vectors):
             _refine(windows.rows, start + vector * stride, walk.levels[level, UPPER])
@@ -149,55 +145,55 @@ def _gather(
         empty &= empty - np.uint64(1)
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
-    while leaves != 0:
-        child = trailing_zeros(leaves)
-        leaves &= leaves - np.uint64(1)
-        at = start + place_of(2, begin, child)
-        cell = cell_at(field.arrays, walk, level, 0, child)
-        flags = field.arrays.flags[cell]
-        if is_facing:
-            part, x, y, z = face_cell(flags, view)
-            is_split = x + y + z > _ZERO and field.splits.size > 0
-            for vector in range(vectors):
-                found = (_ZERO, _ZERO, _ZERO, _ZERO)
-                if is_split:
-                    for axis in range(3):
-                        share = x if axis == 0 else (y if axis == 1 else z)
-                        if share > _ZERO:
-                            row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
-                            found = _added(found, part * share, _covered(field, row, vectors, vector))
-                else:
-                    found = _added(found, part, _covered(field, cell, vectors, vector))
-                _write(windows.rows, at + vector * stride, found)
-            continue
-        kinds |= kind_of(flags)
-        for vector in range(vectors):
-            _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
-            _widen(windows.ranges, range_row + vector, _read(field.rows, cell * vectors + vector))
-        if flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
-            for row in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
-                for vector in range(vectors):
-                    _widen(windows.ranges, range_row + vector, _read(field.rows, row * vectors + vector))
+    for vector in range(vectors):
+        at, range_row = start + vector * stride, (which * _LEVELS + level) * vectors + vector
+        low, high = four(np.inf), four(-np.inf)
+        if is_below:
+            low = four_at(windows.ranges, 8 * (range_row - vectors))
+            high = four_at(windows.ranges, 8 * (range_row - vectors) + 4)
+        left = leaves
+        while left != 0:
+            child = trailing_zeros(left)
+            left &= left - np.uint64(1)
+            place = at + place_of(2, begin, child)
+            cell = cell_at(field.arrays, walk, level, 0, child)
+            flags = field.arrays.flags[cell]
+            if is_facing:
+                _write(windows.rows, place, _faced(field, cell, flags, view, vectors, vector))
+                continue
+            kinds |= kind_of(flags)
+            _write(windows.rows, place, _covered(field, cell, vectors, vector))
+            low, high = _widened(low, high, field.rows, cell * vectors + vector)
+            if flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
+                for row in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
+                    low, high = _widened(low, high, field.rows, row * vectors + vector)
+        if not is_facing:
+            put(windows.ranges, 8 * range_row, low)
+            put(windows.ranges, 8 * range_row + 4, high)
     windows.kinds[which, level] = kinds
     windows.known[which, level] = True
 
 
 @inlined
-def _begin_range(ranges: Float32s, row: int, above: int) -> None:
-    """Write a range that holds what another does, or nothing if that is −1."""
-    for column in range(4):
-        ranges[row, 0, column] = ranges[above, 0, column] if above >= 0 else np.float32(np.inf)
-        ranges[row, 1, column] = ranges[above, 1, column] if above >= 0 else np.float32(-np.inf)
+def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors: int, vector: int) -> Four:
+    """Return a part of what a cell shows to a normal."""
+    part, x, y, z = face_cell(flags, view)
+    if not (x + y + z > _ZERO and field.splits.size > 0):
+        return _added((_ZERO, _ZERO, _ZERO, _ZERO), part, _covered(field, cell, vectors, vector))
+    found = (_ZERO, _ZERO, _ZERO, _ZERO)
+    for axis in range(3):
+        share = x if axis == 0 else (y if axis == 1 else z)
+        if share > _ZERO:
+            row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
+            found = _added(found, part * share, _covered(field, row, vectors, vector))
+    return found
 
 
 @inlined
-def _widen(ranges: Float32s, row: int, values: Four) -> None:
-    """Let a range hold values."""
-    a, b, c, d = values
-    ranges[row, 0, 0], ranges[row, 1, 0] = min(ranges[row, 0, 0], a), max(ranges[row, 1, 0], a)
-    ranges[row, 0, 1], ranges[row, 1, 1] = min(ranges[row, 0, 1], b), max(ranges[row, 1, 1], b)
-    ranges[row, 0, 2], ranges[row, 1, 2] = min(ranges[row, 0, 2], c), max(ranges[row, 1, 2], c)
-    ranges[row, 0, 3], ranges[row, 1, 3] = min(ranges[row, 0, 3], d), max(ranges[row, 1, 3], d)
+def _widened(low: Any, high: Any, rows: Float32s, row: int) -> tuple[Any, Any]:
+    """Return a range that holds a row of values, too."""
+    values = four_at(rows, 4 * row)
+    return chosen(values < low, values, low), chosen(values > high, values, high)
 
 
 @inlined

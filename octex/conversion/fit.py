@@ -8,9 +8,10 @@ nothing else, so that of the whole does not depend on threads.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,8 @@ from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.cubes import CubeLookups, Heads
 from octex.conversion.numbering import Leaves, Outside, members_of, number
-from octex.conversion.samples import SHARE_STEPS, Samples, sample_points
+from octex.conversion.prune import Channels
+from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, sample_points
 from octex.conversion.solve import (
     Codes,
     Equations,
@@ -37,7 +39,6 @@ from octex.jit import kernel
 from octex.parallel import Progress, ordered_map
 from octex.texture.channel import Channel
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
 
 #: Samples in a brick, whose lists take some 400 bytes for each. Half as many take up to 8 % longer.
 BRICK_SAMPLES = 100_000
@@ -58,7 +59,7 @@ LEAST_COVERAGE = 2.0**-10
 class Group(NamedTuple):
     """Up to three components that are solved together."""
 
-    columns: list[int]
+    columns: slice
     format: ChannelFormat
 
     def range(self, samples: Samples) -> tuple[float, float]:
@@ -82,39 +83,14 @@ class Job(NamedTuple):
     """All that a brick needs."""
 
     field: Field
-    channels: list[Channel]
+    channels: list[Channel]  # that the samples have
     samples: Samples
-    placement: Placement
     leaves: Leaves
     heads: Heads | None  # if the leaves are all finest cells
     unfitted: Collection[str]  # channels whose means stay
     is_facing: bool  # whether lookups are those with the samples' normals
     groups: list[Group]
     ranges: list[tuple[float, float]]  # of each group
-
-    @classmethod
-    def of(
-        cls,
-        field: Field,
-        channels: Mapping[str, Channel],
-        samples: Samples,
-        placement: Placement,
-        leaves: Leaves,
-        heads: Heads | None,
-        unfitted: Collection[str],
-        *,
-        is_facing: bool,
-    ) -> Job:
-        """Take the channels that the samples have."""
-        given = [channels[form.name] for form in samples.channels]
-        groups = _groups(samples.channels)
-        ranges = [group.range(samples) for group in groups]
-        return cls(field, given, samples, placement, leaves, heads, unfitted, is_facing, groups, ranges)
-
-    def merged(self, channels: Mapping[str, Channel], found: Iterable[Channel]) -> dict[str, Channel]:
-        """Return channels, those that are fitted as they were found."""
-        names = (channel for channel in found if channel.format.name not in self.unfitted)
-        return dict(channels) | {channel.format.name: channel for channel in names}
 
 
 class Lookups(NamedTuple):
@@ -149,79 +125,68 @@ class Lookups(NamedTuple):
         return self._replace(weights=covered(self.starts, self.leaves, self.weights, coverage))
 
 
-def fitted(
-    tree: Octree,
-    channels: Mapping[str, Channel],
-    chosen: Bools | None = None,
-    *,
-    samples: Samples,
-    placement: Placement,
-    executor: Executor,
-    progress: Progress,
-    unfitted: Collection[str] = (),
-) -> dict[str, Channel]:
-    """Return channels whose leaves make the quadratic field meet the samples; all else keeps its values.
+class Fitter(NamedTuple):
+    """Makes the leaves of trees meet samples, whose finest cells they are, or cells above them.
 
-    The leaves of ``tree`` are the samples' finest cells, or cells above them; the leaves' values in
-    ``channels``, which hold what the samples hold, are means. Colours are fitted on sRGB's curve, light above
-    1 by ratio, directions as vectors; what alpha does not cover counts for alpha alone. Values stay inside
-    their types' ranges. Channels that are ``unfitted`` keep their values after they served the others. The
-    result does not depend on the executor. With ``chosen`` (leaves,), in Morton order, these leaves alone are
-    fitted, to the samples in them; the others keep their values.
+    Colours are fitted on sRGB's curve, light above 1 by ratio, directions as vectors; what alpha does not
+    cover counts for alpha alone. Values stay inside their types' ranges. Channels that are ``unfitted`` keep
+    their values after they served the others. The result does not depend on the executor.
     """
-    leaves = Leaves.of(tree, samples)
-    if chosen is not None:
-        finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
-        samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
-        leaves = leaves.some(chosen, tree.n_cells)
-    field, heads = Field(tree), None
-    if field.tiles is not None and not leaves.cells.size:
-        heads = Heads.of(field.tiles, samples.codes)
-    job = Job.of(field, channels, samples, placement, leaves, heads, unfitted, is_facing=False)
-    values = [large.copied(channel.values) for channel in job.channels]
-    for (first, end), parts in _fit_bricks(job, executor, progress):
-        cells = leaves.where(first, end)
-        for whole, part in zip(values, parts, strict=True):
-            whole[cells] = part
-    found = zip(job.channels, values, strict=True)
-    return job.merged(channels, (channel._replace(values=each) for channel, each in found))
 
+    samples: Samples
+    executor: Executor
+    progress: Progress
+    unfitted: Collection[str] = ()
 
-def fitted_rows(
-    tree: Octree,
-    channels: Mapping[str, Channel],
-    samples: Samples,
-    rows: Leaves,
-    placement: Placement,
-    *,
-    executor: Executor,
-    progress: Progress,
-    unfitted: Collection[str] = (),
-) -> dict[str, Channel]:
-    """Return channels some ``rows`` of whose split leaves make the field meet ``samples``.
+    def fit(self, tree: Octree, channels: Channels, chosen: Bools | None = None) -> Channels:
+        """Return channels whose leaves make the quadratic field meet the samples; all else keeps its values.
 
-    These are all samples in these leaves, and looked up with their normals. All else is as in ``fitted``.
-    """
-    field = Field(tree)
-    field.facings  # noqa: B018 (built before threads share it)
-    job = Job.of(field, channels, samples, placement, rows, None, unfitted, is_facing=True)
-    values = [channel.split_values.copy() for channel in job.channels]
-    for (first, end), parts in _fit_bricks(job, executor, progress):
-        for whole, part in zip(values, parts, strict=True):
-            whole[rows.numbers(first, end) - tree.n_cells] = part
-    found = zip(job.channels, values, strict=True)
-    return job.merged(channels, (channel._replace(split_values=each) for channel, each in found))
+        The leaves' values in ``channels``, which hold what the samples hold, are means. With ``chosen``
+        (leaves,), in Morton order, these leaves alone are fitted, to the samples in them.
+        """
+        samples, leaves = self.samples, Leaves.of(tree, self.samples)
+        if chosen is not None:
+            finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
+            samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
+            leaves = leaves.some(chosen, tree.n_cells)
+        return self._fitted(tree, channels, samples, leaves, is_facing=False)
 
+    def fit_rows(self, tree: Octree, channels: Channels, samples: Samples, rows: Leaves) -> Channels:
+        """Return channels some ``rows`` of whose split leaves make the field meet ``samples``.
 
-def _fit_bricks(
-    job: Job, executor: Executor, progress: Progress
-) -> Iterator[tuple[tuple[int, int], list[Array]]]:
-    """Yield runs of leaves, and each channel's values of them, as stored."""
-    size = max(len(job.samples.places) // _BRICKS, _LEAST_SAMPLES)
-    cuts = _cuts(job.leaves.firsts, min(size, BRICK_SAMPLES), LEAF_SAMPLES)
-    bricks = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
-    found = ordered_map(executor, partial(_fit_brick, job), bricks, stage="fit", progress=progress)
-    yield from zip(bricks, found, strict=True)
+        These are all samples in these leaves, and looked up with their normals. All else is as in ``fit``.
+        """
+        return self._fitted(tree, channels, samples, rows, is_facing=True)
+
+    def _fitted(
+        self, tree: Octree, channels: Channels, samples: Samples, leaves: Leaves, *, is_facing: bool
+    ) -> Channels:
+        field, heads = Field(tree), None
+        if is_facing:
+            field.facings  # noqa: B018 (built before threads share it)
+        elif field.tiles is not None and not leaves.cells.size:
+            heads = Heads.of(field.tiles, samples.codes)
+        given = [channels[form.name] for form in samples.channels]
+        groups = _groups(samples.channels)
+        ranges = [group.range(samples) for group in groups]
+        job = Job(field, given, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
+        size = min(max(len(samples.places) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
+        bricks = list(pairwise(_cuts(leaves.firsts, size, LEAF_SAMPLES).tolist()))
+        found = ordered_map(
+            self.executor, partial(_fit_brick, job), bricks, stage="fit", progress=self.progress
+        )
+        table, first_row = ("split_values", tree.n_cells) if is_facing else ("values", 0)
+        stored = [large.copied(getattr(channel, table)) for channel in given]
+        for brick, parts in zip(bricks, found, strict=True):
+            rows = leaves.numbers(*brick) - first_row
+            for whole, part in zip(stored, parts, strict=True):
+                whole[rows] = part
+        made = {
+            channel.format.name: channel._replace(**{table: each})  # type: ignore[arg-type]
+            for channel, each in zip(given, stored, strict=True)
+            if channel.format.name not in self.unfitted
+        }
+        return {**channels, **made}
 
 
 @kernel
@@ -242,22 +207,20 @@ def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
 def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
     """Put components together that weigh alike; alpha first, since lookups of the others depend on it."""
     groups: list[Group] = []
-    first = 0
+    end = 0
     for form in channels:
-        columns = list(range(first, first + form.components))
-        first += form.components
+        first, end = end, end + form.components
         is_alike = (
             bool(groups)
             and form.components == 1
             and form.space == "data"
             and groups[-1].format[2:] == form[2:]
             and "alpha" not in (form.name, groups[-1].format.name)
-            and len(groups[-1].columns) < 3
+            and end - groups[-1].columns.start <= 3
         )
         if is_alike:
-            groups[-1].columns.extend(columns)
-        else:
-            groups += (Group(columns[i : i + 3], form) for i in range(0, len(columns), 3))
+            form, first = groups[-1].format, groups.pop().columns.start
+        groups += (Group(slice(i, min(i + 3, end)), form) for i in range(first, end, 3))
     return sorted(groups, key=lambda group: group.format.name != "alpha")
 
 
@@ -274,7 +237,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     targets = job.samples.values.take(lookups.samples, axis=0)
     shares = job.samples.shares.take(lookups.samples) * (lookups.strides * np.float32(1 / SHARE_STEPS))
     for group, limits in zip(job.groups, job.ranges, strict=True):
-        components = len(group.columns)
+        components = group.columns.stop - group.columns.start
         is_light = int(group.format.space in ("srgb", "linear"))
         wanted = _four(targets[:, group.columns])
         if group.format.name not in job.unfitted:
@@ -296,7 +259,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
                 sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
             values[:, group.columns] = found[:, :components]
         if group.format.name == "alpha":
-            coverage = values[:, group.columns[0]].copy()
+            coverage = values[:, group.columns.start].copy()
             if (coverage < 1.0).any():
                 lookups, equations = lookups.covered(coverage), None
             shares = shares * np.maximum(wanted[:, 0], np.float32(LEAST_COVERAGE))
@@ -324,8 +287,8 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         samples.append(members)
         strides.append(stride)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
-        points = sample_points(job.samples, members, job.placement)
-        for taps in job.field.runs(points, job.placement, normals=normals):
+        points = sample_points(job.samples, members, UNIT)
+        for taps in job.field.runs(points, UNIT, normals=normals):
             room = int((taps.ends - taps.starts).sum())
             outside = outside.with_room(room)
             ends = np.empty(taps.starts.size, np.int64)

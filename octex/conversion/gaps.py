@@ -76,13 +76,18 @@ def _average_transparent(
 
     A gap weighs as much as what is transparent: means of both are not those of what is left.
     """
-    if not _is_transparent(channels[ALPHA.name].values).any():
+    cells = np.flatnonzero(_is_transparent(channels[ALPHA.name].values))
+    if not cells.size:
         return
     texture = OctreeTexture(tree, channels, placement, np.zeros((2, 3)))
-    nodes = nodes_at(
-        tree, [distinct(gaps >> 3 * (tree.max_depth - level)) for level in range(tree.max_depth)]
-    )
-    nodes = nodes.of((nodes.numbers >= 0) & _is_transparent(channels[ALPHA.name].values[nodes.cells]))
+    gaps, found = np.sort(gaps, kind="stable"), []
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        first, end = np.searchsorted(cells, tree.arrays.level_cells[level : level + 2]).tolist()
+        own = cells[first:end] - tree.arrays.level_cells[level]
+        codes, shift = codes[own[is_node[own]]], 3 * (tree.max_depth - level)
+        begins, ends = np.searchsorted(gaps, [codes << shift, codes + 1 << shift])
+        found.append(codes[begins < ends])
+    nodes = nodes_at(tree, found)
     for name, channel in channels.items():
         if name != ALPHA.name and nodes.cells.size:
             average(texture, channel, nodes=nodes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts
-from octex.channels import ALPHA, ChannelFormat, check_range, encode
+from octex.channels import ALPHA, ONE, ChannelFormat, check_range, encode
+from octex.checks import as_choice, as_entries
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.samples import Samples, Taken, join, take_samples
@@ -55,6 +56,8 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: Files of parts that are joined to one.
 _JOINED = 16
 
+#: A stored type for all channels, for some by their names, or the source's own.
+Dtypes: TypeAlias = str | Mapping[str, str] | None
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -293,12 +296,13 @@ def climb(
 
     ``left`` are the codes, ascending, of the cells that are stored, with those above them; None: of all.
     """
-    levels = [_stored(_of(sums, left), channels, columns)]
+    levels = [_of(sums, left)]
     for _ in range(steps):
         sums = sum_children(sums)
         left = None if left is None else distinct(left >> 3)
-        levels.append(_stored(_of(sums, left), channels, columns))
-    return levels, sums
+        levels.append(_of(sums, left))
+    finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
+    return [_stored(finest, channels, columns), *_stored_levels(above, channels, columns)], sums
 
 
 def _of(level: Sums, left: Int64s | None) -> Sums:
@@ -336,6 +340,26 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
         flags = flags.copy()
         flags[cells] |= SPLIT
     return LevelCells(flags, means.areas, values, facing_areas, facing_values)
+
+
+def _stored_levels(
+    levels: Sequence[Sums], channels: Sequence[ChannelFormat], columns: SumColumns
+) -> Iterator[LevelCells]:
+    """Encode the means of several levels together."""
+    if not levels:
+        return
+    flags, areas, values, split_areas, split_values = _stored(
+        Sums(*map(np.concatenate, zip(*levels, strict=True))), channels, columns
+    )
+    rows = np.cumsum(np.where(flags & SPLIT, bit_counts(flags & np.uint8(FACING_FLAGS)), 0))
+    cell = row = 0
+    for level in levels:
+        own = slice(cell, cell := cell + level.codes.size)
+        split = slice(row, row := int(rows[cell - 1]) if cell else 0)
+        yield LevelCells(
+            flags[own], areas[own], [each[own] for each in values],
+            split_areas[split], [each[split] for each in split_values],
+        )  # fmt: skip
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
@@ -398,3 +422,29 @@ def is_degenerate(surface: Surface, placement: Placement) -> bool:
     """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
     count, _ = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return count == len(surface.triangles)
+
+
+def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFormat, ...]:
+    """Return how the channels of a source are stored.
+
+    ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
+    unknown names and types. Whether an integer type holds a source's values shows when these are read.
+    """
+    names = [channel.name for channel in channels]
+    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for each in wanted:
+        as_choice(each, names, "channel of dtype")
+    formats = []
+    for channel in channels:
+        chosen = wanted.get(channel.name)
+        if chosen is None:
+            formats.append(channel)
+            continue
+        as_choice(chosen, ONE, "dtype")
+        space = channel.space
+        if chosen.startswith("float"):
+            space = "linear" if space == "srgb" else space
+        elif space == "linear" and channel.dtype.startswith("float"):
+            space = "srgb"
+        formats.append(channel._replace(space=space, dtype=chosen))
+    return tuple(formats)

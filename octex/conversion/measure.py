@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.split import SLOPE
-from octex.jit import inlined
+from octex.jit import inlined, kernel
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
@@ -94,6 +94,21 @@ def subtract(values: Float32s, columns: ErrorColumns, point: int, differences: F
             wanted = wanted / math.sqrt(other) if other > 0.0 else 0.0
             apart = coverage * _code_between(wanted, found, kind, columns.curve)
         differences[components + component, point] = apart
+
+
+@kernel
+def far_values(found: Float32s, wanted: Float32s, columns: ErrorColumns, most: float) -> Bools:
+    """Say which values (n, components) are more than ``most`` codes from the full tree's."""
+    components = columns.kinds.size
+    values = np.empty((2, components, 1), np.float32)
+    differences = np.empty((2 * components, 1), np.float64)
+    far = np.empty(found.shape[0], np.bool_)
+    for n in range(far.size):
+        for component in range(components):
+            values[0, component, 0], values[1, component, 0] = found[n, component], wanted[n, component]
+        subtract(values, columns, 0, differences)
+        far[n] = not are_near(differences, 0, most)
+    return far
 
 
 @inlined

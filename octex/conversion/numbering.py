@@ -83,10 +83,6 @@ class Leaves(NamedTuple):
         """Return which leaves have the samples of those at places in the order, each once."""
         return distinct(self.heads[places]) if self.heads.size else np.sort(places)
 
-    def where(self, first: int, end: int) -> Int64s | slice:
-        """Return what picks the same leaves among all cells."""
-        return self.cells[first:end] if self.cells.size else slice(first + self.offset, end + self.offset)
-
     def ranks_of(self, rows: Int64s) -> Int64s:
         """Return the places in the order of rows that lookups touch, −1 for what is no leaf."""
         ranks = np.full(len(rows), -1, np.int64)
@@ -200,7 +196,7 @@ def number(
             weight = np.float32(np.float64(taps.weights[tap]) * inverse)
             if not weight > np.float32(0):
                 continue
-            row = int(taps.rows[tap])
+            row = int(np.int64(taps.rows[tap]))
             rank = row - leaves.offset
             if leaves.ranks.size > 0:
                 rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1

@@ -11,8 +11,7 @@ import octex
 from octex.arrays import Uint8s
 from octex.channels import ALPHA, BASE_COLOR
 from octex.checks import as_choice, as_names
-from octex.conversion.formats import Dtypes, formats_as
-from octex.conversion.levels import CellLevels, assemble, climb
+from octex.conversion.levels import CellLevels, Dtypes, assemble, climb, formats_as
 from octex.nearest.boxes import order_of, rows_in
 from octex.parallel import Progress
 from octex.source.cloud import PointCloud

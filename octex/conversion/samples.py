@@ -41,6 +41,8 @@ LEAST_PART = 0.1
 SAME_WIDTH = 1.2
 #: Cells whose samples are counted at once.
 _RUN = 1 << 20
+#: Of positions in the root cell, 0 … 1.
+UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
 class Samples(NamedTuple):
@@ -179,7 +181,8 @@ def lay_out(
     triangles from the sample to the sides have a point at each corner and in the middle of each side. Points
     are columns of ``points`` (3, MOST_POINTS).
     """
-    lay_first(places, sample, points)
+    for axis in range(3):
+        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
     count = _cut(normals[sample, 0], normals[sample, 1], normals[sample, 2], points)
     for corner in range(count):
         at = 1 + 3 * corner
@@ -188,14 +191,6 @@ def lay_out(
             points[axis, at + 1] = (points[axis, at] + points[axis, 0]) / 2
             points[axis, at + 2] = (points[axis, at] + points[axis, after]) / 2
     return 1 + 3 * count
-
-
-@inlined
-def lay_first(places: Uint16s, sample: int, points: Float32s) -> int:
-    """Write where a sample lies in its cell, 0 … 1, to the first of ``points``; return 1."""
-    for axis in range(3):
-        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
-    return 1
 
 
 @inlined

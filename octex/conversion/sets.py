@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from octex.channels import check_range, encode
 from octex.checks import as_entries, as_names, as_path, is_path
-from octex.conversion.convert import as_fineness, convert, placed, surface_of
+from octex.conversion.apart import as_fineness
+from octex.conversion.convert import convert, placed, surface_of
 from octex.conversion.detail import DetailFunction, channel_of
-from octex.conversion.formats import Dtypes, formats_as
-from octex.conversion.levels import is_degenerate
+from octex.conversion.levels import Dtypes, formats_as, is_degenerate
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.base import by_channel

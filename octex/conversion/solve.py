@@ -9,6 +9,7 @@ number: what one leaf is rounded by, the next ones make good (5 dB in 8 bits, wh
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.channels import ColorSpace, decode_table
 from octex.jit import add_to_rows, inlined, kernel, part, weighted_rows
+from octex.jit.vectors import eight, eight_at, lanes
 
 #: λ: holds what the samples hardly see near its mean.
 SHRINK = np.float32(0.01)
@@ -48,6 +50,7 @@ class Codes(NamedTuple):
     guesses: Uint8s  # (bins + 1,)   the first of at most two codes in each bin of the range
 
     @classmethod
+    @cache
     def of_bytes(cls, space: ColorSpace) -> Codes:
         """Return the values of 8 bits in a colour space."""
         values = decode_table("uint8", space)
@@ -168,25 +171,29 @@ def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float
     the mean weight around these leaves. What remains of the variance of the samples tells how much is which.
     """
     starts, samples, weights = equations
-    lights, squares = np.zeros((shares.size, 4), np.float32), np.empty((shares.size, 4), np.float32)
-    sums = np.zeros((shares.size, 4), np.float32)  # of mean weights, of what remains, of the leaves' own; 1
+    given = np.empty((shares.size, 8), np.float32)  # weight, share; share times missed, square, light
+    sums = np.empty((shares.size, 4), np.float32)  # of mean weights, of what remains, of the leaves' own; 1
     for n in range(shares.size):
         share, weight = shares[n], rows[n, 3]
         inverse = np.float32(1) / weight if weight > _ZERO else _ZERO
         missed = square = _ZERO
-        for column in range(components):
-            lights[n, column] = share * targets[n, column]
-            square += targets[n, column] * targets[n, column]
+        for column in range(3):
+            target = targets[n, column]
+            square += target * target
             missed += rows[n, column] * rows[n, column]
+            given[n, 4 + column] = share * target
+            sums[n, column] = _ZERO
         missed *= inverse * inverse
-        squares[n, 0], squares[n, 1] = weight, share
-        squares[n, 2], squares[n, 3] = share * missed, share * square
+        given[n, 0], given[n, 1], given[n, 7] = weight, share, _ZERO
+        given[n, 2], given[n, 3] = share * missed, share * square
         sums[n, 3] = np.float32(1)
     for leaf in range(starts.size - 1):
         first, end = starts[leaf], starts[leaf + 1]
-        weight, share, missed, square = weighted_rows(squares, samples, weights, first, end)
+        total = eight(_ZERO)
+        for i in range(first, end):
+            total = total + eight(weights[i]) * eight_at(given, np.int64(samples[i]) << 3)
+        weight, share, missed, square, x, y, z, _ = lanes(total)
         if share > _ZERO:
-            x, y, z, _ = weighted_rows(lights, samples, weights, first, end)
             variance = square - (x * x + y * y + z * z) / share
             part = missed / variance if variance > missed else np.float32(1)
             add_to_rows(sums, samples, weights, first, end, (weight / share, part, np.float32(1), _ZERO))

@@ -11,7 +11,7 @@ import octex
 from octex.arrays import Array
 from octex.channels import ALPHA, ChannelFormat, check_range, decode, encode
 from octex.checks import as_choice, as_names
-from octex.conversion.formats import Dtypes, formats_as
+from octex.conversion.levels import Dtypes, formats_as
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.nodes import all_nodes
 from octex.errors import ArgumentError, ModelError

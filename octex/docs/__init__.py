@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from importlib.resources import files
 
 from octex.errors import ArgumentError
@@ -10,7 +11,9 @@ from octex.errors import ArgumentError
 #: The names of all pages by group, in the order in which a reader may want them.
 GROUPS = {
     "start": "tutorial concepts",
-    "tasks": "convert page render no-uvs paint-view paint-python photographs bake print arrays",
+    "tasks": (
+        "convert page render no-uvs paint-browser paint-view paint-python photographs bake print arrays"
+    ),
     "reference": (
         "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "
         "processing baking ptex files large remote"
@@ -23,7 +26,9 @@ TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 def topic(name: str) -> str:
     """Return a page as text for a terminal, with indented code; raises ArgumentError for an unknown name."""
     if name not in TOPICS:
-        raise ArgumentError(f"there is no page on {name!r}; there are {', '.join(TOPICS)}")
+        near = [each for each in TOPICS if name.startswith(each)] or get_close_matches(name, TOPICS, 1)
+        hint = f"do you mean {near[0]!r}? octex help lists all" if near else f"there are {', '.join(TOPICS)}"
+        raise ArgumentError(f"there is no page on {name!r}; {hint}")
     text = (files(__name__) / f"{name}.md").read_text("utf-8").rstrip()
     return re.sub(r"```\w+\n(.*?)```\n?", _indented, text, flags=re.DOTALL)
 

@@ -34,10 +34,10 @@ _WIDEST = 1e30
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
 #: The measure of a channel's differences by its colour space.
-MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "fractions", "direction": "components"}
+MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "0 to 1", "direction": "components"}
 _ANGLE = "degrees"
 #: The peak of a measure's PSNR: how far apart ordinary values can be.
-PEAKS = {"sRGB codes": 255.0, "fractions": 1.0, "components": 2.0, _ANGLE: 180.0}
+PEAKS = {"sRGB codes": 255.0, "0 to 1": 1.0, "components": 2.0, _ANGLE: 180.0}
 # Percentiles come from a histogram over the first 18 bits of a float32 without its sign: steps of 0.1 %.
 _CUT_BITS, _BINS = 13, 1 << 18
 
@@ -49,7 +49,7 @@ class Difference(NamedTuple):
     component that differs most at each point.
     """
 
-    measure: str  # "sRGB codes", "fractions", "components" (of directions) or "degrees"
+    measure: str  # "sRGB codes", "0 to 1", "components" (of directions) or "degrees"
     rms: float
     psnr: float  # 20 · log10(peak / rms) in dB, with the measure's peak (PEAKS); infinite if nothing differs
     p99: float
@@ -64,7 +64,7 @@ class Differences(dict[str, Difference]):
     """Differences by channel, and what could not be compared.
 
     points        points compared
-    width         the width, in rest units, over which a model was averaged at each; None without a model
+    width         the width, in rest units, over which both were averaged at each; None without a model
     filter        that with which textures were read
     unmatched     channels that only a has, and that only b has
     areas         areas of a and b at rest, in square units; a texture's to some percent, as it is stored
@@ -114,8 +114,8 @@ def difference(
     a, b        two textures, or a texture and a model, in either order
     channels    names; default: all that both have
     points      with a model: the number of points on it, uniform by posed area, the same for a ``seed``
-    width       with a model: the width, in rest units, over which it is averaged at each point; default: the
-                edge of the texture's finest cells; 0 reads it at the points
+    width       with a model: the width, in rest units, over which both are averaged at each point; default:
+                the edge of the texture's finest cells, which blurs no lookup; 0: read at points
     filter      how textures are read, see ``OctreeTexture.sample``; ``nearest`` compares stored values
 
     Two textures are compared at the centre of every leaf of both, weighted by its area; they may differ in
@@ -138,6 +138,7 @@ def difference(
     if not textures:
         raise ArgumentError("two models cannot be compared with each other; convert one of them first")
     width = finest_edge(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
+    width = width if models else 0.0
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
     total = points if models else sum(texture.tree.n_leaves for texture in textures)
@@ -218,7 +219,8 @@ class Reader:
         """Return values (n, components) by channel."""
         values: Mapping[str, Float32s]
         if isinstance(self._side, OctreeTexture):
-            values = self._side.sample(points.rest, self._names, self._filter, normalize=False)
+            width = self._width if self._width > finest_edge(self._side) else None  # no lookup is sharper
+            values = self._side.sample(points.rest, self._names, self._filter, width=width, normalize=False)
         else:
             assert points.triangles is not None and points.barycentric is not None
             widths = np.full(len(points.rest), self._width, np.float32)
@@ -263,7 +265,7 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:
-    """Return readers of the same channels, by default all that both have; models are averaged over width."""
+    """Return readers of the same channels, by default all that both have, averaged over width."""
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
@@ -278,8 +280,8 @@ def readers_of(
         as_choice(name, both, "channel in both")
         meanings = [(MEASURES[form.space], form.components) for form in (first[name], second[name])]
         if meanings[0] != meanings[1]:
-            one, other = (f"{components} {measure}" for measure, components in meanings)
-            raise ArgumentError(f"channel {name!r} holds {one} in one texture and {other} in the other")
+            one, other = (f"{components} components ({measure})" for measure, components in meanings)
+            raise ArgumentError(f"channel {name!r} has {one} on one side and {other} on the other")
         spaces[name] = first[name].space
     fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
     a, b = (Reader(side, spaces, fades, width, filter) for side in sides)

@@ -215,9 +215,11 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
     picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
     ring = row.ring if shown.maximum > 0 else None
     place = "in the ring" if ring else "out of sight"
-    most = f"maximum {_text(shown.maximum)} {shown.measure}, {place}"
+    most = f"maximum {_amount(shown.maximum, shown.measure)}, {place}"
     title = f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference"
-    subtitle = f"rms {_text(shown.rms)}, {most}" if shown.maximum > 0 else "they do not differ"
+    subtitle = (
+        f"RMS {_amount(shown.rms, shown.measure)}, {most}" if shown.maximum > 0 else "they do not differ"
+    )
     panel = captioned(picture, title, subtitle, room)
     draw = ImageDraw.Draw(panel)
     if ring:
@@ -243,7 +245,7 @@ def _draw_legend(panel: Image.Image, top: float, measure: str, room: int, *, alo
     panel.paste(Image.fromarray(np.ascontiguousarray(bar)), (left, y))
     middle = y + height / 2
     draw.text((left - strip * 0.15, middle), "0", (80, 80, 84), font, "rm")
-    draw.text((right + strip * 0.15, middle), f"{_text(top)} {measure}", (80, 80, 84), font, "lm")
+    draw.text((right + strip * 0.15, middle), _amount(top, measure), (80, 80, 84), font, "lm")
     if alone:
         draw.rectangle((strip * 0.3, y, strip * 0.3 + height, y + height), tuple(_ALONE))
         draw.text((strip * 0.4 + height, middle), "only in one", (80, 80, 84), font, "lm")
@@ -262,6 +264,11 @@ def _scale_codes(values: Float64s) -> Float64s:
     """Return the scale's sRGB codes (…, 3) of values from 0 to 1; larger ones have its last."""
     stops = np.linspace(0.0, 1.0, len(_SCALE))
     return np.stack([np.interp(values, stops, column) for column in _SCALE.T], axis=-1)
+
+
+def _amount(number: float, measure: str) -> str:
+    """Return a difference with its unit: of 255 for colours, none for numbers from 0 to 1."""
+    return _text(number) + {"sRGB codes": "/255", "degrees": "°"}.get(measure, "")
 
 
 def _text(number: float) -> str:

@@ -34,14 +34,6 @@ class Hits(NamedTuple):
     normals: Float64s  # (n, 3)   of the surface at rest, smooth
 
 
-class Posed(NamedTuple):
-    """The same points on the posed surface."""
-
-    points: Float64s  # (n, 3)
-    faces: Float64s  # (n, 3)   normals of the triangles
-    normals: Float64s  # (n, 3)   smooth normals
-
-
 class Seen:
     """A surface before a camera."""
 
@@ -64,24 +56,20 @@ class Seen:
             return self._resting
         return corner_normals(self.surface.vertices, self.surface.triangles)
 
+    def normals(self, hits: Hits) -> tuple[Float64s, Float64s]:
+        """Return the normals of triangles and smooth ones (n, 3) on the posed surface."""
+        smooth = hits.normals
+        if self.is_posed:
+            smooth = np.einsum("nk,nkc->nc", hits.barycentric, self._smooth[hits.triangles])
+        return self._faces[hits.triangles], smooth
+
     def blocks(self, buffers: Buffers) -> list[Int64s]:
         """Return the pixels that see something, numbered row by row, some at a time."""
         seen = np.flatnonzero(buffers.triangle >= 0)
         return [seen[first : first + _BLOCK] for first in range(0, len(seen), _BLOCK)]
 
-    def hits(self, pixels: Int64s, buffers: Buffers) -> Hits:
-        """Return what pixels (n,) see."""
-        return self._look(pixels, buffers)[0]
-
-    def posed(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Posed]:
-        """Return what pixels (n,) see, also on the posed surface."""
-        hits, points = self._look(pixels, buffers)
-        normals = hits.normals
-        if self.is_posed:
-            normals = np.einsum("nk,nkc->nc", hits.barycentric, self._smooth[hits.triangles])
-        return hits, Posed(points, self._faces[hits.triangles], normals)
-
-    def _look(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
+    def hits(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
+        """Return what pixels (n,) see, and where that is on the posed surface (n, 3)."""
         triangles = buffers.triangle.ravel()[pixels]
         width = self.camera.pixel_width(buffers.depth.ravel()[pixels]) * self._stretch[triangles]
         weights, points, rest, right, down, normals = np.empty((6, len(pixels), 3))
@@ -102,7 +90,7 @@ def visible_hits(
         buffers = z_buffer(surface.vertices, surface.triangles, camera)
     seen = Seen(surface, camera, normals)
     for pixels in seen.blocks(buffers):
-        yield pixels, seen.hits(pixels, buffers)
+        yield pixels, seen.hits(pixels, buffers)[0]
 
 
 def rest_normals(surface: Surface) -> Float32s:

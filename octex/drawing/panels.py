@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from octex.arrays import Float32s, Floats, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import encode, linear_to_srgb
-from octex.checks import as_path
-from octex.drawing.arguments import Arguments
+from octex.checks import as_path, as_text
+from octex.drawing.arguments import as_bump, as_light, as_picture_size, as_supersample, as_viewpoint
 from octex.drawing.directions import USUAL, Viewpoint
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
@@ -23,6 +23,8 @@ from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import replacing
+from octex.source.surface import as_surface
+from octex.texture import as_texture
 from octex.tree.octree import distinct
 from octex.view.shading import face_normals
 
@@ -64,11 +66,15 @@ def write_preview(
     for an unknown channel.
     """
     path = as_path(path)
-    texture, surface, size, view, channel, light, bump, supersample = Arguments.checked(
-        texture, surface, size, (direction, up, zoom), channel, light, bump, supersample
-    )
     codes = draw_preview(
-        texture, surface, size, supersample, view=view, channel=channel, light=light, bump=bump
+        None if texture is None else as_texture(texture),
+        None if surface is None else as_surface(surface),
+        as_picture_size(size),
+        as_supersample(supersample),
+        view=as_viewpoint(direction, up, zoom),
+        channel=None if channel is None else as_text(channel, "channel"),
+        light=as_light(light),
+        bump=as_bump(bump),
     )
     write_png(path, codes)
 
@@ -181,7 +187,7 @@ def leaf_camera(
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     """Return a title and a subtitle for a picture of a model."""
-    return surface.name, f"{named(channel)}source, {count_text(len(surface.triangles), 'triangle')}"
+    return surface.name, f"{named(channel)}original, {count_text(len(surface.triangles), 'triangle')}"
 
 
 def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:

@@ -66,8 +66,9 @@ def film_surface(
     layer: Buffers | None = None
 
     def appear(layer: Buffers, pixels: Int64s) -> list[Appearance]:
-        hits, posed = seen.posed(pixels, layer)
-        return [lit(_turned(look(hits), seen, hits), light, camera, *posed) for look in looks]
+        hits, points = seen.hits(pixels, layer)
+        normals = seen.normals(hits)
+        return [lit(_turned(look(hits), seen, hits), light, camera, points, *normals) for look in looks]
 
     with workers() as executor:
         for _ in range(_LAYERS):

@@ -13,14 +13,16 @@ from PIL import Image
 from octex.arrays import Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import encode
-from octex.checks import as_depth, as_flag, as_path
-from octex.drawing.arguments import Arguments
+from octex.checks import as_depth, as_flag, as_path, as_text
+from octex.drawing.arguments import as_bump, as_light, as_picture_size, as_supersample, as_viewpoint
 from octex.drawing.directions import Viewpoint
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import leaf_camera, surface_camera, write_png
 from octex.drawing.pictures import film_surface, render_leaves, render_surface
 from octex.drawing.shaders import Appearance, Bump, Shader, source_shader, texture_shader
 from octex.errors import ArgumentError
+from octex.source.surface import as_surface
+from octex.texture import as_texture
 
 if TYPE_CHECKING:
     from octex.drawing.environment import Environment
@@ -65,9 +67,11 @@ def render(
     """
     if texture is None and surface is None:
         raise ArgumentError("a picture needs a texture, a surface or both")
-    texture, surface, size, view, channel, light, bump, supersample = Arguments.checked(
-        texture, surface, size, (direction, up, zoom), channel, light, bump, supersample
-    )
+    texture = None if texture is None else as_texture(texture)
+    surface = None if surface is None else as_surface(surface)
+    size, view = as_picture_size(size), as_viewpoint(direction, up, zoom)
+    channel = None if channel is None else as_text(channel, "channel")
+    light, bump, supersample = as_light(light), as_bump(bump), as_supersample(supersample)
     if camera is not None and not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
     if camera is not None and camera.is_distorted:

@@ -1,31 +1,33 @@
 """Drafts: the part of a texture that an edit touches, cut out, edited as a texture of its own, and put back.
 
-A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds all cells down to that
-level, and below it only the open tiles; the others are closed: leaves with the value of the node that they
-are. So what an edit near the middle of the open tiles sees, and all averages above, are as in the whole.
+A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds the open tiles, and at
+each level above the cells that hold them, those beside these, and the children of both. All other nodes are
+closed: leaves with the value of the node that they are. So what an edit near the middle of the open tiles
+sees, and all averages above, are as in the whole.
 
-Cells of a level stand in Morton order, so those of a tile are one run of each level: cutting and putting back
-is copying runs.
+Those of a tile are one run of each level: cutting and putting back is copying runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
+from octex.arrays import Array, Bools, Int64s
 from octex.channels import ALPHA, ONE
+from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
-from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
 from octex.tree.beside import with_boundary
-from octex.tree.children import children_before, groups_of, masks_of
+from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
-from octex.tree.layout import KEPT, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import KEPT, KeptTable
 from octex.tree.octree import Octree, distinct
-from octex.tree.split import counts_of, rows_of
+from octex.tree.split import rows_of
 
 #: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
 #: reads less than that around what it edits.
@@ -67,52 +69,23 @@ class Change(NamedTuple):
         """
         here, before = texture, self.before
         is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
-        if is_like and self.tiles is not None:
-            here = cut_out(texture, self.tiles)
+        if self.tiles is not None:
+            is_like &= self.tiles.level <= texture.tree.max_depth
+            here = cut_out(texture, self.tiles) if is_like else here
         if not (is_like and all(map(np.array_equal, _arrays(here), _arrays(before)))):
             raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
 
-    def put_into(self, texture: OctreeTexture) -> OctreeTexture:
-        """Return the texture from which the change was made with it."""
+    def put_into(self, texture: OctreeTexture, shared: OctreeTexture | None = None) -> OctreeTexture:
+        """Return the texture from which the change was made with it.
+
+        If ``shared`` is given, arrays that it does not have may be written to: nobody else has them.
+        """
         if self.tiles is None:
             return self.after
         if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
-            return _overwritten(texture, self.tiles, self.before, self.after)
+            return _overwritten(texture, self.tiles, self.before, self.after, shared)
         return put_back(texture, self.tiles, self.after)
-
-
-class Runs(NamedTuple):
-    """Cells, or nodes, of several textures, end to end."""
-
-    owners: Int64s
-    begins: Int64s
-    ends: Int64s
-
-    @classmethod
-    def joined(cls, *parts: tuple[Int64s, Int64s, Int64s]) -> Runs:
-        """Put runs one after the other; those that follow on each other become one."""
-        owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-        some = begins < ends
-        owners, begins, ends = owners[some], begins[some], ends[some]
-        follows = np.zeros(owners.size + 1, np.bool_)
-        follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
-        return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
-
-    @classmethod
-    def of_numbers(cls, owners: Int64s, numbers: Int64s) -> Runs:
-        """Return the runs of consecutive numbers of one owner."""
-        return cls.joined((owners, numbers, numbers + 1))
-
-    @classmethod
-    def one(cls, owner: int, end: int) -> Runs:
-        """Return the first run of a texture, up to ``end``."""
-        return cls(*(np.array([number], np.int64) for number in (owner, 0, end)))
-
-    def of(self, arrays: Sequence[Array]) -> Array:
-        """Join the runs of an array of each texture."""
-        runs = zip(*(column.tolist() for column in self), strict=True)
-        return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
 
 
 def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
@@ -137,38 +110,26 @@ def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Chan
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     """Return the tiles with the most light of channels that have more than 1: it limits averages."""
-    return _tiles_of(texture.tree, _brightest(texture), level)
-
-
-def _brightest(texture: OctreeTexture) -> Int64s:
-    """Return the cells with the most light of channels that have more than 1."""
-    found = []
-    split = texture.tree.split
+    tree, bright = texture.tree, []
     for channel in texture.channels.values():
-        for number, stored in enumerate((channel.values, channel.split_values)):
-            if channel.format.space not in ("srgb", "linear") or stored.dtype.kind != "f" or not stored.size:
-                continue
-            row = int(stored.argmax()) // stored.shape[1]
-            if stored[row].max() > 1:
-                ends = np.cumsum(counts_of(split.facings)) if number else None
-                found.append(row if ends is None else int(split.cells[np.searchsorted(ends, row, "right")]))
-    return np.array(found, np.int64)
-
-
-def _tiles_of(tree: Octree, cells: Int64s, level: int) -> Int64s:
-    """Return the tiles that hold cells; none for cells above them."""
-    if not cells.size:
-        return cells
+        if channel.format.space not in ("srgb", "linear") or not channel.format.dtype.startswith("float"):
+            continue
+        owners: tuple[Sequence[int] | Int64s, ...] = range(tree.n_cells), rows_of(tree.split).cells
+        for stored, cells in zip(channel[1:3], owners, strict=True):
+            row = int(stored.argmax()) // stored.shape[1] if stored.size else 0
+            if stored[row : row + 1].max(initial=0) > 1:
+                bright.append(int(cells[row]))
+    tiles = [np.empty(0, np.int64)]
+    if not bright:
+        return tiles[0]
     codes, is_node = tree.walked_to(level)
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
-    found = [codes[:0]]
     for deeper in range(level + 1, tree.max_depth + 1):
         firsts, begins = children_before(tree.arrays.groups, begins)
-        own = cells[
-            (cells >= tree.arrays.level_cells[deeper]) & (cells < tree.arrays.level_cells[deeper + 1])
-        ]
-        found.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
-    return np.concatenate(found)
+        first, end = tree.arrays.level_cells[deeper : deeper + 2]
+        own = [cell for cell in bright if first <= cell < end]
+        tiles.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
+    return np.concatenate(tiles)
 
 
 def coarsest_of(tree: Octree) -> int:
@@ -218,30 +179,50 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
-    """Return a texture of all cells down to the tiles' level, and of the open tiles."""
-    tree, level = texture.tree, tiles.level
-    codes, is_node = tree.walked_to(level)
-    is_open = is_node & among(codes, tiles.codes)
-    is_closed = is_node & ~is_open
-    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    levels, cells, nodes = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
-    runs = (
-        Runs.joined(Runs.one(0, int(tree.arrays.level_cells[level + 1])), *cells),
-        Runs.joined(Runs.one(0, int(tree.arrays.level_nodes[level])), *nodes),
-    )
-    made = _joined([texture], texture, level, levels, runs, is_closed)
-    tree, closed = made.tree, int(tree.arrays.level_cells[level]) + np.flatnonzero(is_closed)
-    stays = ~among(tree.kept.cells.astype(np.int64), closed)  # as leaves these keep nothing
+    """Return the draft of some open tiles."""
+    tree = texture.tree
+    codes, is_node, numbers = np.zeros(1, np.int64), np.full(1, tree.n_nodes > 0), np.zeros(1, np.int64)
+    cells, nodes, closed = [ROOT], list[Runs](), list[Bools]()
+    for level, opened in enumerate(_opened(tiles)):
+        if level:
+            codes, is_node = _child_codes(tree, numbers, codes)
+            found, below = children_in([tree], nodes[-1])
+            cells.append(Runs.joined(found))
+            numbers = below.numbers()
+        is_open = is_node & among(codes, opened)
+        closed.append(is_node & ~is_open)
+        codes, numbers = codes[is_open], numbers[is_open[is_node]]
+        nodes.append(Runs.of_numbers(np.zeros_like(numbers), numbers))
+    add_below([tree], cells, nodes)
+    turned = np.concatenate(closed)
+    made = joined_runs([texture], texture, cells, nodes, turned)
+    stays = ~among(made.tree.kept.cells.astype(np.int64), np.flatnonzero(turned))  # leaves keep nothing
     if stays.all():
         return made
+    tree = made.tree
     flags = tree.arrays.flags.copy()
-    flags[closed] &= np.uint8(0xFF ^ KEPT)
+    flags[: turned.size][turned] &= np.uint8(0xFF ^ KEPT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays]))
     channels = {
         name: channel._replace(kept_values=channel.kept_values[stays])
         for name, channel in made.channels.items()
     }
     return made.with_cells(tree, channels)
+
+
+def _opened(tiles: Tiles) -> list[Int64s]:
+    """Return the codes of the cells that are open if they are nodes, from the root down to the tiles."""
+    above = [tiles.codes >> 3 * (tiles.level - level) for level in range(1, tiles.level)]
+    around = [with_boundary(distinct(codes), level) for level, codes in enumerate(above, 1)]
+    return [np.zeros(1, np.int64), *around, tiles.codes]
+
+
+def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, Bools]:
+    """Return the codes of the children of nodes, given by numbers and codes, and which of them are nodes."""
+    words = tree.arrays.groups[numbers >> 3, :2] >> (8 * (numbers & 7)).astype(np.uint64)[:, None]
+    nodes, leaves = np.unpackbits(words.astype(np.uint8).T[:, :, None], axis=2, bitorder="little")
+    stored = (nodes | leaves) != 0
+    return (codes[:, None] << 3 | np.arange(8))[stored], nodes[stored] != 0
 
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
@@ -260,43 +241,80 @@ def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
     return is_same and before.channels.keys() == after.channels.keys()
 
 
-def _overwritten(
-    texture: OctreeTexture, tiles: Tiles, before: OctreeTexture, after: OctreeTexture
-) -> OctreeTexture:
-    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied."""
-    tree, draft, level = texture.tree, after.tree, tiles.level
-    codes, is_node = tree.walked_to(level)
-    is_open = among(codes, tiles.codes)
-    first, end = tree.arrays.level_cells[level : level + 2].tolist()
-    top = np.concatenate([np.arange(first), first + np.flatnonzero(is_open)])
-    numbers = int(tree.arrays.level_nodes[level]) + np.flatnonzero(is_open[is_node])
-    _, below, _ = _below([tree], Runs.of_numbers(np.zeros_like(numbers), numbers))
-    runs = [
-        np.arange(*run) for own in below for run in zip(own.begins.tolist(), own.ends.tolist(), strict=True)
-    ]
-    here = np.concatenate([top, *runs])  # the cells' numbers in the texture, and in the draft
-    there = np.concatenate([top, np.arange(end, draft.n_cells)])
-    targets, sources = (
-        (own, rows_of(each.split, own).rows, among(each.kept.cells.astype(np.int64), own))
-        for each, own in ((tree, here), (draft, there))
-    )
+def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
+    """Return the number in a texture of each cell of a draft of it; −1 for closed ones."""
+    tree = texture.tree
+    place = np.full(draft.tree.n_cells, -1, np.int64)
+    numbers = place[:0]
+    for level, (codes, is_node) in enumerate(islice(draft.tree.walk(), tiles.level + 1)):
+        where = locate(tree, codes, level)
+        here = slice(*draft.tree.arrays.level_cells[level : level + 2].tolist())
+        place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
+        numbers = where.nodes[is_node]
+    cells: list[Runs] = []
+    add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
+    below = np.concatenate([numbers[:0], *(own.numbers() for own in cells)])
+    place[place.size - below.size :] = below
+    return place
 
-    def changed(whole: Array, was: Array, own: Array, at: Array, source: Array) -> Array:
-        if np.array_equal(was, own):
+
+def _overwritten(
+    texture: OctreeTexture,
+    tiles: Tiles,
+    before: OctreeTexture,
+    after: OctreeTexture,
+    shared: OctreeTexture | None,
+) -> OctreeTexture:
+    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied.
+
+    Those that ``shared`` does not have are written to.
+    """
+    tree, draft = texture.tree, after.tree
+    place = places_in(texture, tiles, after)
+    sources = np.flatnonzero(place >= 0)
+    places = [place]
+    for count, rows in (draft.split.areas.size, _split_rows), (draft.kept.cells.size, _kept_rows):
+        places.append(np.full(count, -1, np.int64))
+        places[-1][rows(draft, sources)] = rows(tree, place[sources])
+    taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
+    written: list[tuple[Array, Array, Array]] = []  # to once all have been copied: errors leave all as it was
+
+    def changed(whole: Array, was: Array, own: Array, place: Int64s) -> Array:
+        differs = was != own
+        if differs.ndim > 1:
+            differs = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
+        rows = np.flatnonzero(differs & (place >= 0))
+        if not rows.size:
             return whole
-        made = whole.copy()
-        made[at] = own[source]
+        made = whole if whole.flags.writeable else whole.base
+        is_free = shared is not None and whole.ctypes.data not in taken
+        if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
+            made = whole.copy()
+        written.append((made, place[rows], own[rows]))
         return made
 
     flags, areas = (
-        changed(*arrays, here, there)
+        changed(*arrays, places[0])
         for arrays in zip(tree.arrays[3:], before.tree.arrays[3:], draft.arrays[3:], strict=True)
     )
     channels = {}
     for name, (form, *stored) in texture.channels.items():
-        parts = stored, before.channels[name][1:], after.channels[name][1:], targets, sources
+        parts = stored, before.channels[name][1:], after.channels[name][1:], places
         channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
-    return texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
+    made = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
+    for array, at, values in written:
+        array[at] = values
+    return made
+
+
+def _split_rows(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the rows of cells in the split table."""
+    return rows_of(tree.split, cells).rows
+
+
+def _kept_rows(tree: Octree, cells: Int64s) -> Int64s:
+    """Return the rows of cells in the table of kept nodes."""
+    return np.flatnonzero(among(tree.kept.cells.astype(np.int64), cells))
 
 
 def put_together(
@@ -308,32 +326,43 @@ def put_together(
     ``texture``. ``top`` says which tiles there are.
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
-    codes, is_node = top.tree.walked_to(level)
-    owners = np.ones(codes.size, np.int64)
-    for number, (tiles, _) in enumerate(drafts, 2):
-        owners[among(codes, tiles.codes)] = number
-    cells, nodes = np.full((2, codes.size), -1, np.int64)  # each tile's numbers in its texture
-    for number, each in enumerate(textures[1:], 1):
-        of_tile = owners == number
-        where = locate(each.tree, codes[of_tile], level)
-        cells[of_tile], nodes[of_tile] = where.cells, where.nodes
-    is_below = nodes >= 0
     trees = [each.tree for each in textures]
-    levels, cells_below, nodes_below = _below(trees, Runs.of_numbers(owners[is_below], nodes[is_below]))
-    runs = (
-        Runs.joined(
-            Runs.one(0, int(top.tree.arrays.level_cells[level])), Runs.of_numbers(owners, cells), *cells_below
-        ),
-        Runs.joined(Runs.one(0, int(top.tree.arrays.level_nodes[level])), *nodes_below),
-    )
-    return _joined(textures, top, level, levels, runs, is_below != is_node)
+    cells, nodes, turned = [ROOT], [ROOT], [np.zeros(1, np.bool_)]
+    for at, (codes, is_node) in enumerate(islice(top.tree.walk(), 1, level + 1), 1):
+        owners = np.zeros(codes.size, np.int64)  # of what is to stand here
+        numbers = int(top.tree.arrays.level_cells[at]) + np.arange(codes.size)
+        own_nodes = np.where(is_node, int(top.tree.arrays.level_nodes[at]) + np.cumsum(is_node) - 1, -1)
+        if at == level:
+            owners[:] = 1
+            for number, (tiles, _) in enumerate(drafts, 2):
+                owners[among(codes, tiles.codes)] = number
+        else:
+            where = locate(texture.tree, codes, at)
+            owners[~is_node & (where.levels == at) & ~where.is_leaf] = 1
+        for number in distinct(owners[owners > 0]).tolist():
+            own = owners == number
+            where = locate(trees[number], codes[own], at)
+            numbers[own], own_nodes[own] = where.cells, where.nodes
+        is_below = own_nodes >= 0
+        found, below = children_in(trees, nodes[-1])
+        # Cells of the top stand one by one, for themselves or for what is in their place; others in runs.
+        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
+        rows = np.stack([*found, below.begins, below.ends]).repeat(counts, axis=1)
+        is_top = rows[0] == 0
+        rows[:, is_top] = owners, numbers, numbers + 1, own_nodes, own_nodes + is_below
+        cells.append(Runs.joined(rows[:3]))
+        nodes.append(Runs.joined(rows[[0, 3, 4]]))
+        ends = np.cumsum(rows[2] - rows[1])
+        turned.append(np.zeros(int(ends[-1]), np.bool_))
+        turned[-1][ends[is_top] - 1] = is_below != is_node
+    add_below(trees, cells, nodes)
+    return joined_runs(textures, top, cells, nodes, np.concatenate(turned))
 
 
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
     """Give a texture a channel alpha: opaque."""
     tree = texture.tree
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in rows)
+    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in row_counts(tree))
     return texture.with_cells(tree, {**texture.channels, ALPHA.name: Channel(ALPHA, *opaque)})
 
 
@@ -350,119 +379,3 @@ def _arrays(texture: OctreeTexture) -> list[Array]:
     tree = texture.tree
     channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
     return [*tree.arrays, *tree.split, *tree.kept, *channels]
-
-
-def _below(trees: Sequence[Octree], runs: Runs) -> tuple[list[tuple[int, int]], list[Runs], list[Runs]]:
-    """Return all below runs of nodes of a level: level by level the runs of cells, and of nodes, these first.
-
-    The first are how many cells each deeper level has, and how many nodes are above these.
-    """
-    counts: list[tuple[int, int]] = []
-    cells: list[Runs] = []
-    nodes = [runs]
-    while True:
-        first, last = np.zeros((2, 2, runs.owners.size), np.int64)
-        for number, tree in enumerate(trees):
-            own = runs.owners == number
-            first[:, own] = children_before(tree.arrays.groups, runs.begins[own])
-            last[:, own] = children_before(tree.arrays.groups, runs.ends[own])
-        counts.append((int((last[0] - first[0]).sum()), int((runs.ends - runs.begins).sum())))
-        if not counts[-1][0]:
-            return counts, cells, nodes
-        cells.append(Runs(runs.owners, first[0], last[0]))
-        runs = Runs(runs.owners, first[1], last[1])
-        nodes.append(runs)
-
-
-def _joined(
-    textures: Sequence[OctreeTexture],
-    top: OctreeTexture,
-    level: int,
-    below: Sequence[tuple[int, int]],
-    runs: tuple[Runs, Runs],
-    turned: Bools,
-) -> OctreeTexture:
-    """Return a texture of runs of cells and nodes of others.
-
-    Down to ``level`` it is as ``top``, but that of this level's cells those ``turned`` are nodes instead of
-    leaves, or the other way round. ``below`` are the numbers of each deeper level's cells, and of the nodes
-    above them.
-    """
-    cells, nodes = runs
-    arrays = top.tree.arrays
-    counts = [count for count, _ in below if count]
-    level_cells = np.concatenate([arrays.level_cells[: level + 2], np.zeros(len(counts), np.int64)])
-    level_cells[level + 2 :] = level_cells[level + 1] + np.cumsum(counts)
-    level_nodes = np.concatenate([arrays.level_nodes[: level + 1], np.zeros(len(counts) + 1, np.int64)])
-    level_nodes[level + 1 :] = level_nodes[level] + np.cumsum([count for _, count in below])
-    n_nodes = int(level_nodes[-1])
-    masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
-    for word, own in enumerate(masks):
-        own[:n_nodes] = nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
-    _turn(masks, int(arrays.level_nodes[level - 1]), int(arrays.level_nodes[level]), turned)
-    trees = [each.tree for each in textures]
-    flags = cells.of([tree.arrays.flags for tree in trees])
-    areas = cells.of([tree.arrays.areas for tree in trees])
-    split_cells, split_runs, row_runs = _split_runs(trees, cells)
-    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], cells)
-    split = SplitTable(
-        split_cells,
-        split_runs.of([tree.split.facings for tree in trees]),
-        row_runs.of([tree.split.areas for tree in trees]),
-    )
-    tree = Octree(
-        TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
-    )
-    channels = {}
-    for name, channel in top.channels.items():
-        own_channels = [each.channels[name] for each in textures]
-        channels[name] = Channel(
-            channel.format,
-            cells.of([own.values for own in own_channels]),
-            row_runs.of([own.split_values for own in own_channels]),
-            kept_runs.of([own.kept_values for own in own_channels]),
-        )
-    return top.with_cells(tree, channels)
-
-
-@kernel
-def _turn(masks: Uint8s, first: int, end: int, turned: Bools) -> None:
-    """Make leaves of those of the children of nodes first … end−1 that are nodes and ``turned``, or nodes."""
-    cell = 0
-    for node in range(first, end):
-        children = masks[0, node] | masks[1, node]
-        for octant in range(8):
-            bit = np.uint8(1 << octant)
-            if children & bit:
-                if cell < turned.size and turned[cell]:
-                    masks[0, node] ^= bit
-                    masks[1, node] ^= bit
-                cell += 1
-
-
-def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
-    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
-    found, runs = _listed([tree.split.cells for tree in trees], cells)
-    ends = [
-        np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
-    ]
-    firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
-    every = np.concatenate(ends)
-    rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
-    return found, runs, rows
-
-
-def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
-    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
-    owners, begins, ends = cells
-    counts = ends - begins
-    shifts = np.cumsum(counts) - counts - begins
-    first, last = np.zeros((2, owners.size), np.int64)
-    for number, table in enumerate(tables):
-        own = owners == number
-        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
-        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
-    has = last > first
-    runs = Runs(owners[has], first[has], last[has])
-    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
-    return found.astype(np.uint32), runs

@@ -1,10 +1,8 @@
 """Files of other tools.
 
-models      surfaces with images or vertex colours, by the endings of their files
+models      surfaces with images or vertex colours, by the endings of their files; what writers share
 gltf, obj, usd, threemf  each of them, and ply: also a texture as points
 npz         a texture as arrays
 ptex        texels for the polygons of a mesh, read and written
-images      images of materials, and values at vertices, as files have them
-units       units of length that files can state
-origins     the place that positions in float32 are written from
+images      images of materials as files
 """

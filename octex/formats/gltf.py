@@ -16,7 +16,7 @@ from octex.arrays import Floats, Integers
 from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
-from octex.formats.shared import Target, Written, materials_of, origin_of
+from octex.formats.models import Target, Written, materials_of, origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface

@@ -12,7 +12,7 @@ from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import ImageFormat, file_format, image_file, image_name
-from octex.formats.shared import Target, Written, colors_of_vertices, materials_of
+from octex.formats.models import Target, Written, colors_of_vertices, materials_of
 from octex.source.materials import Material
 from octex.source.surface import Surface
 

@@ -13,7 +13,7 @@ from octex.arrays import Float32s, Float64s
 from octex.channels import ColorSpace, encode
 from octex.errors import TextureFileError
 from octex.files import replacing
-from octex.formats.shared import Target, Written, codes_of, needed_colors
+from octex.formats.models import Target, Written, codes_of, needed_colors
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals

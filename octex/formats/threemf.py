@@ -13,7 +13,7 @@ import numpy as np
 from octex.arrays import Array
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
-from octex.formats.shared import Target, Unit, Written, codes_of, needed_colors, origin_of
+from octex.formats.models import Target, Unit, Written, codes_of, needed_colors, origin_of
 from octex.source.surface import Surface
 from octex.source.welding import welded
 

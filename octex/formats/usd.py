@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
 from octex.formats.images import encoded_images, image_names
-from octex.formats.shared import METERS, Target, Written, materials_of, origin_of
+from octex.formats.models import METERS, Target, Written, materials_of, origin_of
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, MaterialSource
 from octex.source.surface import Surface

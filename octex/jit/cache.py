@@ -39,7 +39,8 @@ MANY_OBJECTS = 100_000
 ROOM = 1 << 26
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
-_SUMS = "checksums"
+#: The file of checksums, and the files whose they are.
+_SUMS, _FILES = "checksums", "*.nb[ci]"
 #: Held while a file is unfinished.
 WRITING = threading.RLock()
 _lock = threading.Lock()
@@ -110,13 +111,9 @@ def _check(folder: Path, path: Path) -> None:
                 if other.parent != path:
                     shutil.copyfile(other, path / other.name)
         sums = _read_sums(path)
-        for name, file in _files(path):
-            if sums.get(name) != zlib.crc32(file.read_bytes()):
+        for file in sorted(path.glob(_FILES)):
+            if sums.get(file.name) != zlib.crc32(file.read_bytes()):
                 file.unlink()
-
-
-def _files(path: Path) -> list[tuple[str, Path]]:
-    return [(file.name, file) for file in sorted(path.glob("*.nb[ci]"))]
 
 
 def _read_sums(path: Path) -> dict[str, int]:
@@ -128,7 +125,7 @@ def _read_sums(path: Path) -> dict[str, int]:
 
 
 def _write_sums(path: Path) -> None:
-    lines = [f"{zlib.crc32(file.read_bytes())} {name}" for name, file in _files(path)]
+    lines = [f"{zlib.crc32(file.read_bytes())} {file.name}" for file in sorted(path.glob(_FILES))]
     new = path / f"{_SUMS}.{os.getpid()}"
     new.write_text("\n".join(lines))
     new.replace(path / _SUMS)

@@ -206,7 +206,9 @@ def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Oc
             was_node = (where.levels == level) & ~where.is_leaf
             above[level] = distinct(np.concatenate([above[level], split[was_node]]))
         over_new = distinct(np.concatenate([over_new, own[is_new[here]]]) >> 3)
-    return Above(*(nodes_at(each, above) for each in (tree, before, layer)))
+    nodes = nodes_at(tree, above)
+    is_same = tree.arrays.groups is before.arrays.groups
+    return Above(nodes, nodes if is_same else nodes_at(before, above), nodes_at(layer, above))
 
 
 def averaged(

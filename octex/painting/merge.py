@@ -219,7 +219,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
             inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
             inside_tiles = distinct(np.concatenate([codes[:0], *inside]))
             lists.append(inside_tiles[among(inside_tiles, codes)])
-        whole, top = cut_out(made.texture, tiles), cut_out(top, Tiles(level, codes[:0]))
+        whole, top = cut_out(made.texture, tiles), cut_out(top.level(level), tiles)
         return _Piece(tiles, whole, top, made.averages_rows, lists)
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
@@ -231,8 +231,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
             found = [large.moved(each) for each in all_merged if each is not None]
         if not any(each.lists[0].size for each in found):
             return None
-        closed = Tiles(level, np.empty(0, np.int64))
-        before, task = cut_out(texture, closed), task._replace(layer=cut_out(task.layer, closed))
+        before, task = texture.level(level), task._replace(layer=task.layer.level(level))
         top = averaged_above(task, before, _top(before, task.layer, found))
         made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in found])
     return change_in(Tiles(level, np.concatenate(pieces.tiles)), texture, made)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import astuple
 from itertools import groupby
@@ -121,6 +121,7 @@ def painted(
     projections: list[Projection],
     holes: Holes = "smooth",
     layers: list[OctreeTexture] | None = None,
+    put: Callable[[Change, OctreeTexture], OctreeTexture] = Change.put_into,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint; yield the texture with each layer, and the change. Layers are appended to ``layers``."""
     surface, projections = laid_flat(job.surface, projections, texture)
@@ -135,7 +136,7 @@ def painted(
             layers.append(layer)
         opacity = max(picture.opacity for picture in pictures)
         change = merged(texture, layer, surface, opacity, blend, job.executor, job.progress)
-        texture = texture if change is None else change.put_into(texture)
+        texture = texture if change is None else put(change, texture)
         yield texture, change
 
 

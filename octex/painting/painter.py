@@ -37,6 +37,7 @@ class Painter:
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
         as_surface(surface)
         self._texture = as_texture(texture)
+        self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
         self._done: list[Stroke] = []
@@ -44,6 +45,7 @@ class Painter:
 
     def texture(self) -> OctreeTexture:
         """Return the texture as it is now. Textures are immutable: later strokes do not change it."""
+        self._shared = self._texture
         return self._texture
 
     @property
@@ -76,19 +78,26 @@ class Painter:
         options = PaintOptions(
             channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
         )
-        changes, texture = [], self._texture
+        changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
             job = Job(self._painted, options, pool, run.report, NOT_STORED)
-            for made, change in painted(job, texture, check_projections(projections)):
-                texture = made
-                changes.append(change)
-        return self._did(texture, changes)
+            given = check_projections(projections)
+            try:
+                for texture, change in painted(job, self._texture, given, put=self._put):
+                    self._texture = texture
+                    changes.append(change)
+            except BaseException:
+                for change in reversed(changes):
+                    if change is not None:
+                        self._texture = self._put(change.inverted(), self._texture)
+                raise
+        return self._did(changes)
 
     def fill(
         self,
         region: Region,
-        color: npt.ArrayLike,
+        color: npt.ArrayLike | str,
         *,
         channel: str = BASE_COLOR.name,
         opacity: float = 1.0,
@@ -102,7 +111,9 @@ class Painter:
         wanted, run = Fill(region, color, channel, opacity, blend, max_depth), as_run(run, threads, progress)
         with workers(run) as pool:
             _, change = filled(self._texture, self._painted, self._surface, wanted, pool, run.report)
-        return self._did(self._texture if change is None else change.put_into(self._texture), [change])
+        if change is not None:
+            self._texture = self._put(change, self._texture)
+        return self._did([change])
 
     def undo(self) -> bool:
         """Undo the last stroke; return whether there was one."""
@@ -110,7 +121,7 @@ class Painter:
             return False
         stroke = self._done.pop()
         for change in reversed(stroke):
-            self._texture = change.inverted().put_into(self._texture)
+            self._texture = self._put(change.inverted(), self._texture)
         self._undone.append(stroke)
         return True
 
@@ -120,14 +131,19 @@ class Painter:
             return False
         stroke = self._undone.pop()
         for change in stroke:
-            self._texture = change.put_into(self._texture)
+            self._texture = self._put(change, self._texture)
         self._done.append(stroke)
         return True
 
-    def _did(self, texture: OctreeTexture, changes: Sequence[Change | None]) -> Stroke:
+    def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
+        made = change.put_into(texture, self._shared)
+        if change.tiles is None:  # the change has the texture itself
+            self._shared = made
+        return made
+
+    def _did(self, changes: Sequence[Change | None]) -> Stroke:
         stroke = tuple(change for change in changes if change is not None)
         if stroke:
-            self._texture = texture
             self._done.append(stroke)
             self._undone.clear()
         return stroke

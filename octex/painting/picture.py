@@ -18,7 +18,7 @@ import PIL.Image
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint16s
 from octex.cameras.camera import Camera
-from octex.channels import ChannelFormat, decode_table, linear_to_srgb
+from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
@@ -63,7 +63,8 @@ class Projection:
     opacity   0 … 1, multiplies the alpha
     blend     how paint combines with the texture: one of BLENDS
     since     the unedited picture, of the same size: only pixels that differ from it are painted
-    key       the colour of a backdrop, 8-bit (red, green, blue): pixels within 24/255 of it are not painted
+    key       the colour of a backdrop, "#rrggbb" or 8-bit (red, green, blue): pixels within 24/255 of it are
+              not painted
     """
 
     image: Image
@@ -72,7 +73,7 @@ class Projection:
     opacity: float = 1.0
     blend: Blend = "over"
     since: Image | None = None
-    key: Sequence[int] | None = None
+    key: Sequence[int] | str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, (Camera, Patch)):
@@ -81,7 +82,11 @@ class Projection:
             )
         object.__setattr__(self, "opacity", as_number(self.opacity, "opacity", 0.0, 1.0))
         as_choice(self.blend, BLENDS, "blend")
-        if self.key is not None:
+        if isinstance(self.key, str):
+            object.__setattr__(self, "key", screen_color(self.key))
+            if self.key is None:
+                raise ArgumentError("key must be a colour '#rrggbb' or (red, green, blue)")
+        elif self.key is not None:
             as_reals(self.key, "key", (3,), most=255.0)
 
     @property

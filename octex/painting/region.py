@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.channels import ChannelFormat
+from octex.channels import ChannelFormat, color_in_light
 from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
@@ -104,7 +104,7 @@ def fill(
     texture: OctreeTexture | None,
     surface: Surface,
     region: Region,
-    color: npt.ArrayLike,
+    color: npt.ArrayLike | str,
     *,
     channel: str = "base_color",
     opacity: float = 1.0,
@@ -119,7 +119,8 @@ def fill(
     texture    the texture to paint on; it does not change. None begins a new one
     region     at rest: a Sphere; a Box; triangles, as numbers or one bool each; or a function that takes rest
                positions (n, 3) and returns coverage (n,), 0 … 1, called in batches from several threads
-    color      a number for each component of the channel; linear light for colours
+    color      a number for each component of the channel, 0 … 1, linear light for colours; or an sRGB colour
+               "#rrggbb". Float channels take numbers beyond 1, directions are from −1 to 1
     channel    the channel to fill
     opacity    0 … 1
     blend      how the value combines with the texture: one of BLENDS
@@ -127,7 +128,7 @@ def fill(
     run        how to work (octex.Run)
 
     Raises ArgumentError for another kind of region, for a function whose result has another shape, is NaN or
-    lies outside of 0 … 1, and as ``paint`` does.
+    lies outside of 0 … 1, for a colour outside of the channel's range, and as ``paint`` does.
     """
     as_surface(surface)
     run = as_run(run, threads, progress)
@@ -142,7 +143,7 @@ class Fill(NamedTuple):
     """What is filled; see `fill`."""
 
     region: Region
-    color: npt.ArrayLike
+    color: npt.ArrayLike | str
     channel: str
     opacity: float
     blend: Blend
@@ -161,10 +162,7 @@ def filled(
     opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
     as_choice(wanted.blend, BLENDS, "blend")
     form = format_of(texture, wanted.channel)
-    shapes = [(form.components,), *([()] if form.components == 1 else [])]
-    most = float(np.finfo(np.float32).max)
-    color = as_reals(wanted.color, f"color of {form.name!r}", *shapes, most=most)
-    value = np.atleast_1d(color).astype(np.float32)
+    value = _value(wanted.color, form)
     if wanted.max_depth is not None:
         depth = as_depth(wanted.max_depth, "max_depth")
     else:
@@ -177,6 +175,23 @@ def filled(
     )
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
     return base, merged(base, layer, painted, opacity, wanted.blend, executor, progress)
+
+
+def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
+    """Return a colour as numbers (components,) of a channel, or raise ArgumentError."""
+    if isinstance(color, str):
+        return color_in_light(color, form)
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    value = np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most))
+    least = -1.0 if form.space == "direction" else 0.0
+    if form.dtype.startswith("u") and not ((value >= least) & (value <= 1.0)).all():
+        example = ', or write "#rrggbb"' if form.space == "srgb" else ""
+        raise ArgumentError(
+            f"color of {form.name!r} must be from {least:g} to 1, not {color!r}; divide numbers up to 255 by "
+            f"255{example}"
+        )
+    return value.astype(np.float32)
 
 
 @dataclass(eq=False)

@@ -17,9 +17,10 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, decode, encode
 from octex.conversion.adapt import adapted
+from octex.conversion.fit import Fitter
 from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import assemble, cell_levels
-from octex.conversion.sides import fitters
+from octex.conversion.sides import with_sides
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_near, coarsest_of
@@ -133,7 +134,8 @@ def rasterize_surface(
     fitting = splitting = None
     if covered.samples is not None:
         # Opaque paint stays opaque.
-        fitting, splitting = fitters(covered.samples, placement, executor, progress, unfitted=(ALPHA.name,))
+        fitter = Fitter(covered.samples, executor, progress, (ALPHA.name,))
+        fitting, splitting = fitter.fit, partial(with_sides, fitter)
     tree, values = adapted(
         covered.tree, covered.channels, None,
         max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -53,9 +53,9 @@ class Source(ABC):
         for source in self._inputs:
             source.prepare()
 
-    def with_rest(self, rest: Float64s) -> Source:  # noqa: ARG002
+    def with_rest(self, rest: Float64s) -> Source:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        return self
+        return self._reading([source.with_rest(rest) for source in self._inputs]) if self._inputs else self
 
     def with_filter(self, name: str) -> Source:
         """Return the same source with its images read by another filter."""
@@ -66,8 +66,14 @@ class Source(ABC):
         return Combined(dict.fromkeys(names, self), [self])
 
     def _reading(self, inputs: Sequence[Source]) -> Self:
+        return self._changed(_inputs=tuple(inputs))
+
+    def _changed(self, *stale: str, **attributes: Any) -> Self:
+        """Return a copy with other values of attributes, and without what was made of the old ones."""
         other = copy.copy(self)
-        other._inputs = tuple(inputs)
+        for name in stale:
+            vars(other).pop(name, None)
+        vars(other).update(attributes)
         return other
 
 
@@ -172,10 +178,6 @@ class Combined(Source):
         for source in self._inputs:
             np.minimum(edges, source.texel_edges(triangles), out=edges)
         return edges
-
-    def with_rest(self, rest: Float64s) -> Combined:
-        """Return the same sources on other rest positions (n, 3)."""
-        return self._reading([source.with_rest(rest) for source in self._inputs])
 
     def only(self, names: Sequence[str]) -> Source:
         """Return these channels alone, without the sources, and their gaps, that give none of them.
@@ -330,9 +332,7 @@ class SpatialSource(Source):
 
     def with_rest(self, rest: Float64s) -> SpatialSource:
         """Return the same values by position, on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._rest = rest
-        return other
+        return self._changed(_rest=rest)
 
 
 def placed(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s, Float64s, Floats, Int32s
+from octex.arrays import Array, Float32s, Float64s, Floats
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
@@ -170,21 +170,19 @@ class PointCloud(Placeable):
                     f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one "
                     f"below {least:.3g}"
                 )
-        source = self._shared(mesh, lambda: _FromPoints(self, self._ready, mesh.rest, mesh.triangles))
+        source = self._shared(mesh, lambda: _FromPoints(self, mesh))
         return source, {f"source_{form.name}": f"points of {self.name}"}
 
 
 class _FromPoints(SpatialSource):
-    def __init__(self, cloud: PointCloud, ready: Points, rest: Float64s, triangles: Int32s) -> None:
-        self._ready = ready
+    def __init__(self, cloud: PointCloud, mesh: Mesh) -> None:
+        super().__init__((BASE_COLOR, ALPHA), mesh.rest, mesh.triangles)
+        self._ready = cloud._ready
         self._radius = cloud.radius or 0.0
-        self._nearest = cloud.distance
-        if cloud.radius is None and cloud.distance is None:
-            self._nearest = np.inf
+        self._nearest = np.inf if cloud.radius is None and cloud.distance is None else cloud.distance
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
         self._least_cosine = least_cosine(cloud.max_angle)
         self._is_translucent = cloud.is_translucent
-        super().__init__((BASE_COLOR, ALPHA), rest, triangles)
 
     @property
     def has_gaps(self) -> bool:

@@ -47,7 +47,12 @@ def level_set(
         )
 
     def inside(points: Float64s) -> Float64s:
-        return level - _values(f, points)
+        values = np.empty(len(points))
+        for first in range(0, len(points), _BATCH):
+            batch = points[first : first + _BATCH]
+            numbers = answer(f, [batch], [(len(batch),)], "the function", batch.__getitem__)
+            values[first : first + _BATCH] = np.clip(numbers, -_LARGEST, _LARGEST)
+        return level - values
 
     vertices, triangles = _polygonized(inside, low, high, edge)
     if not len(triangles):
@@ -60,15 +65,6 @@ def level_set(
     free = ((vertices > low + rim) & (vertices < high - rim)).all(axis=1)
     vertices[free] = _moved_onto(inside, vertices[free], edge)
     return vertices, triangles
-
-
-def _values(f: ImplicitFunction, points: Float64s) -> Float64s:
-    numbers = np.empty(len(points))
-    for first in range(0, len(points), _BATCH):
-        batch = points[first : first + _BATCH]
-        values = answer(f, [batch], [(len(batch),)], "the function", batch.__getitem__)
-        numbers[first : first + _BATCH] = np.clip(values, -_LARGEST, _LARGEST)
-    return numbers
 
 
 def _polygonized(

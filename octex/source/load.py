@@ -6,13 +6,14 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.checks import as_choice, as_entries, as_flag, as_names, as_path, as_text, is_path
-from octex.errors import ArgumentError, ModelError, ModelWarning, OctexError, damaged
+from octex.errors import ArgumentError, MissingExtraError, ModelError, ModelWarning, OctexError, damaged
 from octex.files import read_bytes, reading
 from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
@@ -21,9 +22,19 @@ from octex.source.models.obj import load_obj
 from octex.source.models.ply import Ply
 from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
-from octex.source.models.usd import load_usd
 from octex.source.motion import Motion
 from octex.source.surface import Surface
+
+
+def _load_usd(path: Path, options: Options) -> Surface:
+    try:
+        import_module("pxr")
+    except ImportError:
+        raise MissingExtraError.needed(f"{path.name}: to read USD", "usd-core", "usd") from None
+    from octex.source.models.usd import load_usd
+
+    return load_usd(path, options)
+
 
 _GLTF = ".glb", ".gltf"
 _READERS: dict[str, Callable[[Path, Options], Surface]] = {
@@ -33,7 +44,7 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".off": load_off,
     ".stl": load_stl,
     ".3mf": load_3mf,
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), load_usd),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _load_usd),
 }
 
 #: The endings of model files that octex reads.
@@ -126,10 +137,10 @@ def _read(path: Path, options: Options) -> Surface:
         data = read_bytes(path)
         if not data:
             raise ModelError(f"{path.name} is empty; export the model again")
-        digest = hashlib.sha256(data)
+        digest = hashlib.sha256(data).hexdigest()
         del data
         surface = reader(path, options)
-    surface.provenance = {"source": path.name, "sha256": digest.hexdigest(), **surface.provenance}
+    surface.provenance = {"source": path.name, "sha256": digest, **surface.provenance}
     return surface
 
 

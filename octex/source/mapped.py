@@ -6,7 +6,6 @@ towards the viewer of a plane. A picture has u to the right and v down, and span
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import os
@@ -30,7 +29,7 @@ from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
 from octex.source.tangents import carried
-from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, times
+from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, row_of, times
 
 _X, _Y, _Z = np.eye(3)
 #: What is to the right and up for one who looks at the origin from along each axis.
@@ -175,19 +174,15 @@ class MappedSource(SpatialSource):
 
     def with_rest(self, rest: Float64s) -> MappedSource:
         """Return the same mapping of space on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._rest = rest
-        if self._frames is not None:
-            other._frames = carried(self._frames, self._triangles, self._rest, rest)
-        return other
+        frames = self._frames and carried(self._frames, self._triangles, self._rest, rest)
+        return self._changed(_rest=rest, _frames=frames)
 
     def with_filter(self, name: str) -> MappedSource:
         """Return the same source with its image read by another filter."""
-        other = copy.copy(self)
-        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
-        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
-            other._images, _ = store([self._picture], LEVELS_OF[other._filter])
-        return other
+        number, images = FILTERS.index(as_choice(name, FILTERS, "filter")), self._images
+        if LEVELS_OF[number] != LEVELS_OF[self._filter]:
+            images, _ = store([self._picture], LEVELS_OF[number])
+        return self._changed(_filter=number, _images=images)
 
 
 def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:
@@ -253,18 +248,14 @@ def _length(x: float, y: float) -> float:
 
 @inlined
 def _in_frame(mapping: Mapping, vector: Vector) -> Vector:
-    frame, (x, y, z) = mapping.frame, vector
-    return (
-        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
-        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
-        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
-    )
+    right, up, axis = row_of(mapping.frame, 0), row_of(mapping.frame, 1), row_of(mapping.frame, 2)
+    return dot_product(right, vector), dot_product(up, vector), dot_product(axis, vector)
 
 
 @inlined
 def _placed(mapping: Mapping, points: Float64s, i: int) -> Vector:
-    center = mapping.center
-    return _in_frame(mapping, (points[i, 0] - center[0], points[i, 1] - center[1], points[i, 2] - center[2]))
+    x, y, z = mapping.center[0], mapping.center[1], mapping.center[2]
+    return _in_frame(mapping, minus(row_of(points, i), (x, y, z)))
 
 
 @inlined
@@ -294,7 +285,7 @@ def read_mapped(
     across, down = images.levels[level, 1], images.levels[level, 2]
     for i in range(len(points)):
         point = _placed(mapping, points, i)
-        normal = _in_frame(mapping, (normals[i, 0], normals[i, 1], normals[i, 2]))
+        normal = _in_frame(mapping, row_of(normals, i))
         width = np.float64(widths[i])
         u, v, u_slope, v_slope, is_around = map_point(mapping, point, normal, width)
         wrap_u, wrap_v = mapping.wrap_u, mapping.wrap_v
@@ -313,8 +304,7 @@ def read_mapped(
         count, cut, scale = find_taps(images, 0, filter, foot, places, weights)
         gather(images, 0, 0, places, weights, count, cut, scale, -1.0, lanes, 0)
         if is_direction:
-            upright = (shading[i, 0], shading[i, 1], shading[i, 2])
-            _turn(mapping, lanes, u_slope, v_slope, upright, width == 0.0, values, i)
+            _turn(mapping, lanes, u_slope, v_slope, row_of(shading, i), width == 0.0, values, i)
         else:
             for column in range(values.shape[1]):
                 values[i, column] = lanes[column]
@@ -357,7 +347,7 @@ def mapped_edges(
     """Fill in the shorter edge of a texel at points, in rest units; infinity where all see one texel."""
     for i in range(len(points)):
         point = _placed(mapping, points, i)
-        normal = _in_frame(mapping, (normals[i, 0], normals[i, 1], normals[i, 2]))
+        normal = _in_frame(mapping, row_of(normals, i))
         _, _, u_slope, v_slope, _ = map_point(mapping, point, normal, 0.0)
         uu, uv, vv = _covariance(u_slope, v_slope, normal, 12.0)
         _, _, _, _, most = footprint(uu, uv, vv, width, height)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from threading import Lock
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,6 +13,7 @@ from octex.channels import CHANNELS, ONE, ChannelFormat
 from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
+from octex.parallel import built_once
 from octex.source.base import DEFAULTS, Source, in_order
 from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import Tables, evaluate, measure, texel_edges
@@ -89,8 +88,6 @@ class Material(NamedTuple):
 
 #: The largest number that a half-precision float holds.
 MOST_IN_FLOAT16 = 65504.0
-#: Lets one thread prepare what all read.
-_preparing = Lock()
 
 
 class MaterialSource(Source):
@@ -129,9 +126,7 @@ class MaterialSource(Source):
         self._frames = frames
         self._name = name
         self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
-        self._prepared: tuple[Tables, Images] | None = None
-        self._footprints: Float64s | None = None
-        self._texel_edges = np.empty(0, np.float32)
+
         self._check()
         names = {"base_color"}.union(*(material.inputs for material in self._used)) - {"alpha"}
         if any(material.alpha_mode != "opaque" for material in self._used):
@@ -146,54 +141,41 @@ class MaterialSource(Source):
             stated = [channel for channel in stated if channel != "normal"]
         self._channels = tuple(self._format(channel) for channel in stated)
 
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,
-    ) -> Float32s:
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
-        tables, images, footprints = self._ready()
+        (tables, images), (footprints, _) = self._tables, self._footprints
         values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
         evaluate(tables, images, footprints, told(self._filter), triangles, barycentric, widths, values)
         return values
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edges of texels, of the finest image on each triangle; infinity without images."""
-        self._ready()
-        return self._texel_edges[triangles]
+        edges: Float32s = self._footprints[1][triangles]
+        return edges
 
     def prepare(self) -> None:
         """Make images and their levels as lookups read them."""
-        self._ready()
+        _ = self._footprints
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._rest = rest
-        other._footprints = None
-        if self._frames is not None:
-            other._frames = carried(self._frames, self._triangles, self._rest, rest)
-            other._prepared = None
-        return other
+        if self._frames is None:
+            return self._changed("_footprints", _rest=rest)
+        frames = carried(self._frames, self._triangles, self._rest, rest)
+        return self._changed("_tables", "_footprints", _rest=rest, _frames=frames)
 
     def with_filter(self, name: str) -> MaterialSource:
         """Return the same source with its images read by another filter."""
-        other = copy.copy(self)
-        other._filter = FILTERS.index(as_choice(name, FILTERS, "filter"))
-        if LEVELS_OF[other._filter] != LEVELS_OF[self._filter]:
-            other._prepared = None
-        return other
+        number = FILTERS.index(as_choice(name, FILTERS, "filter"))
+        stale = [] if LEVELS_OF[number] == LEVELS_OF[self._filter] else ["_tables"]
+        return self._changed(*stale, _filter=number)
 
     def only(self, names: Sequence[str]) -> MaterialSource:
         """Return the same source with these of its channels alone; no other image is kept ready."""
         chosen = tuple(channel for channel in self._channels if channel.name in names)
         if chosen == self._channels:
             return self
-        other = copy.copy(self)
-        other._channels = chosen
-        other._prepared = other._footprints = None
-        return other
+        return self._changed("_tables", "_footprints", _channels=chosen)
 
     def _format(self, name: str) -> ChannelFormat:
         """Return how a channel is stored: light that can be above 1 as floats."""
@@ -230,20 +212,15 @@ class MaterialSource(Source):
             if not np.isfinite(corners.values[corners.rows[textured]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
-    def _ready(self) -> tuple[Tables, Images, Float64s]:
-        prepared, footprints = self._prepared, self._footprints
-        if prepared is not None and footprints is not None:
-            return *prepared, footprints
-        with _preparing:
-            tables, images = self._prepared = self._prepared or self._tables()
-            footprints = self._footprints
-            if footprints is None:
-                footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
-                measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
-                self._texel_edges = texel_edges(tables, images, footprints)
-                self._footprints = footprints
-        return tables, images, footprints
+    @built_once
+    def _footprints(self) -> tuple[Float64s, Float32s]:
+        """Return the footprints of a width of 1 (slots, triangles, 3), and texels' edges on triangles."""
+        tables, images = self._tables
+        footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
+        measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
+        return footprints, texel_edges(tables, images, footprints)
 
+    @built_once
     def _tables(self) -> tuple[Tables, Images]:
         sizes = [form.components for form in self._channels]
         ends = np.cumsum([0, *sizes]).tolist()

@@ -290,9 +290,7 @@ def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
 
 
 def _locked_frames(frames: Frames) -> Frames:
-    normals, tangents = map(_locked_corners, frames)
-    is_locked = normals is frames.normals and tangents is frames.tangents
-    return frames if is_locked else Frames(normals, tangents)
+    return Frames(*map(_locked_corners, frames))
 
 
 def _locked_corners(corners: Corners) -> Corners:

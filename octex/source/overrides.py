@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
-from octex.channels import CHANNELS, ChannelFormat
+from octex.channels import CHANNELS, ChannelFormat, color_in_light
 from octex.checks import as_choice
 from octex.errors import ArgumentError, ModelError
 from octex.functions import answer, name_of, takes_both
@@ -78,6 +78,8 @@ def override_source(mesh: Mesh, channel: str, value: object, filter: str) -> tup
         return function, {entry: json.dumps({"function": name_of(value)})}
     texture, factor, frames = None, (1.0,) * form.components, None
     origin: object
+    if isinstance(value, str) and value.startswith("#") and "." not in value:
+        value = tuple(color_in_light(value, form).tolist())
     if isinstance(value, (Real, tuple, list)):
         origin = factor = _factor(form, value)
     elif mesh.uv is None:
@@ -115,5 +117,6 @@ def _factor(form: ChannelFormat, value: Any) -> tuple[float, ...]:
     ):
         range_text = "from 0 on" if most > 1.0 else "in 0 … 1"
         wanted = f"{form.components} numbers" if form.components > 1 else "a number"
-        raise ArgumentError(f"{form.name} must be {wanted} {range_text}, or an image, not {value!r}")
+        divide = "; divide numbers up to 255 by 255" if most == 1.0 else ""
+        raise ArgumentError(f"{form.name} must be {wanted} {range_text}, or an image, not {value!r}{divide}")
     return tuple(map(float, numbers))

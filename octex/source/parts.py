@@ -187,10 +187,7 @@ def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
         while parents[y] != y:
             parents[y] = parents[parents[y]]
             y = parents[y]
-        if x < y:
-            parents[y] = x
-        else:
-            parents[x] = y
+        parents[max(x, y)] = min(x, y)
     for i in range(parents.size):
         parents[i] = parents[parents[i]]
 

@@ -214,7 +214,12 @@ class _Cage:
             chosen = self._holding(owners, flat)
             each = np.einsum("nc,ncx->nx", self._shares(chosen, flat), self._rest[chosen]).reshape(-1, 3, 3)
             positions[some] = each
-            shares[some] = _shares_in_space(self._rest[parents[some]], each, shares[some])
+            # Barycentric coordinates in the planes of the triangles, where these have area.
+            triangles = self._rest[parents[some]]
+            sides = triangles[:, 1:] - triangles[:, :1]
+            along = np.einsum("nkx,nxs->nks", each - triangles[:, :1], np.linalg.pinv(sides))
+            wide = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
+            shares[some[wide], :, 0], shares[some[wide], :, 1:] = 1 - along[wide].sum(axis=2), along[wide]
         return parents, shares, positions
 
     def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
@@ -249,12 +254,3 @@ def _domain(sizes: Int64s) -> Float64s:
     half = np.array([[0.0, 0], [1, 0], [0, 1]])[within % 3]
     regular = np.stack([np.cos(turns), np.sin(turns)], axis=1)
     return np.select([counts[:, None] == 3, counts[:, None] == 4], [half, square], regular)
-
-
-def _shares_in_space(triangles: Float64s, points: Float64s, otherwise: Float64s) -> Float64s:
-    """Return barycentric coordinates (n, k, 3) of points (n, k, 3) in the planes of triangles (n, 3, 3)."""
-    sides = triangles[:, 1:] - triangles[:, :1]
-    along = np.einsum("nkx,nxs->nks", points - triangles[:, :1], np.linalg.pinv(sides))
-    shares = np.concatenate([1 - along.sum(axis=2, keepdims=True), along], axis=2)
-    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
-    return np.where(flat[:, None, None], shares, otherwise)

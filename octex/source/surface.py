@@ -73,11 +73,9 @@ class Surface(Mesh):
 
     @classmethod
     def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
-        return cls(
-            mesh.vertices, mesh.triangles, source,
-            rest=None if mesh.rest is mesh.vertices else mesh.rest, uv=mesh.uv, frames=mesh.frames,
-            polygons=mesh.polygons, creases=mesh.creases, name=mesh.name, provenance=provenance,
-        )  # fmt: skip
+        made = cls.__new__(cls)  # a mesh has checked what it holds
+        vars(made).update(vars(mesh), source=source, provenance=dict(provenance or {}), _single={})
+        return made
 
     @classmethod
     def from_arrays(

@@ -185,14 +185,10 @@ def _sum_tangents(
         if not (distinct and usable):
             rows[triangle] = -1
             continue
+        edges = (e, minus(f, e), times(f, -1.0))
         for corner in range(3):
             normal = row_of(normals.values, normals.rows[triangle, corner])
-            if corner == 0:
-                one, other = e, f
-            elif corner == 1:
-                one, other = minus(f, e), (-e[0], -e[1], -e[2])
-            else:
-                one, other = (-f[0], -f[1], -f[2]), minus(e, f)
+            one, other = edges[corner], times(edges[(corner + 2) % 3], -1.0)
             cosine = dot_product(_in_plane(one, normal), _in_plane(other, normal))
             angle = math.acos(min(max(cosine, -1.0), 1.0))
             x, y, z = _in_plane(s, normal)

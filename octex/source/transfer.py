@@ -63,23 +63,18 @@ class Transfer(Placeable):
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
         as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
-        source = self._shared(
-            mesh, lambda: _Transferred(self._surface, self._nearest, self.distance, self.max_angle, mesh)
-        )
+        source = self._shared(mesh, lambda: _Transferred(self, mesh))
         return source, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
 
 
 class _Transferred(SpatialSource):
-    """Values of ``other``, whose triangles are made ready in ``nearest``, on a surface."""
-
-    def __init__(
-        self, other: Surface, nearest: Triangles, distance: float | None, max_angle: float, mesh: Mesh
-    ) -> None:
-        self._inputs = (other.source,)
-        self._nearest = nearest
-        self._distance = np.inf if distance is None else distance
-        self._least_cosine = least_cosine(max_angle) if max_angle < 180.0 else -np.inf
+    def __init__(self, transfer: Transfer, mesh: Mesh) -> None:
         super().__init__((), mesh.rest, mesh.triangles)
+        self._inputs = (transfer._surface.source,)
+        self._nearest = transfer._nearest
+        self._distance = np.inf if transfer.distance is None else transfer.distance
+        is_faced = transfer.max_angle < 180.0
+        self._least_cosine = least_cosine(transfer.max_angle) if is_faced else -np.inf
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:

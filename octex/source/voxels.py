@@ -306,31 +306,23 @@ def _unpacked(data: memoryview, compression: str) -> bytes:
 @kernel
 def _walk(masks: Uint8s, depth: int, coords: Int64s) -> int:
     """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree."""
-    left = np.zeros(depth, np.uint8)  # of each node above, the children to come
-    place = np.zeros((depth + 1, 3), np.int64)
-    level, at, count = 0, 0, 0
-    if masks.size == 0:
-        return 0
-    left[0] = masks[0]
-    at = 1
-    while level >= 0:
-        mask = np.int64(left[level])
-        if mask == 0:
-            level -= 1
-            continue
-        octant = 0
-        while mask >> octant & 1 == 0:
-            octant += 1
-        left[level] = np.uint8(mask & (mask - 1))
-        for axis in range(3):
-            place[level + 1, axis] = 2 * place[level, axis] + (octant >> (2 - axis) & 1)
-        if level + 1 == depth:
-            coords[count] = place[depth]
+    stack = np.zeros((7 * depth + 1, 4), np.int64)  # the levels and places of cells to come
+    above = min(masks.size, 1)
+    at = count = 0
+    while above > 0:
+        above -= 1
+        level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
+        if level == depth:
+            coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
             count += 1
-        elif at == masks.size:
+            continue
+        if at == masks.size:
             return -1
-        else:
-            level += 1
-            left[level] = masks[at]
-            at += 1
+        mask = np.int64(masks[at])
+        at += 1
+        for octant in range(7, -1, -1):
+            if mask >> octant & 1:
+                stack[above, 0], stack[above, 1] = level + 1, 2 * x + (octant >> 2)
+                stack[above, 2], stack[above, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
+                above += 1
     return count if at == masks.size else -1

@@ -43,12 +43,7 @@ def welded(rows: npt.NDArray[np.floating | np.integer]) -> Int32s:
 
 
 @kernel
-def _weld(
-    words: Uint32s,
-    places: Int64s,
-    table: Int32s,
-    numbers: Int32s,
-) -> None:
+def _weld(words: Uint32s, places: Int64s, table: Int32s, numbers: Int32s) -> None:
     """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
     count = 0
     for row in range(len(words)):

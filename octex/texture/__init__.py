@@ -1,11 +1,11 @@
 """The octree texture: what everything else meets.
 
 channel     a named array of values, one a cell; decoded as lookups read it
-lookup      how points are looked up: options, checked; blocks, on any threads; where answers go
+lookup      what is asked of points, checked; blocks, on any threads; where answers go; what answers
 file        what is on disk, drawn; opened and saved through container
 spans       which rows of its arrays, and bytes of its file, lookups read
 texture     tree + channels + placement
-remote      the source of a texture elsewhere, which fetches what lookups read; elsewhere: its file
+remote      textures elsewhere, of which what lookups read is fetched
 open        textures opened, here and elsewhere
 set         textures of parts by name, looked up by part
 folder      what a set is on disk

@@ -49,11 +49,7 @@ class Channel(NamedTuple):
         as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
         if form.components not in range(1, 5):
             raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
-        for array, rows in (
-            (self.values, tree.n_cells),
-            (self.split_values, tree.split.areas.size),
-            (self.kept_values, tree.kept.cells.size),
-        ):
+        for array, rows in zip(self[1:], row_counts(tree), strict=True):
             expected = (rows, form.components)
             if not isinstance(array, np.ndarray):
                 raise ArgumentError(f"channel {name!r} must have arrays, not {array!r}")
@@ -65,11 +61,8 @@ class Channel(NamedTuple):
 
     def of(self, tree: Octree) -> Channel:
         """Return views of the values of a truncated tree."""
-        return self._replace(
-            values=self.values[: tree.n_cells],
-            split_values=self.split_values[: tree.split.areas.size],
-            kept_values=self.kept_values[: tree.kept.cells.size],
-        )
+        parts = zip(self[1:], row_counts(tree), strict=True)
+        return Channel(self.format, *(array[:count] for array, count in parts))
 
     def rows(self, numbers: Integers) -> Array:
         """Return what is stored in rows (n,): those of cells, then of kept nodes, then of split facings."""
@@ -86,21 +79,21 @@ class Channel(NamedTuple):
         """Return the same values as read-only views; itself, if they are."""
         if not any(array.flags.writeable for array in self[1:]):
             return self
-        return self._replace(
-            values=locked(self.values),
-            split_values=locked(self.split_values),
-            kept_values=locked(self.kept_values),
-        )
+        return Channel(self.format, *map(locked, self[1:]))
 
     def is_finite(self) -> bool:
         """Say whether no value is infinite or not a number."""
-        arrays = self.values, self.split_values, self.kept_values
         return all(
             np.isfinite(array[begin : begin + _PIECE]).all()
-            for array in arrays
+            for array in self[1:]
             if array.dtype.kind == "f"
             for begin in range(0, len(array), _PIECE)
         )
+
+
+def row_counts(tree: Octree) -> tuple[int, int, int]:
+    """Return how many rows a tree's channels have: of cells, of facings of split cells, of kept nodes."""
+    return tree.n_cells, tree.split.areas.size, tree.kept.cells.size
 
 
 def as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Channel]:

@@ -29,12 +29,15 @@ from __future__ import annotations
 import json
 import mmap
 import re
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
 from octex import container
+from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, channel_names
 from octex.arrays import Array, Float64s
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
@@ -44,7 +47,7 @@ from octex.tree.octree import Octree, no_kept, no_split
 from octex.tree.placement import Placement
 
 if TYPE_CHECKING:
-    from octex.texture.lookup import Given, Lens
+    from octex.texture.lookup import Question
     from octex.texture.texture import OctreeTexture
 
 Result = TypeVar("Result")
@@ -55,32 +58,17 @@ ENDING = ".octex"
 ARCHIVE_ENDING = ".octz"
 
 
-class Parts(NamedTuple):
-    """What a texture is made of."""
-
-    tree: Octree
-    channels: Mapping[str, Channel]
-    placement: Placement
-    bounds: Float64s  # (2, 3)
-    metadata: Mapping[str, str]
-
-
+@dataclass(eq=False)
 class Source:
     """Where the arrays of a texture come from: memory, or the file that it was opened from."""
 
-    def __init__(
-        self,
-        path: str = "",
-        mapping: mmap.mmap | None = None,
-        tensors: dict[str, Array] | None = None,
-        metadata: dict[str, str] | None = None,
-        sizes: dict[str, int] | None = None,
-    ) -> None:
-        self.path = path  # "" for what was made here
-        self.mapping = mapping  # of a render file; None: the arrays lie in memory
-        self.tensors = tensors or {}  # those that octex does not know
-        self.metadata = metadata or {}
-        self.sizes = sizes  # of an archive: bytes of its streams
+    path: str = ""  # "" for what was made here
+    mapping: mmap.mmap | None = None  # of a render file; None: the arrays lie in memory
+    tensors: dict[str, Array] = field(default_factory=dict)  # those that octex does not know
+    metadata: dict[str, str] = field(default_factory=dict)
+    sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
+    #: Whether all that lookups read is here.
+    is_here: ClassVar = True
 
     def here(self, texture: OctreeTexture) -> OctreeTexture:
         """Return a texture of what is here of it: all."""
@@ -97,18 +85,9 @@ class Source:
         return texture
 
     def prepare(
-        self,
-        texture: OctreeTexture,
-        count: int,
-        _channel: str | list[str] | tuple[str, ...] | None = None,
-        _lens: Lens | None = None,
-        _given: Callable[[], Given] = dict,
-        /,
+        self, texture: OctreeTexture, count: int, _question: Callable[[], Question], /
     ) -> OctreeTexture:
-        """Prepare for so many lookups, and return the texture that answers them.
-
-        ``given`` returns what is given of the points; without a channel it is asked whether leaves hold them.
-        """
+        """Prepare for lookups of so many points, and return the texture that answers them."""
         # About a page a point: most of the file will be read.
         if self.mapping and count * mmap.PAGESIZE > len(self.mapping):
             container.read_ahead(self.mapping)
@@ -118,17 +97,15 @@ class Source:
 def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
     """Return a texture's tensors and metadata, with what octex does not know of its file."""
     tree, placement = texture.tree, texture.placement
-    tensors: dict[str, Array] = {f"tree/{name}": array for name, array in tree.arrays._asdict().items()}
-    if tree.split.cells.size:
-        tensors |= {f"split/{name}": array for name, array in tree.split._asdict().items()}
-    if tree.kept.cells.size:
-        tensors["kept/cells"] = tree.kept.cells
+    tensors: dict[str, Array] = dict(zip(TREE_NAMES, tree.arrays, strict=True))
+    has_rows = True, tree.split.cells.size > 0, tree.kept.cells.size > 0
+    if has_rows[1]:
+        tensors |= zip(SPLIT_NAMES, tree.split, strict=True)
+    if has_rows[2]:
+        tensors[KEPT_NAME] = tree.kept.cells
     for name, channel in texture.channels.items():
-        tensors[f"channels/{name}"] = channel.values
-        if tree.split.cells.size:
-            tensors[f"split/channels/{name}"] = channel.split_values
-        if tree.kept.cells.size:
-            tensors[f"kept/channels/{name}"] = channel.kept_values
+        named = zip(channel_names(name), channel[1:], strict=True)
+        tensors |= compress(named, has_rows)
     metadata = {
         "format": FORMAT,
         "format_version": str(FORMAT_VERSION),
@@ -177,8 +154,10 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
     }
 
 
-def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:
-    """Take a texture out of tensors and metadata; what octex does not know stays there.
+def taken(
+    tensors: dict[str, Array], metadata: dict[str, str]
+) -> tuple[Octree, dict[str, Channel], Placement, Float64s, dict[str, str]]:
+    """Take a texture's parts out of tensors and metadata; what octex does not know stays there.
 
     Raises TextureFileError for what is missing or damaged, ArgumentError for a tree that does not fit.
     """
@@ -191,23 +170,23 @@ def taken(tensors: dict[str, Array], metadata: dict[str, str]) -> Parts:
     bounds = _json(metadata, "bounds", _floats)
     spaces = _json(metadata, "channels", _texts)
     provenance = _json(metadata, "provenance", _texts)
-    arrays = TreeArrays(*(_tensor(tensors, f"tree/{name}") for name in TreeArrays._fields))
+    arrays = TreeArrays(*(_tensor(tensors, name) for name in TREE_NAMES))
     split, kept = no_split(), no_kept()
-    if "split/cells" in tensors:
-        split = SplitTable(*(_tensor(tensors, f"split/{name}") for name in SplitTable._fields))
-    if "kept/cells" in tensors:
-        kept = KeptTable(_tensor(tensors, "kept/cells"))
-    tree = Octree(arrays, split, kept)
-    channels = {}
+    if SPLIT_NAMES[0] in tensors:
+        split = SplitTable(*(_tensor(tensors, name) for name in SPLIT_NAMES))
+    if KEPT_NAME in tensors:
+        kept = KeptTable(_tensor(tensors, KEPT_NAME))
+    tree, channels = Octree(arrays, split, kept), {}
     for name, space in spaces.items():
-        values = _tensor(tensors, f"channels/{name}")
+        of_cells, of_split, of_kept = channel_names(name)
+        values = _tensor(tensors, of_cells)
         if values.ndim != 2:
             raise TextureFileError(f"channel {name!r} has shape {values.shape}, not a row a cell")
-        split_values = _tensor(tensors, f"split/channels/{name}") if split.cells.size else values[:0]
-        kept_values = _tensor(tensors, f"kept/channels/{name}") if kept.cells.size else values[:0]
+        split_values = _tensor(tensors, of_split) if split.cells.size else values[:0]
+        kept_values = _tensor(tensors, of_kept) if kept.cells.size else values[:0]
         form = ChannelFormat(name, values.shape[1], space, values.dtype.name)  # type: ignore[arg-type]
         channels[name] = Channel(form, values, split_values, kept_values)
-    return Parts(tree, channels, placement, bounds, provenance)
+    return tree, channels, placement, bounds, provenance
 
 
 def wrong_version(version: str) -> str:

@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, TypeGuard
 
 from octex import container, files
 from octex.errors import OutputError, TextureFileError
@@ -29,15 +29,8 @@ _LONGEST_NAME = 100
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
-class Index(NamedTuple):
-    """What the index of a folder says."""
-
-    files: dict[str, str]  # names in the folder, by part
-    metadata: dict[str, str]
-
-
-def read_index(folder: Path) -> Index:
-    """Read the index of a folder, whose files must be there.
+def read_index(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Read the index of a folder: the names of its files, which must be there, by part; and the provenance.
 
     Raises TextureFileError for an index that is missing, damaged or newer, and for a file that is missing or
     lies elsewhere.
@@ -72,7 +65,7 @@ def read_index(folder: Path) -> Index:
             raise TextureFileError(
                 f"{folder / file}: the file of part {name!r} is missing; copy the folder again"
             )
-    return Index(parts, metadata)
+    return parts, metadata
 
 
 def _are_texts(value: Any) -> TypeGuard[dict[str, str]]:
@@ -126,7 +119,7 @@ def _files_there(folder: Path) -> set[str]:
     if not os.path.lexists(folder / INDEX):
         return set()
     try:
-        return set(read_index(folder).files.values())
+        return set(read_index(folder)[0].values())
     except TextureFileError as error:
         raise OutputError(f"{error}; remove {INDEX}, or choose another folder") from error
 

@@ -1,4 +1,4 @@
-"""How points are looked up: what users ask for, checked; in blocks, on any threads; and where answers go."""
+"""Lookups: what users ask, checked; in blocks, on any threads; where answers go, and what answers."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from typing import Any, NamedTuple, Protocol, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s
+from octex.arrays import Array, Float32s, Uint8s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
-from octex.field.field import NotFiniteError
+from octex.field.field import Field, NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
-from octex.field.lookups import Query
+from octex.field.listing import list_blends, reads_of
+from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
 from octex.field.splines import FILTERS
 from octex.parallel import Run, ordered_map, workers
+from octex.texture.channel import NO_GRADIENTS, Channel, make_unit, mixed_cells, stored
+from octex.tree.octree import Octree
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
-from octex.tree.search import Positions
+from octex.tree.search import Positions, in_leaves
 
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32
@@ -30,8 +33,8 @@ ANISOTROPY = 16.0
 #: Most that a footprint may be longer than wide.
 MOST_ANISOTROPY = 256.0
 
-_MOST_BLUR = float(np.finfo(np.float64).max)
-
+#: One channel by name, or several.
+Names = str | list[str] | tuple[str, ...]
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
 #: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
@@ -45,6 +48,9 @@ BLOCK = 1 << 16
 _SORTED = 1 << 19
 #: Points that are looked up as they come, where more are sorted since lookups read much.
 LEAST_SORTED = 1 << 12
+#: Points that are looked up the short way, and their types.
+_FEW = 64
+_TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
 _NO_NUMBERS = np.empty(0, np.int32)
 
 
@@ -110,17 +116,24 @@ class Lens(NamedTuple):
         if "dPdx" in given:
             derivatives = given["dPdx"], given["dPdy"]
             footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
-        elif "width" in given:
-            widths = given["width"].astype(np.float64) + self.blur
-            footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
-        elif self.blur > 0:
+        elif "width" in given or self.blur > 0:
             widths = np.full(len(given["points"]), float(self.blur))
+            if "width" in given:
+                widths += given["width"]
             footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
         normals = given.get("normals")
         if normals is not None:
             most = np.finfo(np.float32).max
             normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
         return Query(self.filter, footprints, normals)
+
+
+class Question(NamedTuple):
+    """What is asked of points, and what is given of each."""
+
+    given: Given
+    channel: Names | None = None  # None: whether leaves hold them
+    lens: Lens = Lens("nearest")
 
 
 def asked(
@@ -144,7 +157,7 @@ def asked(
     if gradient and lens.filter == "nearest":
         raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
     as_number(lens.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
-    as_number(lens.blur, "blur", 0.0, _MOST_BLUR)
+    as_number(lens.blur, "blur", 0.0, float(np.finfo(np.float64).max))
     as_number(lens.sharpness, "sharpness", 0.0, 1.0)
     as_number(lens.bleed_threshold, "bleed_threshold", 0.0, np.inf)
     n = len(places)
@@ -178,9 +191,8 @@ def asked(
     return lens, given
 
 
-class _Fault(NamedTuple):
-    name: str
-    row: int
+#: An array of what is given, and the first row of it that cannot be used.
+_Fault = tuple[str, int]
 
 
 class _Block(NamedTuple):
@@ -188,12 +200,6 @@ class _Block(NamedTuple):
 
     given: Given
     answers: list[Array]
-
-    @classmethod
-    def at(cls, begin: int, given: Given, answers: list[Array]) -> _Block:
-        """Return the block whose first row is ``begin``."""
-        rows = slice(begin, begin + BLOCK)
-        return cls({name: array[rows] for name, array in given.items()}, [each[rows] for each in answers])
 
     @classmethod
     def empty(cls, given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
@@ -229,8 +235,11 @@ def each_block(
 
     These are followed by what ``look_up`` adds to the list of answers that it is given.
     """
-    begins = range(0, len(given["points"]), BLOCK)
-    blocks = [_Block.at(begin, given, answers) for begin in begins]
+    begins, blocks = range(0, len(given["points"]), BLOCK), []
+    for begin in begins:
+        rows = slice(begin, begin + BLOCK)
+        taken = {name: array[rows] for name, array in given.items()}
+        blocks.append(_Block(taken, [answer[rows] for answer in answers]))
     with workers(run, len(blocks)) as pool:
         results = ordered_map(pool, partial(_checked_block, look_up), blocks)
         for begin, (fault, found) in zip(begins, results, strict=True):
@@ -276,7 +285,7 @@ def in_space(
 
 def _refuse(fault: _Fault, begin: int, given: Given) -> None:
     """Raise ArgumentError for a fault in the block that begins at a row."""
-    name, row = fault.name, begin + fault.row
+    name, row = fault[0], begin + fault[1]
     kind = "finite and not below zero" if name == "width" else "finite"
     raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
 
@@ -292,12 +301,12 @@ def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[
         if name == "width":
             sound = sound & (array >= 0)
         if not sound.all():
-            return _Fault(name, int(np.argmin(sound)) // (array.size // len(array))), answers
+            return (name, int(np.argmin(sound)) // (array.size // len(array))), answers
     try:
         row = look_up(taken, answers)
     except NotFiniteError as error:
         row = error.row
-    return (_Fault("points", row) if row >= 0 else None), answers
+    return (("points", row) if row >= 0 else None), answers
 
 
 def _as_kernels_take_it(array: Array) -> Array:
@@ -316,8 +325,8 @@ class Answers:
     def __init__(
         self,
         components: Mapping[str, int],
-        channel: str | list[str] | tuple[str, ...],
-        count: int,
+        channel: Names,
+        given: Given,
         gradient: bool,
         out: Any,
     ) -> None:
@@ -326,26 +335,28 @@ class Answers:
         slopes: dict[str, tuple[int, ...]] = {}
         for name in channel if isinstance(channel, (list, tuple)) else (channel,):
             as_choice(name, components, "channel")
-            shapes[name] = count, components[name]
+            shapes[name] = len(given["points"]), components[name]
             slopes[name] = *shapes[name], 3
         #: The channels, each once.
         self.channels = list(shapes)
-        out_gradients = None
+        is_given, out_gradients = out is not None, None
         if gradient and out is not None:
             if not isinstance(out, (tuple, list)) or len(out) != 2:
                 raise ArgumentError("out must be a pair, for values and for gradients")
             out, out_gradients = out
-        values = answers_for(shapes, out, is_single)
-        gradients = answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
+        values = _answers_for(shapes, out, is_single)
+        gradients = _answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
         #: The values of each channel, then the gradients of each.
         self.arrays: list[Array] = [*values.values(), *gradients.values()]
+        if is_given:
+            _check_apart(given.values(), self.arrays)
         #: What `OctreeTexture.sample` returns.
         self.returned: Any = (values, gradients) if gradient else values
         if is_single:
             self.returned = tuple(self.arrays) if gradient else self.arrays[0]
 
 
-def answers_for(
+def _answers_for(
     shapes: Mapping[str, tuple[int, ...]], out: Any, single: bool, name: str = "out"
 ) -> dict[str, Float32s]:
     """Return arrays to write to by channel: new ones, or for ``out`` what the caller gave, if it fits.
@@ -373,10 +384,120 @@ def answers_for(
     return {channel: out[channel] for channel in shapes}
 
 
-def check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:
+def _check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:
     """Raise ArgumentError if an answer shares memory with another or with what is given."""
     known = list(given)
     for answer in answers:
         if any(np.may_share_memory(answer, other) for other in known):
             raise ArgumentError("the arrays in out must not share memory with each other or with the points")
         known.append(answer)
+
+
+class Lookups:
+    """What answers lookups of a texture: its channels as they are read, and what was indexed for that."""
+
+    def __init__(self, tree: Octree, channels: Mapping[str, Channel], placement: Placement) -> None:
+        self.field = Field(tree)
+        self.components = {name: channel.format.components for name, channel in channels.items()}
+        self._tree, self._channels, self._placement = tree, channels, placement
+        self._mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
+        self._plain: dict[tuple[str, str], PlainLookup | None] = {}
+        self._stored: dict[str, ChannelRows] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Lookups, (self._tree, dict(self._channels), self._placement)
+
+    def few(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
+        """Look up few points of the leaves the short way; None where that is not for them.
+
+        A call with one point takes a third of the time so.
+        """
+        if type(points) is not np.ndarray or points.ndim != 2 or not 0 < len(points) <= _FEW:
+            return None
+        flags = points.flags
+        is_taken = points.dtype in _TAKEN and flags.c_contiguous and flags.aligned
+        if not (is_taken and points.shape[1] == 3 and type(filter) is str):
+            return None
+        is_list = type(channel) in (list, tuple)
+        values: dict[str, Float32s] = {}
+        for name in channel if is_list else (channel,):
+            if type(name) is not str:
+                return None
+            key = name, filter
+            if key not in self._plain:
+                if name not in self._channels or filter not in FILTERS:
+                    return None
+                plain = None
+                if self._channels[name].format.space != "direction":  # those are made unit vectors
+                    (read,), alpha = self.rows_of(name)
+                    plain = plain_lookup(self.field, self._placement, filter, read, alpha)
+                self._plain[key] = plain
+            known = self._plain[key]
+            found = None if known is None else known.at(points)
+            if found is None:
+                return None
+            values[name] = found
+        return (values or None) if is_list else values[channel]
+
+    def look_up(
+        self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
+    ) -> int:
+        """Look up a block, as a LookUp: write its values to ``answers``, and as many gradients if wanted."""
+        if not names:
+            return -1
+        values, gradients = answers[: len(names)], answers[len(names) :]
+        read, alpha = self.rows_of(*names)
+        task = self.field, self._placement, given["points"]
+        query = self.query(lens, given, names[0])
+        if len(names) == 1 or query.mixed is None:
+            fault = look_up(*task, query, read, alpha, values, gradients)
+        else:  # each channel mixes facings in cells of its own
+            for n, name in enumerate(names):
+                query, one = self.query(lens, given, name), slice(n, n + 1)
+                fault = look_up(*task, query, read[one], alpha, values[one], gradients[one])
+        for number, name in enumerate(names if fault < 0 and normalize else ()):
+            if self._channels[name].format.space == "direction":
+                make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
+        return fault
+
+    def list_taps(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
+        """Add the taps of a block to ``answers``, as a LookUp."""
+        query, ((read,), alpha) = self.query(lens, given, name), self.rows_of(name)
+        answers += list_blends(self.field, self._placement, given["points"], query, read, alpha)
+        return -1
+
+    def list_reads(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:
+        """Add the levels that a block looks at, and what it reads of each, to ``answers``, as a LookUp."""
+        query, ((read,), _) = self.query(lens, given, name), self.rows_of(name)
+        task = self.field, self._placement, given["points"], query, read
+        found = reads_of(*task, cells_alone=cells_alone)
+        answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
+        return -1
+
+    def hold(self, given: Given, answers: list[Array]) -> int:
+        """Say of a block of points whether leaves hold them, as a LookUp."""
+        return in_leaves(self._tree.arrays, Positions.of(given["points"]), *self._placement, answers[0])
+
+    def query(self, lens: Lens, given: Given, name: str) -> Query:
+        """Return what is asked of a block of points of a channel."""
+        query = lens.query(given)
+        if query.footprints is not None and query.normals is None and self._tree.split.cells.size:
+            query = query._replace(mixed=partial(self._mixed_cells, name, lens.bleed_threshold))
+        return query
+
+    def rows_of(self, *names: str) -> tuple[list[ChannelRows], ChannelRows | None]:
+        """Return channels as lookups read them, and that which others weigh by, if there is one."""
+        found: list[ChannelRows] = []
+        for name in (*names, "alpha") if "alpha" in self._channels else names:
+            if name not in self._stored:
+                self._stored[name] = stored(self._channels[name])
+            found.append(self._stored[name])
+        alpha = found.pop() if len(found) > len(names) else None
+        return found, alpha if alpha and alpha.is_alpha else None
+
+    def _mixed_cells(self, name: str, threshold: float, level: int) -> Uint8s:
+        known = self._mixed.get((name, level))
+        if known is None or known[0] != threshold:
+            known = threshold, mixed_cells(self._channels[name], self.field.level(level).tree, threshold)
+            self._mixed[name, level] = known
+        return known[1]

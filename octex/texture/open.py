@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
+from pathlib import Path
 
 from octex import container
-from octex.archive.layout import is_archive
+from octex.archive.layout import MAGIC
 from octex.checks import as_path
 from octex.errors import ArgumentError, TextureFileError
-from octex.files import is_address
+from octex.files import is_address, open_file
 from octex.texture.file import Source
 from octex.texture.texture import OctreeTexture, opened
 
@@ -43,7 +45,7 @@ def open_texture(
     path = as_path(path)
     if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
-    if is_archive(path):
+    if _is_archive(path):
         from octex.archive.read import read
 
         archived = read(path)
@@ -52,3 +54,10 @@ def open_texture(
         contents = container.read(path)
         source = Source(str(path), contents.mapping, dict(contents.tensors), dict(contents.metadata))
     return opened(source)
+
+
+def _is_archive(path: Path) -> bool:
+    """Say whether a file begins as an archive does."""
+    with suppress(OSError), open_file(path) as file:
+        return file.read(len(MAGIC)) == MAGIC
+    return False

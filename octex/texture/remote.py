@@ -1,8 +1,13 @@
-"""The source of a texture whose file is elsewhere: it fetches what a lookup will read before it reads it."""
+"""Textures whose files are elsewhere: what a lookup reads is fetched before it reads it.
+
+A render file is fetched in blocks of bytes. Of an archive whole levels of the structure are fetched, and
+blocks of areas and channels, no deeper than asked for; these are decoded into memory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from threading import RLock
@@ -11,20 +16,28 @@ from typing import Any
 import numpy as np
 
 from octex import container
-from octex.archive.layout import MAGIC
+from octex.archive.layout import AREAS, KEPT_NAME, MAGIC, SPLIT_NAMES, TREE_NAMES, known_names
+from octex.archive.read import Decoding, naming
 from octex.arrays import Array, Int64s
 from octex.field.tiles import can_be_tiled
+from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
-from octex.texture.elsewhere import Archive, Elsewhere, RenderFile, fetch_arrays
 from octex.texture.file import Source
-from octex.texture.lookup import Given, Lens
-from octex.texture.spans import add_reads, cells_of, lookup_reads, nodes_read
+from octex.texture.lookup import Question
+from octex.texture.spans import Rows, Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.texture.texture import OctreeTexture, opened
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
 
 #: Bytes that are fetched first: the header, and what says which cells there are down to some level.
 _FIRST = 1 << 14
+
+#: Rows of the split table that are fetched at least.
+_LEAST_SPLIT = 1 << 8
+#: Tensors of an archive.
+_GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _ = TREE_NAMES
+#: Those that come with the structure, and which rows they have.
+_LISTS = {_FLAGS: "cell", SPLIT_NAMES[0]: "split", SPLIT_NAMES[1]: "split", KEPT_NAME: "kept"}
 
 Fetch = Callable[..., object]
 
@@ -36,18 +49,18 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     """
     remote = RenderFile(address, cache)
     file: Elsewhere = remote
-    remote.fetch(np.array([[0, min(len(MAGIC), remote.size)]]))
+    remote.fetch([(0, min(len(MAGIC), remote.size))])
     if remote.mapping[: len(MAGIC)] == MAGIC:
         file = archive = Archive(remote)
         tensors, metadata, sizes = archive.decoding.contents
         source = Source(address, None, dict(tensors), dict(metadata), sizes)
     else:
-        remote.fetch(np.array([[0, min(_FIRST, remote.size)]]))
+        remote.fetch([(0, min(_FIRST, remote.size))])
         length = container.header_length(remote.mapping)
         if length <= remote.size:
-            remote.fetch(np.array([[0, length]]))
+            remote.fetch([(0, length)])
         contents = container.read_mapped(remote.mapping, address)
-        levels = [contents.tensors.get(f"tree/{name}") for name in ("level_cells", "level_nodes")]
+        levels = (contents.tensors.get(name) for name in (_LEVEL_CELLS, _LEVEL_NODES))
         fetch_arrays(remote, *(array for array in levels if array is not None))
         if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
             remote.fetch_all()
@@ -63,6 +76,8 @@ class RemoteSource(Source):
 
     What a field has indexed of a texture does not change: when more has come, there is a new one.
     """
+
+    is_here = False
 
     def __init__(self, here: OctreeTexture, file: Elsewhere) -> None:
         super().__init__(here.source.path)
@@ -96,45 +111,38 @@ class RemoteSource(Source):
             return self._here
 
     def prepare(
-        self,
-        _texture: OctreeTexture,
-        _count: int,
-        channel: str | list[str] | tuple[str, ...] | None = None,
-        lens: Lens | None = None,
-        given: Callable[[], Given] = dict,
-        /,
+        self, _texture: OctreeTexture, _count: int, question: Callable[[], Question], /
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
         with self._fetching, self.file.checked_once():
-            if channel is None or lens is None:
-                return self._fetched_around(given()["points"])
-            return self._fetched(channel, lens, given())
+            found = question()
+            return self._fetched_around(found) if found.channel is None else self._fetched(found)
 
-    def _fetched(self, channel: str | list[str] | tuple[str, ...], lens: Lens, given: Given) -> OctreeTexture:
+    def _fetched(self, question: Question) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
 
         What says which cells there are around the points comes first, level by level, then what these are
         said to hold. Coarse cells that mix facings leave looks to finer ones: so again until all is here.
         """
+        given, _, lens = question
         has_tables = lens.has_footprints(given) or "normals" in given or not can_be_tiled(self._here.tree)
         is_first = is_more = True
         while is_more and not self.file.is_whole:
-            reads = lookup_reads(self._here, channel, lens, given, cells_alone=is_first)
+            reads = lookup_reads(self._here, question, cells_alone=is_first)
             cells = cells_of(reads.values())
             is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
             is_more |= self._fetch_nodes(cells, lens.filter)
             if not (is_first or is_more):
-                gather = partial(add_reads, self._here, reads, lens, given)
-                is_more = self.file.fetch_rows(gather)
+                is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, question))
             self._renew(is_more)
             is_more |= is_first
             is_first = False
         return self.whole(self._here) if self.file.is_whole else self._here
 
-    def _fetched_around(self, points: Array) -> OctreeTexture:
+    def _fetched_around(self, question: Question) -> OctreeTexture:
         """Fetch what says which points leaves hold, and return the texture that says so."""
         origin, size = self._here.placement
-        places = np.clip(np.nan_to_num((points - np.array(origin)) / size), 0.0, 1.0)
+        places = np.clip(np.nan_to_num((question.given["points"] - np.array(origin)) / size), 0.0, 1.0)
         depth = self._here.tree.max_depth
         cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
         self._renew(self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest"))
@@ -211,3 +219,130 @@ class _Channel(Channel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Channel, tuple(self)
+
+
+class RenderFile(RemoteFile):
+    """A render file elsewhere, of whose mapping arrays are views."""
+
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = Spans(self.mapping, BLOCK)
+        gather(rows)
+        return self.fetch(rows.ranges().tolist())
+
+    def fetch_tables(self, tree: Octree, level: int) -> bool:
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        split, n_cells, n_split = tree.split, int(tree.level_cells[level + 1]), _LEAST_SPLIT
+        kept: list[Array] = [tree.kept.cells, tree.arrays.flags[:n_cells]] if tree.kept.cells.size else []
+        was_more = fetch_arrays(self, *kept, split.cells[: n_split + 1])
+        # Of the table, which is in the cells' order, in steps like those of its search.
+        while n_split < split.cells.size and split.cells[n_split] < n_cells:
+            n_split *= 2
+            was_more |= fetch_arrays(self, split.cells[: n_split + 1])
+        return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
+
+
+class _Wanted(Rows):
+    """Gathers what is read of an archive."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self.level = 0  # of the structure
+        self.tables: dict[str, list[tuple[str, Int64s]]] = {}  # rows of areas and channels
+
+    def rows(self, array: Array, rows: Array) -> None:
+        """Add some rows."""
+        rows = rows[(rows >= 0) & (rows < len(array))]
+        name, first = self._archive.place_of(array)
+        if name is None or not rows.size:
+            return
+        rows = first + rows.astype(np.int64)
+        if name == _GROUPS:
+            self.nodes(array, 8 * rows + 7)
+        elif name in _LISTS:
+            self.level = max(self.level, self._archive.decoding.level_of(_LISTS[name], rows))
+        elif name not in (_LEVEL_CELLS, _LEVEL_NODES):
+            table = {"split": "row", "kept": "kept"}.get(name.partition("/")[0], "cell")
+            self.tables.setdefault(name.partition("channels/")[2] or AREAS, []).append((table, rows))
+
+    def nodes(self, groups: Array, nodes: Int64s) -> None:
+        """Add the groups of some nodes."""
+        if groups.size and nodes.size:
+            firsts = self._archive.level_nodes
+            last = min(int(nodes.max()), int(firsts[-1]) - 1)
+            self.level = max(self.level, int(np.searchsorted(firsts, last, "right")))
+
+
+class Archive:
+    """An archive elsewhere, decoded as far as it was asked for into arrays of its own.
+
+    Raises TextureFileError, which names the address, for one that is damaged.
+    """
+
+    def __init__(self, remote: RemoteFile) -> None:
+        self._remote = remote
+        self._lock = RLock()
+        with self._decoded():
+            self.decoding = Decoding(remote.mapping, remote.fetch)
+        tensors = self.decoding.contents.tensors
+        self.level_nodes = tensors[_LEVEL_NODES]
+        coded = known_names(tensors, self.decoding.channels)
+        self._places = sorted(
+            (array.ctypes.data, array.ctypes.data + array.nbytes, name, array.nbytes // len(array))
+            for name, array in tensors.items()
+            if array.nbytes and name in coded
+        )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of it is decoded."""
+        return self.decoding.is_whole
+
+    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        rows = _Wanted(self)
+        gather(rows)
+        with self._decoded():
+            return self.decoding.decode(rows.tables, rows.level)
+
+    def fetch_tables(self, _tree: Octree, level: int) -> bool:
+        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        with self._decoded():
+            return self.decoding.decode({}, level)
+
+    def fetch_all(self) -> None:
+        """Fetch all of it."""
+        with self._decoded():
+            self.decoding.decode_all()
+
+    def checked_once(self) -> AbstractContextManager[None]:
+        """Look once, at the end of the block, whether the file has changed meanwhile."""
+        return self._remote.checked_once()
+
+    def place_of(self, array: Array) -> tuple[str | None, int]:
+        """Return which tensor an array is a view of, None for none, and from which row on."""
+        address = array.ctypes.data
+        if array.nbytes:
+            for begin, end, name, length in self._places:
+                if begin <= address < end:
+                    return name, (address - begin) // length
+        return None, 0
+
+    @contextmanager
+    def _decoded(self) -> Iterator[None]:
+        with self._lock, naming(self._remote.address):
+            yield
+
+
+#: A file elsewhere.
+Elsewhere = RenderFile | Archive
+
+
+def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
+    """Fetch whole arrays of a file, or what of them is viewed; say whether there was anything to fetch."""
+
+    def gather(rows: Rows) -> None:
+        for array in arrays:
+            rows.until(array, len(array))
+
+    return file.fetch_rows(gather)

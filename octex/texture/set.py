@@ -21,12 +21,12 @@ from octex.texture.lookup import (
     Answers,
     FootprintOptions,
     Given,
-    Lens,
     LookUp,
     LookupOptions,
+    Names,
+    Question,
     SurfacePoints,
     asked,
-    check_apart,
     in_blocks,
     placed,
 )
@@ -70,10 +70,10 @@ class TextureSet(Mapping[str, OctreeTexture]):
         or damaged files.
         """
         folder = as_path(folder, "folder")
-        index = read_index(folder)
+        files, metadata = read_index(folder)
         made = cls.__new__(cls)
-        made.metadata = MappingProxyType(index.metadata)
-        made._textures = {name: folder / file for name, file in index.files.items()}
+        made.metadata = MappingProxyType(metadata)
+        made._textures = {name: folder / file for name, file in files.items()}
         made.names = tuple(made._textures)
         return made
 
@@ -154,7 +154,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         self,
         points: npt.ArrayLike | SurfacePoints,
         parts: npt.ArrayLike,
-        channel: str | list[str] | tuple[str, ...] = "base_color",
+        channel: Names = "base_color",
         filter: str = "quadratic",
         *,
         gradient: bool = False,
@@ -177,12 +177,10 @@ class TextureSet(Mapping[str, OctreeTexture]):
         given["parts"] = self._numbers(parts, len(given["points"]))
         used = np.flatnonzero(np.bincount(given["parts"])).tolist()
         components = self._components(used or [0], channel)
-        answers = Answers(components, channel, len(given["points"]), gradient, out)
-        if out is not None:
-            check_apart(given.values(), answers.arrays)
+        answers = Answers(components, channel, given, gradient, out)
         look_ups = {
-            part: partial(texture._sampled, answers.channels, lens, normalize)
-            for part, texture in self._ready_for(given, answers.channels, lens)
+            part: partial(texture._lookups.look_up, answers.channels, lens, normalize)
+            for part, texture in self._ready_for(Question(given, answers.channels, lens))
         }
         in_blocks(given, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
         return answers.returned
@@ -203,18 +201,16 @@ class TextureSet(Mapping[str, OctreeTexture]):
         given = {"points": placed(points)[0]}
         given["parts"] = self._numbers(parts, len(given["points"]))
         inside = np.empty(len(given["points"]), np.bool_)
-        look_ups = {part: texture._holds for part, texture in self._ready_for(given)}
+        look_ups = {part: texture._lookups.hold for part, texture in self._ready_for(Question(given))}
         in_blocks(given, [inside], partial(_by_part, look_ups), as_run(run, threads))
         return inside
 
-    def _ready_for(
-        self, given: Given, channel: list[str] | None = None, lens: Lens | None = None
-    ) -> Iterator[tuple[int, OctreeTexture]]:
+    def _ready_for(self, question: Question) -> Iterator[tuple[int, OctreeTexture]]:
         """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
-        for part, count in enumerate(np.bincount(given["parts"]).tolist()):
+        for part, count in enumerate(np.bincount(question.given["parts"]).tolist()):
             if count:
-                texture, own = self[self.names[part]], partial(_sound_rows, given, part)
-                yield part, texture.source.prepare(texture, count, channel, lens, own)
+                texture, own = self[self.names[part]], partial(_of_part, question, part)
+                yield part, texture.source.prepare(texture, count, own)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return the part of each of so many points (n,) as a number, or refuse it."""
@@ -229,16 +225,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
             known = {name: number for number, name in enumerate(self.names)}
             names = array.ravel().tolist()
             for name in names:
-                if not isinstance(name, str):
+                if not isinstance(name, str) or name not in known:
                     as_choice(name, known, "part")
-            kinds = {name: known[as_choice(name, known, "part")] for name in set(names)}
-            array = np.array([kinds[name] for name in names], np.int64).reshape(array.shape)
+            array = np.array([known[name] for name in names], np.int64).reshape(array.shape)
         elif array.size and not 0 <= array.min() <= array.max() < len(self):
             worst = array.min() if array.min() < 0 else array.max()
             raise ArgumentError(f"there is no part {worst}; there are 0 to {len(self) - 1}: {self!r}")
         return np.broadcast_to(array.astype(np.int64, copy=False), (count,))
 
-    def _components(self, parts: list[int], channel: str | list[str] | tuple[str, ...]) -> dict[str, int]:
+    def _components(self, parts: list[int], channel: Names) -> dict[str, int]:
         """Return the components of the wanted channels, which all of some parts must have alike."""
         found: dict[str, int] = {}
         wanted = channel if isinstance(channel, (list, tuple)) else [channel]
@@ -292,15 +287,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
         }
 
 
-def _sound_rows(given: Given, part: int) -> Given:
-    """Return what is given of a part's points; what is not finite the lookup itself refuses, by its row."""
-    own = {name: array for name, array in given.items() if name != "parts"}
-    sound = given["parts"] == part
+def _of_part(question: Question, part: int) -> Question:
+    """Return what is asked of a part's points; what is not finite the lookup itself refuses, by its row."""
+    own = {name: array for name, array in question.given.items() if name != "parts"}
+    sound = question.given["parts"] == part
     for array in own.values():
         sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
     if "width" in own:
         sound &= own["width"] >= 0
-    return {name: array[sound] for name, array in own.items()}
+    return question._replace(given={name: array[sound] for name, array in own.items()})
 
 
 def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> int:

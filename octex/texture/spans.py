@@ -5,21 +5,23 @@ from __future__ import annotations
 import mmap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from octex.arrays import Array, Int64s, bit_counts
 from octex.checks import as_choice
 from octex.container import header_length
-from octex.field.listing import Reads, joined_reads, reads_of
+from octex.field.listing import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.channel import Channel
-from octex.texture.lookup import Given, Lens, each_block
+from octex.texture.lookup import Question, each_block
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
+from octex.tree.layout import SplitTable
 from octex.tree.octree import Octree, count_before, distinct
+from octex.tree.split import counts_of, rows_of
 
 if TYPE_CHECKING:
     from octex.texture.texture import OctreeTexture
@@ -76,39 +78,24 @@ class Spans(Rows):
 
 
 def lookup_reads(
-    texture: OctreeTexture,
-    channel: str | list[str] | tuple[str, ...],
-    lens: Lens,
-    given: Given,
-    *,
-    cells_alone: bool = False,
+    texture: OctreeTexture, question: Question, *, cells_alone: bool = False
 ) -> dict[str, dict[int, Reads]]:
     """Return what lookups read of each channel, by level.
 
     With ``cells_alone`` only the cells that hold points, as far as no content of the tree changes them.
     """
-    names = list(channel) if isinstance(channel, (list, tuple)) else [channel]
+    given, channel, lens = question
+    names: list[Any] = list(channel) if isinstance(channel, (list, tuple)) else [channel]
     for name in names:
         as_choice(name, texture.channels, "channel")
     found: dict[str, dict[int, Reads]] = {}
     for name in names:
-        look_up = partial(_read_of, texture, name, lens, cells_alone)
+        list_reads = partial(texture._lookups.list_reads, name, lens, cells_alone)
         found[name] = joined_reads(
             dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
-            for _, (levels, *arrays) in each_block(given, [], look_up, Run(threads=1))
+            for _, (levels, *arrays) in each_block(given, [], list_reads, Run(threads=1))
         )
     return found
-
-
-def _read_of(
-    texture: OctreeTexture, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]
-) -> int:
-    """Add the levels that a block looks at, and what it reads of each, to ``answers``."""
-    query, ((read,), _) = texture._query(lens, given, name), texture._read(name)
-    task = texture._field, texture.placement, given["points"], query, read
-    found = reads_of(*task, cells_alone=cells_alone)
-    answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
-    return -1
 
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
@@ -162,12 +149,12 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], lens: Lens, given: Given, spans: Rows
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], question: Question, spans: Rows
 ) -> None:
     """Add the rows that lookups read, but for the groups of nodes."""
-    alpha = [] if texture._read()[1] is None else [texture.channels["alpha"]]
-    by_facing = "normals" in given
-    is_ruled = not by_facing and lens.has_footprints(given)  # by the bleed threshold
+    alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
+    by_facing = "normals" in question.given
+    is_ruled = not by_facing and question.lens.has_footprints(question.given)  # by the bleed threshold
     for name, levels in reads.items():
         rows = {level: read.rows for level, read in levels.items()}
         _add_channel(spans, texture.tree, [texture.channels[name], *alpha], rows, by_facing, is_ruled)
@@ -193,7 +180,8 @@ def _add_channel(
     if kept.cells.size:
         spans.until(arrays.flags, n_cells)
     n_split = count_before(split.cells, n_cells)
-    ends = np.cumsum(bit_counts(split.facings[:n_split]), dtype=np.int64)  # of split cells' rows
+    known = SplitTable(split.cells[:n_split], split.facings[:n_split], split.areas)
+    n_rows = int(counts_of(known.facings).sum())
     is_coarse = any(
         level < tree.max_depth or (rows < arrays.level_cells[level]).any() for level, rows in levels.items()
     )
@@ -201,29 +189,25 @@ def _add_channel(
         spans.until(split.cells, 2 * n_split + 2)  # as far as its end is looked for
         spans.until(split.facings, n_split)
     if is_ruled and n_split:
-        spans.until(channels[0].split_values, int(ends[-1]))
+        spans.until(channels[0].split_values, n_rows)
     first_facing = tree.n_cells + kept.cells.size
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
-    for level, rows in levels.items():
+    for level, numbers in levels.items():
+        rows = numbers.astype(np.int64)
         facings = rows[rows >= first_facing] - first_facing
-        owners = split.cells[:n_split][
-            np.searchsorted(ends, facings[facings < ends[-1:].sum()], side="right")
-        ]
+        owners = rows_of(known).cells[facings[facings < n_rows]] if facings.size else facings
         keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
-        cells = np.concatenate([rows[rows < tree.n_cells], owners, keeping])
+        cells = distinct(np.concatenate([rows[rows < tree.n_cells], owners, keeping]))
         if by_facing:
             spans.rows(arrays.flags, cells)
         if level < tree.max_depth:
             spans.rows(arrays.areas, cells)
             if any(has_leaves[: level + 1]):
                 spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
-        seen = np.flatnonzero(np.isin(split.cells[:n_split], cells)) if by_facing else owners[:0]
-        counts = bit_counts(split.facings[seen]).astype(np.int64)
-        firsts = ends[seen] - np.cumsum(counts)
-        of_split = np.repeat(firsts, counts) + np.arange(counts.sum())
+        of_split = rows_of(known, cells).rows if by_facing else facings[:0]
         for channel in channels:
             first = 0
             for array in channel.values, channel.kept_values, channel.split_values:
-                spans.rows(array, rows.astype(np.int64) - first)
+                spans.rows(array, rows - first)
                 first += len(array)
             spans.rows(channel.split_values, of_split)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex import container
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
+from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.channels import decode
 from octex.checks import (
     as_choice,
@@ -27,11 +27,10 @@ from octex.checks import (
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.blend import Listed, joined
 from octex.field.field import Field
-from octex.field.listing import TapList, list_blends
-from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
+from octex.field.listing import TapList
 from octex.field.splines import FILTERS
 from octex.parallel import DEFAULT, Run, as_run
-from octex.texture.channel import NO_GRADIENTS, Channel, as_channels, make_unit, mixed_cells, stored
+from octex.texture.channel import Channel, as_channels
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
 from octex.texture.lookup import (
     ANISOTROPY,
@@ -40,12 +39,13 @@ from octex.texture.lookup import (
     Answers,
     FootprintOptions,
     Given,
-    Lens,
     LookUp,
     LookupOptions,
+    Lookups,
+    Names,
+    Question,
     SurfacePoints,
     asked,
-    check_apart,
     each_block,
     in_blocks,
     in_space,
@@ -54,13 +54,9 @@ from octex.texture.lookup import (
 from octex.texture.spans import Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from octex.tree.search import Positions, in_leaves
 
 #: What ``sample`` takes for no blur, and for no sharpness, if nobody says.
 _NONE = 0.0
-#: Points that `OctreeTexture.sample` looks up the short way, and their types.
-_FEW = 64
-_TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
 #: Leaves of which each read waits for memory, and for the disk if they do not fit there: points are looked up
 #: in the order of space, 1.7 times as fast for 234 M of them. For 15 M it makes no difference.
 _MANY_LEAVES = 1 << 26
@@ -81,11 +77,7 @@ class OctreeTexture:
     """
 
     __slots__ = (
-        "_components",
-        "_field",
-        "_known_mixed",
-        "_known_plain",
-        "_known_stored",
+        "_lookups",
         "bounds",
         "channels",
         "metadata",
@@ -111,11 +103,7 @@ class OctreeTexture:
     def _hold(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> None:
         self.tree, self.source = tree, source
         self.channels = MappingProxyType(dict(channels))
-        self._components = {name: channel.format.components for name, channel in channels.items()}
-        self._field = Field(tree)
-        self._known_mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
-        self._known_plain: dict[tuple[str, str], PlainLookup | None] = {}
-        self._known_stored: dict[str, ChannelRows] = {}
+        self._lookups = Lookups(tree, self.channels, self.placement)
 
     def with_cells(self, tree: Octree, channels: Mapping[str, Channel]) -> OctreeTexture:
         """Return a texture of another tree and its channels; placement, bounds and provenance are this one's.
@@ -141,6 +129,10 @@ class OctreeTexture:
 
     def __setstate__(self, source: tuple[Any, ...]) -> None:
         self.source = Source(*source)
+
+    @property
+    def _field(self) -> Field:
+        return self._lookups.field
 
     @property
     def nbytes(self) -> int:
@@ -195,7 +187,7 @@ class OctreeTexture:
     def sample(
         self,
         points: npt.ArrayLike | SurfacePoints,
-        channel: str | list[str] | tuple[str, ...] = "base_color",
+        channel: Names = "base_color",
         filter: str = "quadratic",
         *,
         width: npt.ArrayLike | None = None,
@@ -248,121 +240,31 @@ class OctreeTexture:
             and (gradient is False and normalize is True and blur is sharpness is _NONE)
             and (anisotropy is ANISOTROPY and bleed_threshold is BLEED_THRESHOLD)
         ):
-            answer = self._plain(points, channel, filter)
+            answer = self._lookups.few(points, channel, filter) if self.source.is_here else None
             if answer is not None:
                 return answer
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         look = {"anisotropy": anisotropy, "blur": blur, "sharpness": sharpness}
         shape = width, normals, dPdx, dPdy
         lens, given = asked(points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look)
-        answers = Answers(self._components, channel, len(given["points"]), gradient, out)
-        if out is not None:
-            check_apart(given.values(), answers.arrays)
+        answers = Answers(self._lookups.components, channel, given, gradient, out)
         here = self
         if self.source.path:  # not memory
-            here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
-        look_up_block: LookUp = partial(here._sampled, answers.channels, lens, normalize)
+            here = self.source.prepare(self, len(given["points"]), lambda: Question(given, channel, lens))
+        lookups = here._lookups
+        look_up: LookUp = partial(lookups.look_up, answers.channels, lens, normalize)
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
-        task = given, answers.arrays, look_up_block, how
-        is_crowded = given.keys() <= {"points", "normals"} and here._field.tiles is None
+        task = given, answers.arrays, look_up, how
+        is_crowded = given.keys() <= {"points", "normals"} and lookups.field.tiles is None
         if is_crowded:
-            here._field.tiles_for(FILTERS.index(filter))
+            lookups.field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             in_space(*task, self.placement, LEAST_SORTED)
-        elif here._field.n_leaves >= _MANY_LEAVES or is_crowded:
+        elif lookups.field.n_leaves >= _MANY_LEAVES or is_crowded:
             in_space(*task, self.placement)
         else:
             in_blocks(*task)
         return answers.returned
-
-    def _plain(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
-        """Look up few points of the leaves the short way; None where that is not for them.
-
-        A call with one point takes a third of the time so.
-        """
-        if type(points) is not np.ndarray or points.ndim != 2 or not 0 < len(points) <= _FEW:
-            return None
-        flags = points.flags
-        is_taken = points.dtype in _TAKEN and flags.c_contiguous and flags.aligned
-        if not (is_taken and points.shape[1] == 3 and type(filter) is str):
-            return None
-        is_list = type(channel) in (list, tuple)
-        values: dict[str, Float32s] = {}
-        for name in channel if is_list else (channel,):
-            if type(name) is not str:
-                return None
-            key = name, filter
-            if key not in self._known_plain:
-                if name not in self.channels or filter not in FILTERS:
-                    return None
-                plain = None
-                # Directions are made unit vectors; what is elsewhere is fetched first.
-                if self.channels[name].format.space != "direction" and self.source.here(self) is self:
-                    (read,), alpha = self._read(name)
-                    plain = plain_lookup(self._field, self.placement, filter, read, alpha)
-                self._known_plain[key] = plain
-            known = self._known_plain[key]
-            if known is None:
-                return None
-            if self.source.path:
-                self.source.prepare(self, len(points))
-            found = known.at(points)
-            if found is None:
-                return None
-            values[name] = found
-        return (values or None) if is_list else values[channel]
-
-    def _sampled(
-        self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
-    ) -> int:
-        """Look up a block: what `lookup.in_blocks` takes.
-
-        Its values are written to ``answers``, and then, if they are wanted, as many gradients.
-        """
-        if not names:
-            return -1
-        channels = list(map(self.channels.__getitem__, names))
-        values, gradients = answers[: len(channels)], answers[len(channels) :]
-        read, alpha = self._read(*names)
-        task = self._field, self.placement, given["points"]
-        fault = -1
-        query = self._query(lens, given, names[0])
-        if len(channels) == 1 or query.mixed is None:
-            fault = look_up(*task, query, read, alpha, values, gradients)
-        else:  # each channel mixes facings in cells of its own
-            for n, name in enumerate(names):
-                query, one = self._query(lens, given, name), slice(n, n + 1)
-                fault = look_up(*task, query, read[one], alpha, values[one], gradients[one])
-        if fault < 0 and normalize:
-            for number, channel in enumerate(channels):
-                if channel.format.space == "direction":
-                    make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
-        return fault
-
-    def _query(self, lens: Lens, given: Given, name: str) -> Query:
-        """Return what is asked of a block of points of a channel."""
-        query = lens.query(given)
-        if query.footprints is not None and query.normals is None and self.tree.split.cells.size:
-            query = query._replace(mixed=partial(self._mixed, self.channels[name], lens.bleed_threshold))
-        return query
-
-    def _read(self, *names: str) -> tuple[list[ChannelRows], ChannelRows | None]:
-        """Return channels as lookups read them, and that which others weigh by, if there is one."""
-        found: list[ChannelRows] = []
-        for name in (*names, "alpha") if "alpha" in self.channels else names:
-            if name not in self._known_stored:
-                self._known_stored[name] = stored(self.channels[name])
-            found.append(self._known_stored[name])
-        alpha = found.pop() if len(found) > len(names) else None
-        return found, alpha if alpha and alpha.is_alpha else None
-
-    def _mixed(self, channel: Channel, threshold: float, level: int) -> Uint8s:
-        key = channel.format.name, level
-        known = self._known_mixed.get(key)
-        if known is None or known[0] != threshold:
-            known = threshold, mixed_cells(channel, self._field.level(level).tree, threshold)
-            self._known_mixed[key] = known
-        return known[1]
 
     def taps(
         self,
@@ -393,17 +295,10 @@ class OctreeTexture:
         """
         lens, given = asked(points, filter, **options)
         as_choice(channel, self.channels, "channel")
-        here = self.source.prepare(self, len(given["points"]), channel, lens, lambda: given)
-        blocks = each_block(given, [], partial(here._listed, channel, lens), as_run(run, threads))
+        here = self.source.prepare(self, len(given["points"]), lambda: Question(given, channel, lens))
+        blocks = each_block(given, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
         starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
         return TapList(starts, rows.astype(np.int64), weights)
-
-    def _listed(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
-        """Add the taps of a block to ``answers``: what `lookup.each_block` takes."""
-        query = self._query(lens, given, name)
-        (read,), alpha = self._read(name)
-        answers += list_blends(self._field, self.placement, given["points"], query, read, alpha)
-        return -1
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
         """Return a channel's stored values (rows, components), float32, in the units of ``sample``.
@@ -420,7 +315,7 @@ class OctreeTexture:
     def blocks(
         self,
         points: npt.ArrayLike | SurfacePoints,
-        channel: str | list[str] | tuple[str, ...] = "base_color",
+        channel: Names = "base_color",
         filter: str = "quadratic",
         *,
         block_size: int = 1 << 16,
@@ -441,11 +336,12 @@ class OctreeTexture:
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
         lens, given = asked(points, filter, **options)
-        here = self.source.prepare(self, 0, channel, lens, lambda: given)
-        spans, reads = Spans(mapping, block_size), lookup_reads(here, channel, lens, given)
+        question = Question(given, channel, lens)
+        here = self.source.prepare(self, 0, lambda: question)
+        spans, reads = Spans(mapping, block_size), lookup_reads(here, question)
         for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
             spans.nodes(here.tree.arrays.groups, nodes)
-        add_reads(here, reads, lens, given, spans)
+        add_reads(here, reads, question, spans)
         return spans.ranges()
 
     def contains(
@@ -461,13 +357,9 @@ class OctreeTexture:
         """
         given: Given = {"points": placed(points)[0]}
         inside = np.empty(len(given["points"]), np.bool_)
-        here = self.source.prepare(self, len(inside), None, None, lambda: given)
-        in_blocks(given, [inside], here._holds, as_run(run, threads))
+        here = self.source.prepare(self, len(inside), lambda: Question(given))
+        in_blocks(given, [inside], here._lookups.hold, as_run(run, threads))
         return inside
-
-    def _holds(self, given: Given, answers: list[Array]) -> int:
-        """Say of a block of points whether leaves hold them: what `lookup.in_blocks` takes."""
-        return in_leaves(self.tree.arrays, Positions.of(given["points"]), *self.placement, answers[0])
 
     def level(self, level: int) -> OctreeTexture:
         """Return the texture of levels 0 … ``level``: its leaves hold the averages stored there.
@@ -480,7 +372,7 @@ class OctreeTexture:
         field = here._field.level(level)
         channels = {name: channel.of(field.tree) for name, channel in here.channels.items()}
         texture = OctreeTexture(field.tree, channels, self.placement, self.bounds, self.metadata)
-        texture._field = field
+        texture._lookups.field = field
         return texture
 
     def save(self, path: str | os.PathLike[str], *, max_error: int = 0) -> None:

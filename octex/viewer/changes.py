@@ -11,11 +11,12 @@ other in both. One stream:
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.editing.draft import Change, places_in
 from octex.texture import OctreeTexture
 from octex.tree.children import masks_of, node_cells
 from octex.tree.octree import Octree
@@ -31,29 +32,86 @@ def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(header[name] == other[name] for name in _STAYS)
 
 
+class _Runs(NamedTuple):
+    """Runs of known cells, by the first one's numbers, now and before."""
+
+    now: Int64s
+    before: Int64s
+    lengths: Int64s
+
+    @classmethod
+    def of_cells(cls, now: Int64s, before: Int64s) -> _Runs:
+        """Return the longest runs of cells."""
+        return cls(now, before, np.ones_like(now)).joined()
+
+    def joined(self) -> _Runs:
+        """Join those that follow on each other in both."""
+        begins = np.ones(self.now.size, np.bool_)
+        ends = self.now + self.lengths, self.before + self.lengths
+        begins[1:] = (self.now[1:] != ends[0][:-1]) | (self.before[1:] != ends[1][:-1])
+        first = np.flatnonzero(begins)
+        lengths = np.add.reduceat(self.lengths, first) if first.size else self.lengths
+        return _Runs(self.now[first], self.before[first], lengths)
+
+
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
     """Return how many entries a change's stream has, and the stream; textures are as the page has them."""
+    if before is after:
+        none = np.zeros(1, np.int64)
+        return _packed(
+            _Runs(none, none, none + after.tree.n_cells), after, np.ones(after.tree.n_cells, np.bool_)
+        )
     old, is_known = _known(before, after)
     known = np.flatnonzero(is_known)
-    begins = np.diff(known, prepend=-2) != 1
-    begins[1:] |= np.diff(old[known]) != 1
-    first = np.flatnonzero(begins)
-    lengths = np.diff(first, append=known.size)
-    ends = known[first] + lengths
-    gaps = known[first] - np.concatenate([[0], ends[:-1]])
+    return _packed(_Runs.of_cells(known, old[known]), after, is_known)
+
+
+def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
+    """Return what `change_between` does of two textures that differ by a change, from its drafts alone."""
+    tiles, draft = change.tiles, change.after
+    if tiles is None:
+        return change_between(before, after)
+    old, is_known = _known(change.before, draft)
+    here, there = places_in(after, tiles, draft), places_in(before, tiles, change.before)
+    is_open = here >= 0
+    known = np.flatnonzero(is_known & is_open)
+    opened = _Runs.of_cells(here[known], there[old[known]])
+    numbers = (each[each >= 0] for each in (here, there))
+    closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
+    runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
+    in_order = np.argsort(runs.now, kind="stable")
+    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open)
+
+
+def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
+    """Return the runs of cells that are not among some, now and before; these follow in the same order."""
+    gaps = []
+    for numbers, end in ((here, count), (there, old_count)):
+        apart = np.append(numbers - np.arange(numbers.size), end - numbers.size)
+        at = np.flatnonzero(np.diff(apart, prepend=0))
+        gaps.append((np.concatenate([[0], apart])[at], at))
+    first = np.union1d(gaps[0][0], gaps[1][0])
+    lengths = np.diff(first, append=count - here.size)
+    now, before = (first + at[np.searchsorted(begins, first, "right") - 1] for begins, at in gaps)
+    return _Runs(now, before, lengths)
+
+
+def _packed(runs: _Runs, texture: OctreeTexture, is_known: Bools) -> tuple[dict[str, int], bytes]:
+    """Return a change's counts and stream; new cells are those of a texture that are not known."""
     new = np.flatnonzero(~is_known)
-    masks, areas = _nodes_data(after.tree)
-    channels = list(after.channels.values())
-    parts: list[Array] = [masks[new].T, areas[new], after.tree.arrays.flags[new]]
+    gaps = np.diff(runs.now, prepend=0) - np.concatenate([[0], runs.lengths[:-1]])[: runs.now.size]
+    masks, areas = _nodes_data(texture.tree)
+    channels = list(texture.channels.values())
+    parts: list[Array] = [masks[new].T, areas[new], texture.tree.arrays.flags[new]]
     parts += [channel.values[new].T for channel in channels]
-    kept, sides = _owners(after.tree)
+    kept, sides = _owners(texture.tree)
     kept_rows, side_rows = np.flatnonzero(~is_known[kept]), np.flatnonzero(~is_known[sides])
     for channel in channels:
         rows = np.concatenate([channel.kept_values[kept_rows], channel.split_values[side_rows]])
         parts.append(rows.T)
-    counts = {"runs": first.size, "cells": new.size, "kept": kept_rows.size, "sides": side_rows.size}
-    runs = [planes(numbers) for numbers in (gaps, old[known[first]], lengths)]
-    return counts, b"".join([*runs, *(np.ascontiguousarray(part, np.uint8).tobytes() for part in parts)])
+    counts = {"runs": runs.now.size, "cells": new.size, "kept": kept_rows.size, "sides": side_rows.size}
+    numbers = [planes(each) for each in (gaps, runs.before, runs.lengths)]
+    return counts, b"".join([*numbers, *(np.ascontiguousarray(part, np.uint8).tobytes() for part in parts)])
 
 
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:

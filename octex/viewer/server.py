@@ -18,8 +18,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.errors import OctexError, OutputError
-from octex.viewer.changes import change_between, is_like
-from octex.viewer.export import MODULES, SHADERS, page_text
+from octex.viewer.changes import change_between, change_of, is_like
+from octex.viewer.export import MODULES, PAINTING, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -27,15 +27,19 @@ from octex.viewer.streams import deflated
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from octex.editing.draft import Change
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
+    from octex.viewer.session import Session
 
 _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _FILES = {"": "index.html", "style.css": "style.css"}
-_FILES |= {name: name for name in MODULES} | {f"shaders/{name}": f"shaders/{name}" for name in SHADERS}
+_FILES |= {name: name for name in [*MODULES, *PAINTING]}
+_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, "stroke.frag"]}
 _PROOF = "/proof"
+_COMMAND = "application/octet-stream"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -67,6 +71,9 @@ class _State(NamedTuple):
     version: str
     parts: list[Part]
     prepared: list[Prepared]
+    session: dict[str, Any] | None  # what is told of one
+    before: OctreeTexture | None  # the session's texture at the time before
+    changes: tuple[Change, ...]  # since then
 
 
 class Viewer:
@@ -75,7 +82,8 @@ class Viewer:
     ``open_texture`` reads the texture: anew when ``path``, its file or folder, has changed, and after
     ``changed``. Pages are then sent the cells that differ: a session of painting is shown by
     ``Viewer(painter.texture, path, surface)`` and a call of ``changed`` after each stroke. ``log`` is called
-    with a line for each refusal. ``port`` 0 is any that is free. With a ``key`` (`key.user_key`) a viewer of
+    with a line for each refusal. ``session`` paints what pages send, from the texture that it shows.
+    ``port`` 0 is any that is free. With a ``key`` (`key.user_key`) a viewer of
     the same path has the same address each time, unless its port is taken: pages of the one before go on.
     Raises OutputError if the given port is taken, and ArgumentError for a surface that is not the texture's.
     """
@@ -87,12 +95,15 @@ class Viewer:
         surface: Surface | None,
         *,
         motion: Motion | None = None,
+        session: Session | None = None,
         port: int = 0,
         key: bytes = b"",
         log: Callable[[str], None] = print,
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
-        self._motion = motion
+        self._motion, self.session = motion, session
+        if session is not None:
+            session.changed = self.changed
         self._lock = threading.RLock()
         self._own = secrets.token_hex(4)  # in versions: the next viewer may show another texture of this path
         self._calls = 0  # of ``changed``
@@ -155,8 +166,11 @@ class Viewer:
 
     def changed(self) -> None:
         """Read the texture anew and send pages what has changed; may be called from any thread."""
-        with self._news:
+        with self._lock:
             self._calls += 1
+            if self.session is not None:
+                self._now()  # its changes are from one call to the next
+        with self._news:
             self._news.notify_all()
 
     def _is_after(self, calls: int) -> bool:
@@ -168,7 +182,7 @@ class Viewer:
             state = self._now()
             if self._packed[0] != state.version:
                 packed = packed_page(state.parts, title=self._path.name, motion=self._motion, maps=self._maps)
-                packed.header["version"] = state.version
+                packed.header.update(version=state.version, session=state.session)
                 self._packed = state.version, packed
             return self._packed[1]
 
@@ -200,13 +214,21 @@ class Viewer:
         return self._state
 
     def _read(self, stamp: str) -> _State:
-        parts = [
-            part._replace(texture=copy.deepcopy(part.texture))
-            for part in parts_of(self._open(), self._surface)
-        ]
-        return _State(stamp, parts, [prepared(part.texture) for part in parts])
+        told: dict[str, Any] | None
+        if self.session is not None:
+            texture, told, before, changes = self.session.shown
+            parts = parts_of(texture, self._surface)
+        else:
+            told, before, changes = None, None, ()
+            parts = [
+                part._replace(texture=copy.deepcopy(part.texture))
+                for part in parts_of(self._open(), self._surface)
+            ]
+        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
 
     def _stamp(self) -> str:
+        if self.session is not None:
+            return f"{self._calls}-{self._own}"
         try:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
             found = [path.stat() for path in paths]
@@ -245,12 +267,16 @@ def _change(before: _State, after: _State) -> Packed | None:
     """Return what pages are sent of a change; None if they must load all anew."""
     if [part.name for part in before.parts] != [part.name for part in after.parts]:
         return None
-    header: dict[str, Any] = {"version": after.version, "parts": []}
+    header: dict[str, Any] = {"version": after.version, "session": after.session, "parts": []}
     streams = {}
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
         if not is_like(was.header, now.header):
             return None
-        counts, stream = change_between(was.texture, now.texture)
+        is_whole = now.texture is after.parts[number].texture and was.texture is after.before
+        if is_whole and len(after.changes) == 1:
+            counts, stream = change_of(after.changes[0], was.texture, now.texture)
+        else:
+            counts, stream = change_between(was.texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         own = {name: value for name, value in now.header.items() if name != "notes"}
         header["parts"].append({"header": own, "counts": counts})
@@ -296,7 +322,44 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
-    def _admitted(self) -> str | None:
+    def do_POST(self) -> None:
+        """Take a command of a page that paints, and answer with its number."""
+        session, length = self.viewer.session, self.headers.get("Content-Length", "")
+        if session is None:
+            self.send_error(HTTPStatus.NOT_IMPLEMENTED, "Unsupported method ('POST')")
+            return
+        from octex.viewer.session import MOST_BYTES, BusyError, OrderError
+
+        path = self._admitted(has_body=True)
+        if path is None:
+            return
+        if path != "session":
+            self._refuse(HTTPStatus.NOT_FOUND, "commands are sent to session")
+        elif self.headers.get("Content-Type") != _COMMAND:
+            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a command is {_COMMAND}")
+        elif not length.isdecimal() or len(length) > 12:
+            self._refuse(HTTPStatus.LENGTH_REQUIRED, "its length is missing")
+        elif int(length) > MOST_BYTES:
+            self._refuse(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{int(length):,} bytes; at most {MOST_BYTES:,}"
+            )
+        else:
+            body = self.rfile.read(int(length))
+            if len(body) < int(length):
+                self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} have come")
+                return
+            try:
+                self._json({"number": session.take(body)})
+            except BusyError as error:
+                self._refuse(HTTPStatus.TOO_MANY_REQUESTS, str(error))
+            except OrderError as error:
+                self._refuse(HTTPStatus.CONFLICT, str(error))
+            except OutputError as error:
+                self._refuse(HTTPStatus.INSUFFICIENT_STORAGE, str(error))
+            except OctexError as error:
+                self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+
+    def _admitted(self, *, has_body: bool = False) -> str | None:
         """Return what a request asks for, below the token; refuse what comes from elsewhere.
 
         A page that has lost its server asks for a proof without the token: it may be another server by now.
@@ -311,7 +374,9 @@ class _Handler(BaseHTTPRequestHandler):
             why = f"the origin is {origin!r}"
         elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             why = "another site asks"
-        elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+        elif "Transfer-Encoding" in self.headers or not (
+            has_body or self.headers.get("Content-Length", "0") == "0"
+        ):
             why, status = "it has a body", HTTPStatus.REQUEST_ENTITY_TOO_LARGE
         elif self.path.startswith(f"{_PROOF}?"):
             return _PROOF

@@ -135,12 +135,13 @@ def clip_to_columns(
     stretch = np.sqrt(slope_u * slope_u + slope_v * slope_v + 1.0)
     inverse /= scale * scale
 
-    rest, strip, column, cell, spare, dump = 0, 1, 2, 3, 4, 5
-    n_rest = 3
+    # Rows and counts are of one type, that of literals being one for each: `split` compiles once.
+    zero = int(np.int64(0))
+    rest, strip, column, cell, spare, dump = zero, zero + 1, zero + 2, zero + 3, zero + 4, zero + 5
+    n_rest, n_strip = zero + 3, zero
     polygons[rest, 0, 0], polygons[rest, 1, 0] = u0, v0
     polygons[rest, 0, 1], polygons[rest, 1, 1] = u0 + b_u, v0 + b_v
     polygons[rest, 0, 2], polygons[rest, 1, 2] = u0 + c_u, v0 + c_v
-    n_strip = 0
     strip_u = np.int64(-1)
     last_u = columns[n_columns - 1, COLUMN_U]
     strip_is_cut = True
@@ -177,7 +178,7 @@ def clip_to_columns(
                 )
                 fragment += 1
                 continue
-            n_column = 4
+            n_column = zero + 4
             polygons[column, 0, 0], polygons[column, 1, 0] = at_u, at_v
             polygons[column, 0, 1], polygons[column, 1, 1] = at_u + 1.0, at_v
             polygons[column, 0, 2], polygons[column, 1, 2] = at_u + 1.0, at_v + 1.0

@@ -96,7 +96,7 @@ def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) 
         bounds[block] = 0
         origin = _block_origin(blocks.codes[block])
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            axis = load_triangle(grid, triangles, blocks.members[row], corners, normal)
+            axis = load_triangle(grid, triangles, int(np.int64(blocks.members[row])), corners, normal)
             if axis < 0:
                 continue
             cells = np.int64(1)
@@ -143,7 +143,7 @@ def _bin(
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         n_pairs = 0
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            triangle = blocks.members[row]
+            triangle = int(np.int64(blocks.members[row]))
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue
@@ -229,7 +229,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
         first_fragment = n_fragments
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            triangle = blocks.members[row]
+            triangle = int(np.int64(blocks.members[row]))
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue

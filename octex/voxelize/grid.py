@@ -142,10 +142,13 @@ def _meets_plane(corners: Int64s, normal: Int64s, cell: int, u: int, v: int, w: 
 @inlined
 def _set_sides(corners: Int64s, normal: Int64s, cell: int, sides: Int64s) -> None:
     """Fill ``sides`` (6, 3) with the edges as seen along u, then along v."""
+    zero = int(np.int64(0))  # no literal, as in `columns_met`
     for i in range(3):
-        j = i + 1 if i < 2 else 0
-        sides[i, 0], sides[i, 1], sides[i, 2], _ = _edge(corners, i, j, 1, 2, normal[0], cell)
-        sides[i + 3, 0], sides[i + 3, 1], sides[i + 3, 2], _ = _edge(corners, i, j, 2, 0, normal[1], cell)
+        j = i + 1 if i < 2 else zero
+        sides[i, 0], sides[i, 1], sides[i, 2], _ = _edge(corners, i, j, zero + 1, zero + 2, normal[0], cell)
+        sides[i + 3, 0], sides[i + 3, 1], sides[i + 3, 2], _ = _edge(
+            corners, i, j, zero + 2, zero, normal[1], cell
+        )
 
 
 @inlined
@@ -195,9 +198,11 @@ def columns_met(
     above = max(rise_u, 0.0) + max(rise_v, 0.0)
     scale = 1.0 / cell
     base = corners[0, 2] - rise_u * (corners[0, 0] * scale) - rise_v * (corners[0, 1] * scale)
-    p0, q0, c0, span0 = _edge(corners, 0, 1, 0, 1, normal[2], cell)
-    p1, q1, c1, span1 = _edge(corners, 1, 2, 0, 1, normal[2], cell)
-    p2, q2, c2, span2 = _edge(corners, 2, 0, 0, 1, normal[2], cell)
+    zero = int(np.int64(0))  # no literal, for each of which `_edge` would compile again
+    one, two = zero + 1, zero + 2
+    p0, q0, c0, span0 = _edge(corners, zero, one, zero, one, normal[2], cell)
+    p1, q1, c1, span1 = _edge(corners, one, two, zero, one, normal[2], cell)
+    p2, q2, c2, span2 = _edge(corners, two, zero, zero, one, normal[2], cell)
     has_sides = False
     count = 0
     for iu in range(first_u, last_u + 1):

@@ -189,9 +189,8 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
     facing_starts = columns.first * n_rows + columns.place
     facing_areas = np.empty(n_rows, np.uint8)
     total = np.empty((1, components + 1), np.float64)
-    entry = 0
-    row = 0
-    cell = 0
+    zero = int(np.int64(0))  # no literal, for which `_store_mean` would compile again
+    entry = row = cell = zero
     for i in range(n_cells):
         seen = np.int64(level.flags[i])
         n_facings = popcount(np.uint64(seen))
@@ -205,7 +204,7 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
             for j in range(entry, entry + n_facings):
                 total[0, k] += sums[j, k]
         areas[i] = area_code(total[0, components])
-        _store_mean(total, 0, columns, starts, values, i)
+        _store_mean(total, zero, columns, starts, values, i)
         if seen & (seen >> 1) & POSITIVE_FACINGS:
             two_sided[cell] = i
             cell += 1

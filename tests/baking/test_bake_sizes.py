@@ -16,6 +16,7 @@ from octex.baking import atlas
 from octex.baking.coordinates import leaf_of
 from octex.baking.layout import unit_area
 from octex.baking.texels import draw_texels
+from octex.channels import encode
 from octex.cli import main as cli
 from octex.cli.common import bytes_text
 from octex.errors import ModelError
@@ -33,6 +34,12 @@ DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 def droid() -> tuple[octex.OctreeTexture, Surface]:
     surface = octex.load_surface(DROID)
     return octex.convert(surface, 8, channels=["base_color"]), surface
+
+
+@pytest.fixture(scope="module")
+def fine_droid(droid: tuple[octex.OctreeTexture, Surface]) -> octex.OctreeTexture:
+    """The droid at a depth of which less than a hundredth of the texels overlap."""
+    return octex.convert(droid[1], 9, channels=["base_color"])
 
 
 def sizes_of(baked: Surface) -> list[int]:
@@ -58,17 +65,40 @@ def test_all_charts_of_the_droid_have_room_in_small_maps(
 
 @pytest.mark.parametrize("size", [64, 128, 512, None])
 def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
-    droid: tuple[octex.OctreeTexture, Surface], size: int | None
+    droid: tuple[octex.OctreeTexture, Surface], fine_droid: octex.OctreeTexture, size: int | None
 ) -> None:
     _, surface = droid
-    texture = octex.convert(surface, 9, channels=["base_color"])  # at 8 a hundredth of its texels overlap
-    kept = octex.bake(texture, surface, texture_size=size)
+    kept = octex.bake(fine_droid, surface, texture_size=size)
     assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
     assert kept.uv is not None
     is_same = np.isclose(kept.uv.values[kept.uv.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
     has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
     assert (is_same == has_coordinates).mean() > 0.99
+
+
+@pytest.mark.parametrize(("uv", "most"), [("keep", 4.0), ("atlas", 2.5)])
+def test_maps_of_the_default_size_are_as_sharp_as_the_texture(
+    droid: tuple[octex.OctreeTexture, Surface], uv: Any, most: float
+) -> None:
+    texture, surface = droid
+    baked = octex.bake(texture, surface, uv=uv)
+    points = baked.scatter(20_000, seed=1)
+    missed = encode(baked.evaluate(points), "uint8", "srgb").astype(np.float64)
+    missed -= encode(texture.sample(points, "base_color"), "uint8", "srgb")
+    assert np.sqrt((missed**2).mean()) < most  # 9.3 and 5.8 where texels have the area of a leaf
+    assert sizes_of(baked)[0] <= 1024
+
+
+def test_maps_of_smooth_colours_are_no_finer_than_the_leaves() -> None:
+    surface = two_squares()
+    slow = octex.convert(surface.with_sources({"base_color": lambda points: 0.5 + 0.1 * np.sin(points)}), 7)
+    sharp = octex.convert(
+        surface.with_sources({"base_color": lambda points: np.repeat(points[:, :1] * 20 % 1 > 0.5, 3, 1)}), 7
+    )
+    leaves_a_side = 64  # the root cell is about 2 wide
+    assert sizes_of(octex.bake(slow, surface))[0] == leaves_a_side
+    assert sizes_of(octex.bake(sharp, surface))[0] == 4 * leaves_a_side
 
 
 def scattered_triangles(count: int) -> Surface:

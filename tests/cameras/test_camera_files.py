@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import struct
+from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from trimesh.transformations import quaternion_from_matrix
 
 from octex.cameras.camera import Camera
 from octex.cameras.files import find_frame, read_cameras, write_cameras
@@ -32,43 +35,21 @@ def to_opengl(matrix):
     return np.linalg.inv(matrix) @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
+def bent(model, lens, matrix=None):
+    """Return where a lens puts POINTS (n, 2), by default seen from ``view(1)``, to the right and down."""
+    matrix = view(1) if matrix is None else matrix
+    seen = POINTS @ matrix[:3, :3].T + matrix[:3, 3]
+    return np.array([through(model, lens, x / z, y / z) for x, y, z in seen])
+
+
 def expected(matrix, focal_x, focal_y, center, lens=(0.0, 0.0, 0.0, 0.0)):
-    """Return where POINTS land, written out."""
-    k1, k2, p1, p2 = lens
-    pixels = []
-    for point in POINTS:
-        x, y, z = matrix[:3, :3] @ point + matrix[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2 * r2
-        right = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        pixels.append([focal_x * right + center[0], focal_y * down + center[1]])
-    return np.array(pixels)
+    """Return where POINTS land."""
+    return bent("OPENCV", lens, matrix) * [focal_x, focal_y] + center
 
 
 def quaternion(rotation):
     """Return w, x, y, z of a rotation matrix."""
-    matrix = np.array(
-        [
-            [rotation[0, 0] - rotation[1, 1] - rotation[2, 2], 0, 0, 0],
-            [rotation[0, 1] + rotation[1, 0], rotation[1, 1] - rotation[0, 0] - rotation[2, 2], 0, 0],
-            [
-                rotation[0, 2] + rotation[2, 0],
-                rotation[1, 2] + rotation[2, 1],
-                rotation[2, 2] - rotation[0, 0] - rotation[1, 1],
-                0,
-            ],
-            [
-                rotation[2, 1] - rotation[1, 2],
-                rotation[0, 2] - rotation[2, 0],
-                rotation[1, 0] - rotation[0, 1],
-                np.trace(rotation),
-            ],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(matrix)[1][:, -1]
-    return np.array([w, x, y, z])
+    return quaternion_from_matrix(np.pad(rotation, (0, 1)) + np.diag([0.0, 0, 0, 1]))
 
 
 def write_json(path, document):
@@ -77,17 +58,8 @@ def write_json(path, document):
 
 
 def bent_by_brown(k1, k2, k3, p1, p2):
-    """Return where the lens of Brown's model puts POINTS, seen from ``view(1)``, to the right and down."""
-    found = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        x, y = x / z, y / z
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        right = x * radial + p2 * (r2 + 2 * x * x) + 2 * p1 * x * y
-        down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        found.append((right, down))
-    return found
+    """Return where the lens of Brown's model puts POINTS."""
+    return bent("FULL_OPENCV", (k1, k2, p1, p2, k3))
 
 
 def sees(camera, pixels):
@@ -173,57 +145,12 @@ def test_a_picture_of_another_shape_is_refused(tmp_path, size):
         frame.camera(size)
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model 'EQUIRECTANGULAR' is not known"),
-        ({"camera_model": 3}, "camera_model must be a text, not 3"),
-        ({"is_equirectangular": True}, "is_equirectangular is set"),
-        ({"k4": 0.1}, "k4 must be zero"),
-        ({"k1": "a"}, "k1 must be a finite number, not 'a'"),
-        ({"fl_y": 0}, "fl_y must be above zero, not 0"),
-        ({"fl_y": True}, "fl_y must be a finite number, not True"),
-        ({"cx": float("nan")}, "cx must be a finite number, not nan"),
-        ({"cx": 1e300}, "cx must be a finite number"),
-        ({"w": 1.5}, "w must be a whole number from 1 to 1000000"),
-        ({"w": None}, "w is missing; it must be a number"),
-        ({"fl_x": None}, "fl_x is missing, and so is camera_angle_x"),
-        ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x must be above zero and below 3.14159, not 4"),
-        ({"frames": []}, "has no cameras"),
-        ({"frames": {}}, "frames must be a list of objects"),
-        ({"frames": [1]}, "frames must be a list of objects, not of 1"),
-        ({"frames": [{}]}, "frame 0: file_path is missing"),
-        ({"frames": [{"file_path": "x"}]}, "frame 'x': transform_matrix is missing"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": [[1, 2], [3]]}]},
-            "must be a matrix of 4×4 or 3×4 numbers",
-        ),
-        ({"frames": [{"file_path": "x", "transform_matrix": [*np.eye(4).tolist()[:2], 0, 1]}]}, "4×4 or 3×4"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.zeros((4, 4)).tolist()}]},
-            "transform_matrix: a camera's pose must have the last row",
-        ),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]},
-            "transform_matrix: a camera's pose must not scale",
-        ),
-    ],
-)
-def test_transforms_that_cannot_be_used_are_refused_by_field(tmp_path, changes, complaint):
-    path = write_json(tmp_path / "transforms.json", transforms(**changes))
-    message = refusal(path)
-    assert message.startswith(f"{path}: ")
-    assert complaint in message
-
-
 def test_transforms_may_be_of_fisheye_lenses(tmp_path):
     numbers = {"k1": 0.1, "k2": -0.03, "k3": 0.01, "k4": -0.004, "p1": 0.0, "p2": 0.0}
     for number, fields in enumerate(({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True})):
         path = write_json(tmp_path / f"{number}.json", transforms(**fields, **numbers))
-        seen = POINTS @ view(1)[:3, :3].T + view(1)[:3, 3]
-        lens = [0.1, -0.03, 0.01, -0.004]
-        bent = np.array([through("OPENCV_FISHEYE", lens, x / z, y / z) for x, y, z in seen])
-        sees(read_cameras(path)[0].camera(), bent * [500, 510] + [310, 250])
+        pixels = bent("OPENCV_FISHEYE", [0.1, -0.03, 0.01, -0.004]) * [500, 510] + [310, 250]
+        sees(read_cameras(path)[0].camera(), pixels)
 
 
 # Arrays
@@ -265,36 +192,6 @@ def test_arrays_may_have_names_and_lenses(tmp_path):
     frame = read_cameras(path)[0]
     assert (frame.name, frame.size, frame.is_named) == ("a.png", (640, 480), True)
     sees(frame.camera(), expected(view(1), 500.0, 510.0, (310.0, 250.0), LENS))
-
-
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"viewmats": None}, "must have one of viewmats, w2c"),
-        ({"Ks": None}, "must have one of Ks, K, intrinsics; has viewmats"),
-        ({"viewmats": np.ones((2, 5, 4))}, "viewmats must have shape (n, 4, 4), not (2, 5, 4)"),
-        ({"viewmats": np.ones((2, 4, 4))}, "camera 0: viewmats: a camera's pose must have the last row"),
-        ({"viewmats": np.full((1, 4, 4), np.nan)}, "viewmats must be finite numbers"),
-        ({"Ks": np.zeros((3, 3))}, "camera 0: Ks: K's focal lengths must be above zero"),
-        ({"Ks": np.ones((3, 3, 3))}, "Ks has 3 rows for 2 cameras"),
-        ({"camtoworlds": np.ones((2, 4, 4))}, "must have one of"),
-        ({"viewmats": None, "poses": np.ones((2, 4, 4))}, "convention is missing; it must be a text"),
-        (
-            {"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"},
-            "poses: its upper left 3×3 must be a rotation",
-        ),
-        ({"width": 1.5, "height": 3}, "camera 0: width must be a whole number from 1 to 1000000, not 1.5"),
-        ({"distortion": [1.0]}, "distortion must be"),
-        ({"distortion_model": "x"}, "distortion_model must be one of opencv, fisheye, fov"),
-        ({"names": np.array([None])}, "cannot be read as an .npz file"),
-    ],
-)
-def test_arrays_that_cannot_be_used_are_refused_by_name(tmp_path, changes, complaint):
-    arrays = {"viewmats": np.stack([view(1), view(2)]), "Ks": np.eye(3)} | changes
-    path = write_arrays(
-        tmp_path / "a.npz", **{name: each for name, each in arrays.items() if each is not None}
-    )
-    assert complaint in refusal(path)
 
 
 # COLMAP
@@ -352,13 +249,7 @@ def colmap_pixels(model, values, matrix):
     if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"):
         values = values[0], *values
     focal_x, focal_y, x, y, *lens = values
-    return np.array(
-        [
-            np.array([focal_x, focal_y]) * through(model, lens, point[0] / point[2], point[1] / point[2])
-            + [x, y]
-            for point in POINTS @ matrix[:3, :3].T + matrix[:3, 3]
-        ]
-    )
+    return bent(model, lens, matrix) * [focal_x, focal_y] + [x, y]
 
 
 @pytest.mark.parametrize("write", [colmap_text, colmap_binary])
@@ -545,46 +436,6 @@ def one_camera(**node):
     return gltf(nodes=[{"camera": 0, "name": "eye"} | node], scenes=[{"nodes": [0]}], scene=0)
 
 
-@pytest.mark.parametrize(
-    ("document", "complaint"),
-    [
-        (one_camera(scale=[1, 1, -1]), "frame 'eye': a camera's pose must not mirror"),
-        (
-            one_camera(scale=[1, 0, 1]),
-            "frame 'eye': its node, with the nodes above it, must not scale to nothing",
-        ),
-        (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
-        (one_camera(matrix=[1, 2]), "nodes[0]: matrix must be 16 numbers, not [1, 2]"),
-        (one_camera(rotation=[0, 0, 0, 0]), "nodes[0]: rotation must not be zero"),
-        (one_camera(rotation=None), "nodes[0]: rotation must be 4 numbers, not None"),
-        (one_camera(translation=[0, 10**400, 0]), "nodes[0]: translation must be 3 numbers"),
-        (one_camera(children=1), "nodes[0]: children must be a list of indices"),
-        (one_camera(rotation="x"), "nodes[0]: rotation must be 4 numbers, not 'x'"),
-        (one_camera(camera=2), "refers to cameras[2], which it does not have"),
-        (one_camera(children=[0]), "nodes[0] is reached twice"),
-        (one_camera(children=[-1]), "refers to nodes[-1], which it does not have"),
-        (gltf(scene=7), "refers to scenes[7], which it does not have"),
-        (gltf(nodes={}), "nodes must be a list, not {}"),
-        (gltf(scenes=[{}], scene=0), "has no cameras"),
-        (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
-        (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
-        (
-            one_camera() | {"cameras": [{"type": "perspective", "perspective": {"yfov": 0}}]},
-            "'eye': perspective: yfov must be above zero",
-        ),
-        (
-            one_camera() | {"cameras": [{"type": "orthographic", "orthographic": {"xmag": -1, "ymag": 1}}]},
-            "'eye': orthographic: xmag must be above zero",
-        ),
-    ],
-)
-def test_gltf_cameras_that_cannot_be_used_are_refused(tmp_path, document, complaint):
-    path = write_json(tmp_path / "a.gltf", document)
-    message = refusal(path)
-    assert message.startswith(f"{path}: ")
-    assert complaint in message
-
-
 def test_a_broken_glb_is_refused(tmp_path):
     whole = glb(gltf())
     path = tmp_path / "a.glb"
@@ -634,27 +485,6 @@ def test_our_file_may_have_opengl_poses_and_no_distortion(tmp_path):
     record |= {"convention": "opengl", "pose": to_opengl(view(1)).tolist()}
     frame = read_cameras(write_json(tmp_path / "b.json", document))[0]
     sees(frame.camera(), expected(view(1), 501.3, 501.3, (320, 240)))
-
-
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"name": 3}, "camera 0: name must be a text, not 3"),
-        ({"width": 0}, "frame 'front': width must be a whole number"),
-        ({"projection": "fisheye"}, "projection must be one of pinhole, orthographic, not 'fisheye'"),
-        ({"convention": "blender"}, "convention must be one of opencv, opengl, not 'blender'"),
-        ({"projection": "orthographic"}, "distortion must be zeros for an orthographic camera"),
-        ({"distortion": [1]}, "distortion must be 2 or 4 or 5 or 8 numbers, not 1"),
-        ({"K": np.ones((3, 3)).tolist()}, "frame 'front': K: K must be upper triangular"),
-        ({"pose": np.eye(3).tolist()}, "frame 'front': pose must be a matrix of 4×4 numbers"),
-        ({"pose": np.zeros((4, 4)).tolist()}, "frame 'front': pose: a camera's pose"),
-    ],
-)
-def test_our_file_is_refused_by_field(tmp_path, changes, complaint):
-    write_cameras(tmp_path / "cameras.json", ours())
-    document = json.loads((tmp_path / "cameras.json").read_text(encoding="utf-8"))
-    document["cameras"][0] |= changes
-    assert complaint in refusal(write_json(tmp_path / "b.json", document))
 
 
 @pytest.mark.parametrize(
@@ -735,10 +565,8 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
         ("b", (640, 480), None),
     ]
     f, cx, cy, b1, b2, k1, k2, k3, p1, p2 = METASHAPE.values()
-    pixels = [
-        [320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f]
-        for right, down in bent_by_brown(k1, k2, k3, p2, p1)
-    ]
+    right, down = bent_by_brown(k1, k2, k3, p2, p1).T
+    pixels = np.stack([320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f], axis=1)
     for frame in frames:
         sees(frame.camera(), pixels)
 
@@ -747,41 +575,9 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
     path = tmp_path / "cameras.xml"
     numbers = {name: METASHAPE[name] for name in ("f", "k1", "k2", "k3", "p1", "p2")} | {"k4": -0.02}
     path.write_text(metashape(numbers, "fisheye"), encoding="utf-8")
-    pixels = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        angle, across = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
-        x, y = x / across * angle, y / across * angle
-        r2 = x * x + y * y
-        radial = 1 - 0.2 * r2 + 0.05 * r2**2 + 0.01 * r2**3 - 0.02 * r2**4
-        right = x * radial + 2e-3 * (r2 + 2 * x * x) - 2e-3 * x * y
-        down = y * radial - 1e-3 * (r2 + 2 * y * y) + 4e-3 * x * y
-        pixels.append([320 + 500 * right, 240 + 500 * down])
+    lens = -0.2, 0.05, -1e-3, 2e-3, 0.01, -0.02, 0.0, 0.0
+    pixels = bent("THIN_PRISM_FISHEYE", lens) * 500 + [320, 240]
     sees(read_cameras(path)[0].camera(), pixels)
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        ("<document>", "is not XML"),
-        ("<!DOCTYPE a><document/>", "has a document type"),
-        ("<plist/>", "is not a camera file; export the cameras from Metashape as Agisoft XML"),
-        ("<document><chunk/></document>", "has no cameras"),
-        (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
-        (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
-        (metashape({"f": 500.0, "k4": 0.1}), "k4 must be zero"),
-        (metashape({"f": float("nan")}), "f must be a finite number, not nan"),
-        (metashape(resolution=("", 480)), "width must be a number, not ''"),
-        (metashape(reference="GEOGCS[]"), "the chunk's coordinates are on the earth"),
-        (metashape(scale=(1, 2)), "the component's transform: scale must be 1 numbers, not 2"),
-        (metashape(rotation=np.ones((3, 3))), "frame 'a.jpg': transform: "),
-        (metashape().replace('sensor_id="3"', 'sensor_id="4"'), "sensor_id '4' names no sensor of the file"),
-    ],
-)
-def test_metashape_files_that_cannot_be_used_are_refused_by_field(tmp_path, content, complaint):
-    path = tmp_path / "cameras.xml"
-    path.write_text(content, encoding="utf-8")
-    assert complaint in refusal(path)
 
 
 # OpenMVS
@@ -823,23 +619,6 @@ def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
         assert frame.size == (size if any(size) else None)
         # Whole numbers are the middles of OpenMVS's pixels.
         sees(frame.camera((640, 480)), expected(view(1), 500.0, 510.0, (310.0, 250.0)))
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (b"MVSI" + struct.pack("<II", 8, 0), "is an OpenMVS scene of version 8; octex reads versions 1 to 7"),
-        (openmvs(3)[:60], "the file ends here"),
-        (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
-        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 is not in the file"),
-        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 is not in the file"),
-        (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
-    ],
-)
-def test_openmvs_scenes_that_cannot_be_used_are_refused(tmp_path, content, complaint):
-    path = tmp_path / "scene.mvs"
-    path.write_bytes(content)
-    assert complaint in refusal(path)
 
 
 # Meshroom
@@ -885,8 +664,7 @@ def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
     path.write_text(meshroom(version))
     (frame,) = read_cameras(path)
     assert (frame.name, frame.image, frame.size) == ("/far/a.jpg", tmp_path / "a.jpg", (640, 480))
-    bent = bent_by_brown(*MESHROOM_LENS)
-    sees(frame.camera(), [[310 + 500 * right, 250 + 510 * down] for right, down in bent])
+    sees(frame.camera(), bent_by_brown(*MESHROOM_LENS) * [500, 510] + [310, 250])
 
 
 @pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 7), (1, 0, 0)])
@@ -908,45 +686,9 @@ def test_meshroom_views_of_a_rig_may_have_poses_of_their_own(tmp_path):
 
 
 def test_meshroom_cameras_may_be_fisheyes(tmp_path):
-    path = tmp_path / "cameras.sfm"
-    path.write_text(meshroom(kind="fisheye", numbers=[-0.2, 0.05, 0.01, -0.02]))
-    pixels = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        angle, across = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
-        bent = angle * (1 - 0.2 * angle**2 + 0.05 * angle**4 + 0.01 * angle**6 - 0.02 * angle**8)
-        pixels.append([310 + 500 * bent * x / across, 250 + 510 * bent * y / across])
-    sees(read_cameras(path)[0].camera(), pixels)
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (meshroom(kind="fisheye1"), "view '/far/a.jpg': intrinsics: type 'fisheye1' is not known"),
-        (meshroom(type="equidistant"), "type 'equidistant, brown, none' is not known"),
-        (meshroom(undistortionType="3deradial4"), "type 'pinhole, brown, 3deradial4' is not known"),
-        (meshroom(focalLength="0"), "intrinsics: the focal length must be above zero, not 0"),
-        (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
-        (meshroom(width="a"), "width must be a number, not 'a'"),
-        (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
-        (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
-        (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
-        (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
-            "view '/far/a.jpg': belongs to a rig",
-        ),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
-            "view '/far/a.jpg': belongs to a rig",
-        ),
-        (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
-    ],
-)
-def test_meshroom_files_that_cannot_be_used_are_refused_by_field(tmp_path, content, complaint):
-    path = tmp_path / "cameras.sfm"
-    path.write_text(content)
-    assert complaint in refusal(path)
+    path, lens = tmp_path / "cameras.sfm", [-0.2, 0.05, 0.01, -0.02]
+    path.write_text(meshroom(kind="fisheye", numbers=lens))
+    sees(read_cameras(path)[0].camera(), bent("OPENCV_FISHEYE", lens) * [500, 510] + [310, 250])
 
 
 # Bundler
@@ -969,32 +711,9 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
     frames = read_cameras(path)
     assert [frame.name for frame in frames] == ["photos/a b.jpg", "c.jpg"]
     assert frames[0].image == tmp_path / "photos" / "a b.jpg"
-    pixels = []
-    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ view(1)
-    for point in POINTS:
-        seen = matrix[:3, :3] @ point + matrix[:3, 3]
-        x, y = -seen[:2] / seen[2]
-        r2 = x * x + y * y
-        radial = 500 * (1 - 0.2 * r2 + 0.05 * r2**2)
-        pixels.append([320 + radial * x, 240 - radial * y])
+    pixels = bent("RADIAL", (-0.2, 0.05)) * 500 + [320, 240]
     for frame in frames:
         sees(frame.camera((640, 480)), pixels)
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        ("# Bundle file v0.3", "the number of cameras must be a finite number, not None"),
-        (bundler(count=9), "the number of cameras, 9, is more than the file has room for"),
-        (bundler()[:-60], "the number of cameras, 3, is more than the file has room for"),
-        (bundler(-1.0), "camera 0: f must be above zero, not -1"),
-        (bundler("x"), "camera 0: f must be a number, not"),
-    ],
-)
-def test_bundler_files_that_cannot_be_used_are_refused(tmp_path, content, complaint):
-    path = tmp_path / "bundle.out"
-    path.write_text(content)
-    assert complaint in refusal(path)
 
 
 def test_a_list_of_more_pictures_than_bundler_has_cameras_is_refused(tmp_path):
@@ -1004,27 +723,6 @@ def test_a_list_of_more_pictures_than_bundler_has_cameras_is_refused(tmp_path):
 
 
 # Any file
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (b"", "is not JSON"),
-        (b"{", "is not JSON"),
-        (b"\xff\xfe", "is not UTF-8 text"),
-        (b"[]", "its JSON must be an object"),
-        (b"{}", "is not a camera file; give"),
-        (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
-        (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
-        (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),
-    ],
-)
-def test_a_file_of_another_kind_is_refused(tmp_path, content, complaint):
-    path = tmp_path / "cameras.json"
-    path.write_bytes(content)
-    message = refusal(path)
-    assert message.startswith(f"{path}: ")
-    assert complaint in message
 
 
 def test_an_absolute_path_of_a_picture_is_a_name_beside_the_file(tmp_path):
@@ -1048,33 +746,219 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "is not a valid file name" in refusal("a\0b")
 
 
+# What cannot be used
+
+
+def own_file(**changes):
+    """Return our own file with other fields of its first camera."""
+    with TemporaryDirectory() as folder:
+        write_cameras(Path(folder) / "a.json", ours())
+        document = json.loads((Path(folder) / "a.json").read_text(encoding="utf-8"))
+    document["cameras"][0] |= changes
+    return document
+
+
+def arrays(**changes):
+    """Return an .npz file of two cameras, with other arrays or without them."""
+    given = {"viewmats": np.stack([view(1), view(2)]), "Ks": np.eye(3)} | changes
+    file = BytesIO()
+    np.savez(file, **{name: each for name, each in given.items() if each is not None})
+    return file.getvalue()
+
+
+def as_bytes(content):
+    content = json.dumps(content) if isinstance(content, dict) else content
+    return content.encode() if isinstance(content, str) else content
+
+
+#: By the file's name: its content, and a part of what is said of it.
+REFUSED = {
+    "transforms.json": [
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model 'EQUIRECTANGULAR' is not known"),
+        ({"camera_model": 3}, "camera_model must be a text, not 3"),
+        ({"is_equirectangular": True}, "is_equirectangular is set"),
+        ({"k4": 0.1}, "k4 must be zero"),
+        ({"k1": "a"}, "k1 must be a finite number, not 'a'"),
+        ({"fl_y": 0}, "fl_y must be above zero, not 0"),
+        ({"fl_y": True}, "fl_y must be a finite number, not True"),
+        ({"cx": float("nan")}, "cx must be a finite number, not nan"),
+        ({"cx": 1e300}, "cx must be a finite number"),
+        ({"w": 1.5}, "w must be a whole number from 1 to 1000000"),
+        ({"w": None}, "w is missing; it must be a number"),
+        ({"fl_x": None}, "fl_x is missing, and so is camera_angle_x"),
+        ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x must be above zero and below 3.14159, not 4"),
+        ({"frames": []}, "has no cameras"),
+        ({"frames": {}}, "frames must be a list of objects"),
+        ({"frames": [1]}, "frames must be a list of objects, not of 1"),
+        ({"frames": [{}]}, "frame 0: file_path is missing"),
+        ({"frames": [{"file_path": "x"}]}, "frame 'x': transform_matrix is missing"),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": [[1, 2], [3]]}]},
+            "must be a matrix of 4×4 or 3×4 numbers",
+        ),
+        ({"frames": [{"file_path": "x", "transform_matrix": [*np.eye(4).tolist()[:2], 0, 1]}]}, "4×4 or 3×4"),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": np.zeros((4, 4)).tolist()}]},
+            "transform_matrix: a camera's pose must have the last row",
+        ),
+        (
+            {"frames": [{"file_path": "x", "transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]},
+            "transform_matrix: a camera's pose must not scale",
+        ),
+    ],
+    "a.npz": [
+        ({"viewmats": None}, "must have one of viewmats, w2c"),
+        ({"width": 640}, "camera 0: height is missing; it must be a number"),
+        ({"Ks": None}, "must have one of Ks, K, intrinsics; has viewmats"),
+        ({"viewmats": np.ones((2, 5, 4))}, "viewmats must have shape (n, 4, 4), not (2, 5, 4)"),
+        ({"viewmats": np.ones((2, 4, 4))}, "camera 0: viewmats: a camera's pose must have the last row"),
+        ({"viewmats": np.full((1, 4, 4), np.nan)}, "viewmats must be finite numbers"),
+        ({"Ks": np.zeros((3, 3))}, "camera 0: Ks: K's focal lengths must be above zero"),
+        ({"Ks": np.ones((3, 3, 3))}, "Ks has 3 rows for 2 cameras"),
+        ({"camtoworlds": np.ones((2, 4, 4))}, "must have one of"),
+        ({"viewmats": None, "poses": np.ones((2, 4, 4))}, "convention is missing; it must be a text"),
+        (
+            {"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"},
+            "poses: its upper left 3×3 must be a rotation",
+        ),
+        ({"width": 1.5, "height": 3}, "camera 0: width must be a whole number from 1 to 1000000, not 1.5"),
+        ({"distortion": [1.0]}, "distortion must be"),
+        ({"distortion_model": "x"}, "distortion_model must be one of opencv, fisheye, fov"),
+        ({"names": np.array([None])}, "cannot be read as an .npz file"),
+    ],
+    "a.gltf": [
+        (one_camera(scale=[1, 1, -1]), "frame 'eye': a camera's pose must not mirror"),
+        (
+            one_camera(scale=[1, 0, 1]),
+            "frame 'eye': its node, with the nodes above it, must not scale to nothing",
+        ),
+        (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
+        (one_camera(matrix=[1, 2]), "nodes[0]: matrix must be 16 numbers, not [1, 2]"),
+        (one_camera(rotation=[0, 0, 0, 0]), "nodes[0]: rotation must not be zero"),
+        (one_camera(rotation=None), "nodes[0]: rotation must be 4 numbers, not None"),
+        (one_camera(translation=[0, 10**400, 0]), "nodes[0]: translation must be 3 numbers"),
+        (one_camera(children=1), "nodes[0]: children must be a list of indices"),
+        (one_camera(rotation="x"), "nodes[0]: rotation must be 4 numbers, not 'x'"),
+        (one_camera(camera=2), "refers to cameras[2], which it does not have"),
+        (one_camera(children=[0]), "nodes[0] is reached twice"),
+        (one_camera(children=[-1]), "refers to nodes[-1], which it does not have"),
+        (gltf(scene=7), "refers to scenes[7], which it does not have"),
+        (gltf(nodes={}), "nodes must be a list, not {}"),
+        (gltf(scenes=[{}], scene=0), "has no cameras"),
+        (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
+        (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
+        (
+            one_camera() | {"cameras": [{"type": "perspective", "perspective": {"yfov": 0}}]},
+            "'eye': perspective: yfov must be above zero",
+        ),
+        (
+            one_camera() | {"cameras": [{"type": "orthographic", "orthographic": {"xmag": -1, "ymag": 1}}]},
+            "'eye': orthographic: xmag must be above zero",
+        ),
+    ],
+    "ours.json": [
+        ({"name": 3}, "camera 0: name must be a text, not 3"),
+        ({"width": 0}, "frame 'front': width must be a whole number"),
+        ({"projection": "fisheye"}, "projection must be one of pinhole, orthographic, not 'fisheye'"),
+        ({"convention": "blender"}, "convention must be one of opencv, opengl, not 'blender'"),
+        ({"projection": "orthographic"}, "distortion must be zeros for an orthographic camera"),
+        ({"distortion": [1]}, "distortion must be 2 or 4 or 5 or 8 numbers, not 1"),
+        ({"K": np.ones((3, 3)).tolist()}, "frame 'front': K: K must be upper triangular"),
+        ({"pose": np.eye(3).tolist()}, "frame 'front': pose must be a matrix of 4×4 numbers"),
+        ({"pose": np.zeros((4, 4)).tolist()}, "frame 'front': pose: a camera's pose"),
+    ],
+    "cameras.xml": [
+        ("<document>", "is not XML"),
+        ("<!DOCTYPE a><document/>", "has a document type"),
+        ("<plist/>", "is not a camera file; export the cameras from Metashape as Agisoft XML"),
+        ("<document><chunk/></document>", "has no cameras"),
+        (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
+        (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
+        (metashape({"f": 500.0, "k4": 0.1}), "k4 must be zero"),
+        (metashape({"f": float("nan")}), "f must be a finite number, not nan"),
+        (metashape(resolution=("", 480)), "width must be a number, not ''"),
+        (metashape(reference="GEOGCS[]"), "the chunk's coordinates are on the earth"),
+        (metashape(scale=(1, 2)), "the component's transform: scale must be 1 numbers, not 2"),
+        (metashape(rotation=np.ones((3, 3))), "frame 'a.jpg': transform: "),
+        (metashape().replace('sensor_id="3"', 'sensor_id="4"'), "sensor_id '4' names no sensor of the file"),
+    ],
+    "scene.mvs": [
+        (b"MVSI" + struct.pack("<II", 8, 0), "is an OpenMVS scene of version 8; octex reads versions 1 to 7"),
+        (openmvs(3)[:60], "the file ends here"),
+        (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
+        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 is not in the file"),
+        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 is not in the file"),
+        (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
+    ],
+    "cameras.sfm": [
+        (meshroom(kind="fisheye1"), "view '/far/a.jpg': intrinsics: type 'fisheye1' is not known"),
+        (meshroom(type="equidistant"), "type 'equidistant, brown, none' is not known"),
+        (meshroom(undistortionType="3deradial4"), "type 'pinhole, brown, 3deradial4' is not known"),
+        (meshroom(focalLength="0"), "intrinsics: the focal length must be above zero, not 0"),
+        (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
+        (meshroom(width="a"), "width must be a number, not 'a'"),
+        (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
+        (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
+        (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
+        (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
+        (
+            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
+            "view '/far/a.jpg': belongs to a rig",
+        ),
+        (
+            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
+            "view '/far/a.jpg': belongs to a rig",
+        ),
+        (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
+    ],
+    "bundle.out": [
+        ("# Bundle file v0.3", "the number of cameras must be a finite number, not None"),
+        (bundler(count=9), "the number of cameras, 9, is more than the file has room for"),
+        (bundler()[:-60], "the number of cameras, 3, is more than the file has room for"),
+        (bundler(-1.0), "camera 0: f must be above zero, not -1"),
+        (bundler("x"), "camera 0: f must be a number, not"),
+    ],
+    "cameras.json": [
+        (b"", "is not JSON"),
+        (b"{", "is not JSON"),
+        (b"\xff\xfe", "is not UTF-8 text"),
+        (b"[]", "its JSON must be an object"),
+        (b"{}", "is not a camera file; give"),
+        (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
+        (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
+        (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),
+    ],
+}
+#: What a table holds where that is no file's content.
+CONTENT = {"transforms.json": transforms, "a.npz": arrays, "ours.json": own_file}
+
+
 @pytest.mark.parametrize(
-    "kind", ["ours", "transforms", "gltf", "glb", "text", "binary", "xml", "mvs", "sfm", "out"]
+    ("name", "content", "complaint"), [(name, *row) for name, rows in REFUSED.items() for row in rows]
 )
+def test_what_cannot_be_used_is_refused_by_file_and_field(tmp_path, name, content, complaint):
+    path = tmp_path / name
+    path.write_bytes(as_bytes(CONTENT[name](**content) if name in CONTENT else content))
+    message = refusal(path)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+
+
+#: Files of every kind, by their names, and folders of COLMAP.
+KINDS = {
+    "a.json": own_file, "transforms.json": transforms, "a.gltf": gltf, "a.glb": lambda: glb(gltf()),
+    "a.xml": metashape, "a.mvs": lambda: openmvs(7), "a.sfm": meshroom, "a.out": bundler,
+    "text": colmap_text, "binary": colmap_binary,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
-    path = {
-        "ours": tmp_path / "a.json",
-        "transforms": tmp_path / "transforms.json",
-        "gltf": tmp_path / "a.gltf",
-        "glb": tmp_path / "a.glb",
-        "xml": tmp_path / "a.xml",
-        "mvs": tmp_path / "a.mvs",
-        "sfm": tmp_path / "a.sfm",
-        "out": tmp_path / "a.out",
-        "text": tmp_path,
-        "binary": tmp_path,
-    }[kind]
-    if kind == "ours":
-        write_cameras(path, ours())
-    elif kind in ("text", "binary"):
-        (colmap_text if kind == "text" else colmap_binary)(path)
-    elif kind in ("xml", "mvs", "sfm", "out"):
-        texts = {"xml": metashape, "sfm": meshroom, "out": bundler}
-        path.write_bytes(texts[kind]().encode() if kind in texts else openmvs(7))
+    path, make = tmp_path / kind, KINDS[kind]
+    if "." in kind:
+        path.write_bytes(as_bytes(make()))
     else:
-        path.write_bytes(
-            glb(gltf()) if kind == "glb" else json.dumps(transforms() if kind[0] == "t" else gltf()).encode()
-        )
+        make(path)
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     wholes = [file.read_bytes() for file in files]
     random = np.random.default_rng(0)

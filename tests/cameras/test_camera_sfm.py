@@ -9,28 +9,20 @@ import pytest
 
 from octex.cameras.files import read_cameras
 from octex.errors import CameraError
-from tests.cameras.test_camera_files import POINTS, bent_by_brown, quaternion, refusal, sees, view, write_json
+from tests.cameras.test_camera_files import bent, quaternion, refusal, sees, view, write_json
 
 BROWN = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 2e-3, "p2": -1e-3}
 ANGLES = {"k1": -0.02, "k2": 0.005, "k3": 1e-3, "k4": -2e-3}
 
 
-def bent(**numbers):
+def brown(**numbers):
     """Return where OpenCV's lens puts POINTS, seen from ``view(1)``, to the right and down."""
-    return np.array(bent_by_brown(*(numbers.get(each, 0.0) for each in ("k1", "k2", "k3", "p1", "p2"))))
+    return bent("FULL_OPENCV", [numbers.get(each, 0.0) for each in ("k1", "k2", "p1", "p2", "k3")])
 
 
-def bent_by_angles(**numbers):
+def fisheye(**numbers):
     """Return where OpenCV's fisheye lens does."""
-    found = []
-    for point in POINTS:
-        x, y, z = view(1)[:3, :3] @ point + view(1)[:3, 3]
-        angle = np.arctan2(np.hypot(x, y), z)
-        powers = [
-            numbers.get(each, 0.0) * angle ** (2 * n) for n, each in enumerate(("k1", "k2", "k3", "k4"), 1)
-        ]
-        found.append(np.array([x, y]) / np.hypot(x, y) * angle * (1 + sum(powers)))
-    return np.array(found)
+    return bent("OPENCV_FISHEYE", [numbers.get(each, 0.0) for each in ("k1", "k2", "k3", "k4")])
 
 
 # OpenSfM
@@ -50,13 +42,13 @@ def opensfm(**camera):
 @pytest.mark.parametrize(
     ("camera", "center", "places"),
     [
-        ({"focal": 0.8, "k1": -0.2, "k2": 0.05}, (0.0, 0.0), bent(k1=-0.2, k2=0.05)),
-        ({"projection_type": "perspective", "focal": 0.8}, (0.0, 0.0), bent()),
-        ({"projection_type": "simple_radial", "k1": -0.2}, (0.01, -0.02), bent(k1=-0.2)),
-        ({"projection_type": "radial", "k1": -0.2, "k2": 0.05}, (0.01, -0.02), bent(k1=-0.2, k2=0.05)),
-        ({"projection_type": "brown", **BROWN}, (0.01, -0.02), bent(**BROWN)),
-        ({"projection_type": "fisheye", "focal": 0.8, "k1": -0.02}, (0.0, 0.0), bent_by_angles(k1=-0.02)),
-        ({"projection_type": "fisheye_opencv", **ANGLES}, (0.01, -0.02), bent_by_angles(**ANGLES)),
+        ({"focal": 0.8, "k1": -0.2, "k2": 0.05}, (0.0, 0.0), brown(k1=-0.2, k2=0.05)),
+        ({"projection_type": "perspective", "focal": 0.8}, (0.0, 0.0), brown()),
+        ({"projection_type": "simple_radial", "k1": -0.2}, (0.01, -0.02), brown(k1=-0.2)),
+        ({"projection_type": "radial", "k1": -0.2, "k2": 0.05}, (0.01, -0.02), brown(k1=-0.2, k2=0.05)),
+        ({"projection_type": "brown", **BROWN}, (0.01, -0.02), brown(**BROWN)),
+        ({"projection_type": "fisheye", "focal": 0.8, "k1": -0.02}, (0.0, 0.0), fisheye(k1=-0.02)),
+        ({"projection_type": "fisheye_opencv", **ANGLES}, (0.01, -0.02), fisheye(**ANGLES)),
     ],
 )
 def test_opensfm_cameras_see_what_its_manual_says(tmp_path, camera, center, places):
@@ -131,11 +123,11 @@ def openmvg(kind="pinhole", nested=False, **numbers):
 @pytest.mark.parametrize(
     ("kind", "numbers", "places"),
     [
-        ("pinhole", {}, bent()),
-        ("pinhole_radial_k1", {"disto_k1": [-0.2]}, bent(k1=-0.2)),
-        ("pinhole_radial_k3", {"disto_k3": [-0.2, 0.05, 0.01]}, bent(k1=-0.2, k2=0.05, k3=0.01)),
-        ("pinhole_brown_t2", {"disto_t2": [-0.2, 0.05, 0.01, 2e-3, -1e-3]}, bent(**BROWN)),
-        ("fisheye", {"fisheye": [-0.02, 0.005, 1e-3, -2e-3]}, bent_by_angles(**ANGLES)),
+        ("pinhole", {}, brown()),
+        ("pinhole_radial_k1", {"disto_k1": [-0.2]}, brown(k1=-0.2)),
+        ("pinhole_radial_k3", {"disto_k3": [-0.2, 0.05, 0.01]}, brown(k1=-0.2, k2=0.05, k3=0.01)),
+        ("pinhole_brown_t2", {"disto_t2": [-0.2, 0.05, 0.01, 2e-3, -1e-3]}, brown(**BROWN)),
+        ("fisheye", {"fisheye": [-0.02, 0.005, 1e-3, -2e-3]}, fisheye(**ANGLES)),
     ],
 )
 def test_openmvg_cameras_see_what_its_source_says(tmp_path, kind, numbers, places, nested):

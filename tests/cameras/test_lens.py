@@ -83,6 +83,13 @@ def test_distortions_of_another_count_are_refused(model: str, lens: list[float])
         camera_of(model, lens)
 
 
+@pytest.mark.parametrize("angle", [np.pi, -4.0])
+def test_a_lens_whose_angle_is_a_half_circle_or_more_is_refused(angle: float) -> None:
+    camera_of("fov", [3.1])
+    with pytest.raises(ArgumentError, match="distortion of fov must be an angle of less than π, not "):
+        camera_of("fov", [angle])
+
+
 def test_models_that_are_none_are_refused() -> None:
     with pytest.raises(ArgumentError, match="unknown distortion_model 'equirectangular'; there are: opencv"):
         camera_of("equirectangular", [0.0] * 4)

@@ -39,87 +39,76 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "INPUT OUTPUT are missing; see octree-convert --help"),
-        ("a.glb", "OUTPUT is missing; see octree-convert --help"),
-        (
-            "a.glb b.octex c",
-            "c is one file too many for octree-convert INPUT OUTPUT; see octree-convert --help",
-        ),
-        ("a.glb b.octex --dept 3", "--dept is not an option: do you mean --depth; see octree-convert --help"),
-        ("a.glb b.octex --depth x", "--depth: 'x' is not a whole number; see octree-convert --help"),
-        ("a.glb b.octex --depth", "--depth needs a value, N; see octree-convert --help"),
-        (
-            "a.glb b.octex --depth 3 --depth 4",
-            "--depth is given twice; it takes one value; see octree-convert --help",
-        ),
-        ("a.glb b.octex --cell x", "--cell: 'x' is not a number; see octree-convert --help"),
-        (
-            "a.glb b.octex --cell 0",
-            "--cell: 0 is not a finite number above zero; see octree-convert --help",
-        ),
-        ("a.glb b.octex --threads 0", "--threads: 0 is not above zero; see octree-convert --help"),
-        (
-            "a.glb b.octex --threads x",
-            "--threads: 'x' is not a whole number; see octree-convert --help",
-        ),
-        (
-            "a.glb b.octex --depth 0 --cell 1",
-            "--depth and --cell both set the cell size; give one of them",
-        ),
-        (
-            "a.glb b.octex --points 9",
-            "--points is an option of octex diff, not of octree-convert; see octree-convert --help",
-        ),
-        (
-            "info a.octex b.octex",
-            "b.octex is one file too many for octex info TEXTURE; see octex info --help",
-        ),
-        ("validate a.octex --json=1", "--json takes no value; see octex validate --help"),
-        ("diff a.octex", "OTHER is missing; see octex diff --help"),
-        ("a.glb b.octex --separate", "--separate needs a value, CELLS; see octree-convert --help"),
+        ("", "INPUT OUTPUT are missing"),
+        ("a.glb", "OUTPUT is missing"),
+        ("a.glb b.octex c", "c is one file too many for octree-convert INPUT OUTPUT"),
+        ("a.glb b.octex --dept 3", "--dept is not an option: do you mean --depth"),
+        ("a.glb b.octex --depth x", "--depth: 'x' is not a whole number"),
+        ("a.glb b.octex --depth", "--depth needs a value, N"),
+        ("a.glb b.octex --depth 3 --depth 4", "--depth is given twice; it takes one value"),
+        ("a.glb b.octex --cell x", "--cell: 'x' is not a number"),
+        ("a.glb b.octex --cell 0", "--cell: 0 is not a finite number above zero"),
+        ("a.glb b.octex --threads 0", "--threads: 0 is not above zero"),
+        ("a.glb b.octex --threads x", "--threads: 'x' is not a whole number"),
+        ("a.glb b.octex --points 9", "--points is an option of octex diff, not of octree-convert"),
+        ("info a.octex b.octex", "b.octex is one file too many for octex info TEXTURE"),
+        ("validate a.octex --json=1", "--json takes no value"),
+        ("diff a.octex", "OTHER is missing"),
+        ("a.glb b.octex --separate", "--separate needs a value, CELLS"),
         (
             "a.glb b.octex --channels base_color,,",
-            "--channels: 'base_color,,' has an empty name; write base_color,normal; "
-            "see octree-convert --help",
+            "--channels: 'base_color,,' has an empty name; write base_color,normal",
         ),
-        (
-            "a.glb b.octex --channels a,b,a",
-            "--channels: a is named twice; see octree-convert --help",
-        ),
-        (
-            "a.glb b.octex --dtype int8",
-            "--dtype: 'int8' is not one of uint8, uint16, float16, float32; see octree-convert --help",
-        ),
+        ("a.glb b.octex --channels a,b,a", "--channels: a is named twice"),
+        ("a.glb b.octex --dtype int8", "--dtype: 'int8' is not one of uint8, uint16, float16, float32"),
         (
             "a.glb b.octex --dtype normal=uint16,alpha",
-            "--dtype: 'alpha' is not NAME=TYPE, such as normal=uint16; see octree-convert --help",
+            "--dtype: 'alpha' is not NAME=TYPE, such as normal=uint16",
         ),
-        (
-            "a.glb b.octex --dtype normal=uint16,normal=uint8",
-            "--dtype: normal is named twice; see octree-convert --help",
-        ),
+        ("a.glb b.octex --dtype normal=uint16,normal=uint8", "--dtype: normal is named twice"),
         (
             "a.glb b.octex --filter cubic",
-            "--filter: 'cubic' is not one of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa; "
-            "see octree-convert --help",
+            "--filter: 'cubic' is not one of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa",
         ),
         (
             "a.glb b.octex --source roughness",
-            "--source: 'roughness' is not CHANNEL=FILE, such as roughness=rough.png; "
-            "see octree-convert --help",
+            "--source: 'roughness' is not CHANNEL=FILE, such as roughness=rough.png",
         ),
+        ("a.glb b.octex --max-error two", "--max-error: 'two' is not a number"),
+        ("a.glb b.octex --max-error -1", "--max-error: -1 is not a finite number from 0 on"),
+        ("a.glb b.octex --max-error inf", "--max-error: inf is not a finite number from 0 on"),
+        ("info", "TEXTURE is missing"),
+        ("validate a b", "b is one file too many for octex validate TEXTURE"),
+        ("warm-up now", "now is one file too many for octex warm-up"),
+        ("edit a.octex b.octex --dpeth=3", "--dpeth is not an option: do you mean --depth"),
+        ("convert a.glb b.octex --qqq", "--qqq is not an option"),
+        ("convert a.octex b.glb --uv keep", "--uv is an option of octex bake, not of octex convert"),
         (
-            "a.glb b.octex --source alpha=1 --source alpha=0",
-            "--source gives alpha twice",
+            "diff a.octex b.octex --depth 3",
+            "--depth is an option of octex convert, octex view, octex edit, not of octex diff",
         ),
+        ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
+        ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
+    ],
+)
+def test_bad_usage_is_refused_with_where_to_read(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = arguments.partition(" ")[0]
+    program = f"octex {command}" if command in COMMANDS else "octree-convert"
+    assert refusal(capsys, *arguments.split()) == f"{message}; see {program} --help"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("a.glb b.octex --depth 0 --cell 1", "--depth and --cell both set the cell size; give one of them"),
+        ("a.glb b.octex --source alpha=1 --source alpha=0", "--source gives alpha twice"),
         (
             "a.glb b.octex --channels normal --source alpha=1",
             "--source gives alpha, but --channels leaves it out",
         ),
-        (
-            "diff a.glb b.obj",
-            "a.glb: is not a .octex file; octex convert makes one from a model",
-        ),
+        ("diff a.glb b.obj", "a.glb: is not a .octex file; octex convert makes one from a model"),
         *[
             (
                 f"diff a.octex b.octex --{word}",
@@ -149,6 +138,8 @@ def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     [
         ("roughness=0.5", ("roughness", 0.5)),
         ("base_color = 0.2,0.4, 0.6", ("base_color", (0.2, 0.4, 0.6))),
+        ("base_color=#ff8000", ("base_color", "#ff8000")),
+        ("base_color=#1.png", ("base_color", Path("#1.png"))),
         ("alpha=a b.png", ("alpha", Path("a b.png"))),
         ("alpha=folder=x/0.5.png", ("alpha", Path("folder=x/0.5.png"))),
     ],
@@ -271,7 +262,7 @@ def test_options_given_twice_may_stand_anywhere() -> None:
 def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
     options = parsed("--grid", "-1,0,0,1,1,1,0.1", "a.octex", "--project", "box:axis=-y", "--", "-b.octex")
     assert options.grid == (-1, 0, 0, 1, 1, 1, 0.1)
-    assert options.project.axis == "-y"
+    assert options.project == {"kind": "box", "axis": "-y"}
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
 
 

@@ -90,15 +90,6 @@ def test_a_texture_cannot_adapt_any_more(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--max-error two", "--max-error: 'two' is not a number; see octree-convert --help"),
-        (
-            "--max-error -1",
-            "--max-error: -1 is not a finite number from 0 on; see octree-convert --help",
-        ),
-        (
-            "--max-error inf",
-            "--max-error: inf is not a finite number from 0 on; see octree-convert --help",
-        ),
         ("--detail wear", "unknown detail 'wear'; there are: base_color, stretch"),
         (
             "--detail base_color",

@@ -61,7 +61,7 @@ def test_a_texture_and_its_model_are_compared_at_points(
     lines = result(capsys, "diff", texture, model, "--points", 5000).splitlines()
     assert lines[1] == f"B  {model}: a model of 12 triangles"
     cell = octex.open(texture).placement.size / 16
-    assert lines[2] == f"at 5,000 points, uniform by area, the model averaged over {cell:.4g}"
+    assert lines[2] == f"at 5,000 points, uniform by area, both averaged over {cell:.4g}"
     found = difference(octex.open(texture), octex.load_surface(model), points=5000)
     report = json.loads(result(capsys, "diff", texture, model, "--points", 5000, "--json"))
     assert report["b"] == str(model)

@@ -113,36 +113,11 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     assert refused(capsys, "help", "x").startswith(
         "octex: error: there is no page on 'x'; there are tutorial, "
     )
+    assert refused(capsys, "help", "printing") == (
+        "octex: error: there is no page on 'printing'; do you mean 'print'? octex help lists all"
+    )
     message = "octex edit: error: a.glb: is not a .octex file; octex convert makes one from a model"
     assert refused(capsys, "edit", "a.glb", "b.octex") == message
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("info", "TEXTURE is missing"),
-        ("diff a.octex", "OTHER is missing"),
-        ("validate a b", "b is one file too many for octex validate TEXTURE"),
-        ("warm-up now", "now is one file too many for octex warm-up"),
-        ("edit a.octex b.octex --dpeth=3", "--dpeth is not an option: do you mean --depth"),
-        ("convert a.glb b.octex --qqq", "--qqq is not an option"),
-        (
-            "convert a.octex b.glb --uv keep",
-            "--uv is an option of octex bake, not of octex convert",
-        ),
-        (
-            "diff a.octex b.octex --depth 3",
-            "--depth is an option of octex convert, octex view, octex edit, not of octex diff",
-        ),
-        ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
-        ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
-    ],
-)
-def test_words_that_do_not_fit_are_named(
-    words: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = f"octex {words.split()[0]}"
-    assert refused(capsys, *words.split()) == f"{command}: error: {message}; see {command} --help"
 
 
 def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:
@@ -203,3 +178,10 @@ def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(
         assert home == "octex.cli.start"
         done = python(INTERRUPTED, module, function, "--version")
         assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
+
+
+def test_a_page_is_not_viewed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "droid.html"
+    assert refused(capsys, "view", str(page)).endswith("error: TEXTURE is missing; see octex view --help")
+    page.write_text("<html>")
+    assert refused(capsys, "view", str(page)).endswith("droid.html: is a page already; open it in a browser")

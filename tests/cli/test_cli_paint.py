@@ -935,10 +935,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
             "t.octex m.glb o.octex --camera c --max-depth 22",
             "--max-depth must be a whole number from 0 to 21, not 22",
         ),
-        (
-            "t.octex m.glb o.ply --camera c",
-            "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here",
-        ),
+        ("t.octex m.glb o.ply --camera c", "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here"),
     ],
 )
 def test_bad_usage_is_refused_by_name(
@@ -1027,27 +1024,18 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     droid, texture = ROOT / "samples" / "droid.glb", tmp_path / "droid.octex"
     octex.convert(droid, 7, channels=["base_color"]).save(texture)
 
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        command, *words = painting(*arguments)
-        program = ["tools/paint_projection.py"] if command == "paint" else ["-m", "octex.cli.main", command]
-        return subprocess.run(
-            [sys.executable, *program, *words],
-            capture_output=True,
-            text=True,
-            timeout=600,
-            cwd=ROOT,
-            check=True,
-        )
-
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    run(texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256")
+    assert main([texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256"]) == ExitCode.DONE
     picture = np.array(Image.open(view))
     row, column = 118, 128  # on the head
     picture[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
     Image.fromarray(picture).save(view)
-    done = run(texture, droid, view, "--camera", file, OUT, out)
-    assert done.stdout.startswith(f"{out}: 1 picture painted, ")
-    run(out, droid, VIEW, tmp_path / "after.png", "--camera", f"{file}#view.png")
+    _, *words = painting(texture, droid, view, "--camera", file, OUT, out)
+    call = [sys.executable, "tools/paint_projection.py", *words]
+    said = subprocess.run(call, stdout=subprocess.PIPE, text=True, timeout=600, cwd=ROOT, check=True).stdout
+    assert said.startswith(f"{out}: 1 picture painted, ")
+    after = [out, droid, VIEW, tmp_path / "after.png", "--camera", f"{file}#view.png"]
+    assert main(after) == ExitCode.DONE
     after = np.array(Image.open(tmp_path / "after.png"))
     assert np.array_equal(after[:, :, 3], picture[:, :, 3])
     seen = picture[:, :, 3] > 0

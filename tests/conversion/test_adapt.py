@@ -23,10 +23,9 @@ from octex.channels import (
     encode,
     linear_to_srgb,
 )
-from octex.conversion.adapt import adapted, as_max_error
+from octex.conversion.adapt import Fit, adapted, as_max_error
 from octex.conversion.prune import Finest, limits_of, prune
 from octex.conversion.samples import Samples
-from octex.conversion.sides import Fit
 from octex.errors import ArgumentError
 from octex.parallel import silent
 from octex.texture import Channel, OctreeTexture

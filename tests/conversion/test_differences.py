@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from octex.arrays import bit_counts
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
-from octex.conversion.differences import Decoded, far_cells
+from octex.conversion.differences import Reference, coefficients, far_all_over
+from octex.conversion.measure import ErrorColumns, far_values
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_box
@@ -40,7 +41,6 @@ class Scene(NamedTuple):
     finest: Finest
     pruned: Pruned
     depths: npt.NDArray[np.uint8]
-    decoded: Decoded
     full: OctreeTexture
     found: OctreeTexture
     samples: Samples
@@ -87,7 +87,7 @@ def scene(seed: int, smooth: float) -> Scene:
     )  # fmt: skip
     box = [[0, 0, 0], [1, 1, 1]]
     return Scene(
-        finest, pruned, depths, Decoded.of(channels, forms),
+        finest, pruned, depths,
         OctreeTexture(full, channels, UNIT, box),
         OctreeTexture(pruned.tree, pruned.carried(channels), UNIT, box),
         samples,
@@ -179,47 +179,41 @@ def scores(scene: Scene) -> Floats:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
 def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float):
     made = scene(seed, smooth)
-    fields = (
-        made.decoded.pruned(made.pruned),
-        made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH))),
-    )
+    found, reference = coefficients(made.found, made.samples.channels), Reference.of(made.full, made.samples)
     expected = scores(made)
     chosen = np.arange(0, expected.size, 2)
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(expected, part))
         clear = np.abs(expected[chosen] - most) > 0.02
-        far = far_cells(*fields, made.samples, most, chosen, is_all_over=True)
+        far = far_all_over(found, reference, most, chosen)
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
-def test_cells_are_far_where_samples_say_so(seed: int, smooth: float):
+def test_values_are_far_where_their_codes_are(seed: int, smooth: float):
     made = scene(seed, smooth)
-    samples = made.samples
-    full = made.decoded.pruned(prune(made.finest, np.full_like(made.depths, DEPTH)))
-    places = [(each + 0.5)[None] / PLACE_STEPS for each in samples.places]
-    cells, owned = np.arange(samples.codes.size), owners(samples)
-    points = (decode_cells(samples.codes)[owned] + np.concatenate(places)) / (1 << DEPTH)
+    samples, names = made.samples, [form.name for form in made.samples.channels]
+    owned = owners(samples)
+    points = (decode_cells(samples.codes)[owned] + (samples.places + 0.5) / PLACE_STEPS) / (1 << DEPTH)
     # The node above each finest cell, as one colour everywhere.
-    above = np.repeat(
-        np.arange(made.finest.firsts[2].size), np.diff(made.finest.firsts[2], append=cells.size)
-    )
+    cells, firsts = np.arange(samples.codes.size), made.finest.firsts[2]
+    above = np.repeat(np.arange(firsts.size), np.diff(firsts, append=cells.size))
     node = above + made.finest.tree.arrays.level_cells[2]
-    own = codes_of({name: each.values[node[owned]] for name, each in made.full.channels.items()})
+    own = {name: made.full.channels[name].values[node[owned]] for name in names}
     wanted, coverage = codes(made.full, points, None)
     coverage = np.repeat(coverage, wanted.shape[1], axis=1)
     if "alpha" in made.full.channels:
         coverage[:, -1] = 1.0
-    at_samples = np.abs(apart(made, points, None)), np.abs(coverage * (own - wanted))
-    fields = made.decoded.pruned(made.pruned), made.decoded.truncated(made.finest.tree, 2)
-    for field, each, of in zip(fields, at_samples, (None, node), strict=True):
-        expected = np.zeros(cells.size)
-        np.maximum.at(expected, owned, each.max(axis=1))
+    full, found = (texture.sample(points, names, normalize=False) for texture in (made.full, made.found))
+    at_samples = np.abs(apart(made, points, None)), np.abs(coverage * (codes_of(own) - wanted))
+    for values, each in zip((found, own), at_samples, strict=True):
+        expected = each.max(axis=1)
         for part in (0.2, 0.6, 0.95):
             most = float(np.quantile(expected, part))
             clear = np.abs(expected - most) > 0.02
-            far = far_cells(field, full, samples, most, cells, owners=of)
+            pair = [np.hstack([each[name] for name in names]) for each in (values, full)]
+            far = far_values(*pair, ErrorColumns.of(samples.channels), most)
             np.testing.assert_array_equal(far[clear], expected[clear] > most)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode
+from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode, linear_to_srgb
 from octex.drawing import compare
 from octex.drawing.compare import Difference, difference
 from octex.errors import ArgumentError
@@ -25,6 +26,9 @@ from octex.tree.placement import Placement
 ROUGHNESS = ChannelFormat("roughness", 1, "data")
 NORMAL = ChannelFormat("normal", 3, "direction", "float32")
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
+
+
+DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 
 
 def sheet(
@@ -191,7 +195,8 @@ def test_only_the_channels_asked_for_are_compared() -> None:
 def test_a_channel_that_means_something_else_is_refused() -> None:
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
     with pytest.raises(
-        ArgumentError, match="'own' holds 3 sRGB codes in one texture and 1 fractions in the other"
+        ArgumentError,
+        match=r"'own' has 3 components \(sRGB codes\) on one side and 1 components \(0 to 1\) on the other",
     ):
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 
@@ -307,6 +312,18 @@ def test_a_model_is_averaged_over_the_finest_cells_unless_told_otherwise() -> No
     assert found != difference(texture, surface, points=500, seed=1)
 
 
+def test_both_are_averaged_over_a_wider_footprint() -> None:
+    surface = octex.load_surface(DROID, channels=["base_color"])
+    texture = octex.convert(surface, 7)
+    width = 8 * texture.placement.size / 128
+    found = difference(texture, surface, points=10_000, width=width)["base_color"].rms
+    points = surface.scatter(10_000, seed=0)
+    widths = np.full(10_000, width, np.float32)
+    colors = surface.evaluate_all(points.triangles, points.barycentric, widths)
+    apart = linear_to_srgb(texture.sample(points.rest)) - linear_to_srgb(colors)
+    assert found < 0.9 * 255 * np.sqrt((apart**2).mean())
+
+
 def test_parts_of_a_model_that_the_texture_lacks_are_counted() -> None:
     surface = quarters()
     texture = octex.convert(surface, 5)
@@ -374,7 +391,7 @@ def test_every_difference_says_what_it_is_measured_in() -> None:
     assert isinstance(found["roughness"], Difference)
     assert {name: (each.measure, each.psnr) for name, each in found.items()} == {
         "base_color": ("sRGB codes", pytest.approx(0.0, abs=1e-6)),
-        "roughness": ("fractions", 0.0),
+        "roughness": ("0 to 1", 0.0),
     }
 
 

@@ -102,7 +102,7 @@ def test_a_ring_marks_the_maximum_if_it_is_in_sight(
     monkeypatch.setattr(differences.ImageDraw, "Draw", Draw)
     other = spotted(texture)
     (_, _, apart), found = drawn(surface if kind == "model" else texture, other, channels=["base_color"])
-    assert said[2].endswith("sRGB codes, in the ring")
+    assert said[2].endswith("/255, in the ring")
     x, y = np.mean(np.reshape(rings[0], (2, 2)), axis=0)
     bright = np.argwhere(is_bright(apart))
     assert bright.min(axis=0)[0] - 2 <= y <= bright.max(axis=0)[0] + 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 from unittest import mock
 
@@ -35,7 +36,7 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.
     part = cut_out(texture, tiles)
     part.tree.validate()
     assert_same(put_back(texture, tiles, part), texture)
-    below = part.tree.n_cells - int(part.tree.arrays.level_cells[level + 1])
+    below = part.tree.n_cells - int(part.tree.arrays.level_cells[min(level, part.tree.max_depth) + 1])
     whole = sum(
         int((np.isin(texture.tree.level_codes(deeper) >> 3 * (deeper - level), tiles.codes)).sum())
         for deeper in range(level + 1, texture.tree.max_depth + 1)
@@ -131,11 +132,9 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
             break
 
 
-@pytest.mark.parametrize(
-    ("seed", "blend"),
-    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
-)
-def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+@cache
+def layered(seed: int) -> tuple[OctreeTexture, OctreeTexture, octex.Surface, float]:
+    """A texture, a layer of three pictures for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
         shot = octex.Projection(
@@ -150,7 +149,16 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
         for _ in range(3)
     ]
     layer = octex.project(surface, shots, like=texture, max_depth=int(random.integers(depth, 9)))
-    how: dict[str, Any] = {"opacity": float(random.choice([1.0, 0.5])), "blend": blend}
+    return texture, layer, surface, float(random.choice([1.0, 0.5]))
+
+
+@pytest.mark.parametrize(
+    ("seed", "blend"),
+    [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
+)
+def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+    texture, layer, surface, opacity = layered(seed)
+    how: dict[str, Any] = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
     with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
         assert tilewise.pieces_of(texture, layer) is not None
@@ -202,4 +210,7 @@ def test_a_small_stroke_needs_a_small_draft() -> None:
     assert tiles is not None
     assert tiles.level == 5
     assert np.isin(distinct(codes[8] >> 9), tiles.codes).all()
-    assert cut_out(texture, tiles).tree.n_cells < 0.1 * texture.tree.n_cells
+    part = cut_out(texture, tiles).tree
+    assert part.n_cells < 0.1 * texture.tree.n_cells
+    # Above the tiles too, no more cells are there than near them.
+    assert (np.diff(part.level_cells)[:6] <= 6 * 6 * 6).all()

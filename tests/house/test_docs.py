@@ -45,7 +45,7 @@ def runs(page: str) -> bool:
 
 def disc(path: Path) -> None:
     """Draw on a picture that octex made, or make one."""
-    image = PIL.Image.open(path).convert("RGBA") if path.exists() else PIL.Image.new("RGBA", (512, 512))
+    image = PIL.Image.open(path).convert("RGBA") if path.exists() else PIL.Image.new("RGBA", (128, 128))
     middle = image.width // 2
     PIL.ImageDraw.Draw(image).circle((middle, middle), image.width // 6, (230, 60, 30, 255))
     image.save(path)
@@ -95,9 +95,21 @@ def whole(camera: octex.Camera) -> np.ndarray:
     return np.vstack([np.asarray(camera.world_to_camera)[:3], [0, 0, 0, 1]])
 
 
+#: What options and arguments that take long are changed to.
+SMALL = {
+    "--depth |depth=": "5",
+    "--size ": "128,96",
+    "--texture-size |texture_size=": "256",
+    "texels=": "20_000",
+    r"\bsize=(?=\(\d+, \d+\))": "(128, 128)",
+}
+
+
 def coarse(code: str) -> str:
-    """Return code with conversions that take a moment."""
-    return re.sub(r"((?:--depth |depth=))\d+", r"\g<1>5", code)
+    """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
+    for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
+        code = re.sub(rf"({words})(?:\(\d+, \d+\)|[\d_]+(?:,\d+)?)", rf"\g<1>{small}", code)
+    return code
 
 
 def run_command(line: str) -> None:
@@ -111,7 +123,7 @@ def run_command(line: str) -> None:
     if words[0] == "view" and not words[-1].endswith("MB"):
         silent = ["--no-browser", "--quiet"]
     if words[0] == "draw" and "--size" not in words:
-        words += ["--size", "256,256"]
+        words += ["--size", "128,128"]
     assert main([*words, *(word for word in silent if word not in words)]) == ExitCode.DONE, line
     if "paint" in words[1:]:
         disc(Path(words[3]))

@@ -6,7 +6,7 @@ import base64
 import json
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +203,29 @@ class Gltf:
             header["buffers"] = [{"byteLength": len(self.binary), "uri": uri}]
         path.write_text(json.dumps(header))
         return path
+
+
+#: Takes away what is at a place.
+MISSING = object()
+
+
+def rows(*numbers: Any, dtype: str = "float32") -> Callable[[Gltf], int]:
+    """Return what adds an accessor of these numbers."""
+    return lambda gltf: gltf.accessor(np.array(numbers, dtype))
+
+
+def put(document: Any, changes: Mapping[str, Any], gltf: Gltf | None = None) -> None:
+    """Put values at dotted places of a document; functions get what makes the file, and return the value."""
+    for place, value in changes.items():
+        *holders, key = place.split(".")
+        holder = document
+        for each in holders:
+            holder = holder[int(each)] if isinstance(holder, list) else holder.setdefault(each, {})
+        at = int(key) if isinstance(holder, list) else key
+        if value is MISSING:
+            del holder[at]
+        else:
+            holder[at] = value(gltf) if callable(value) else value
 
 
 def textured_square(

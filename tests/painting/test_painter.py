@@ -13,6 +13,7 @@ import pytest
 import octex
 from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError
+from octex.painting.merge import merged
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.sight import sight_of
 from tests.editing.test_draft import case
@@ -91,8 +92,59 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
     assert_same(sent.applied(texture), painter.texture())
     assert_same(sent.inverted().applied(painter.texture()), texture)
     (deeper,) = painter.paint(brush(surface, 100), max_depth=9)
-    with pytest.raises(ArgumentError, match="belongs to another texture"):
-        deeper.inverted().applied(texture)
+    for other in (texture, texture.level(2)):
+        with pytest.raises(ArgumentError, match="belongs to another texture"):
+            deeper.inverted().applied(other)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_session_writes_to_no_texture_that_somebody_has(seed: int) -> None:
+    random, surface, texture, depth = case(seed)
+    watched, alone = octex.Painter(texture, surface), octex.Painter(texture, surface)
+    seen = []  # textures that `watched` has returned, and copies of them as they were
+    for _ in range(8):
+        move = random.choice(["paint", "undo", "redo"], p=[0.6, 0.25, 0.15])
+        given, max_depth = shots(surface, random), int(random.integers(depth - 1, depth + 1))
+        for painter in (watched, alone):
+            if move != "paint":
+                getattr(painter, move)()
+            elif len(painter.strokes) < 4:
+                painter.paint(given, max_depth=max_depth)
+        seen.append((watched.texture(), pickle.loads(pickle.dumps(watched.texture()))))
+        if random.random() < 0.2:
+            seen.append((alone.texture(), pickle.loads(pickle.dumps(alone.texture()))))
+    assert_same(alone.texture(), watched.texture())
+    for found, copy in seen:
+        assert_same(found, copy)
+    while alone.undo():
+        pass
+    assert_same(alone.texture(), texture)
+
+
+def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was() -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, 7)
+    painter = octex.Painter(texture, surface)
+    painter.paint(brush(surface, 10), max_depth=7)
+    before = pickle.loads(pickle.dumps(painter._texture))
+    count = 0
+
+    def second_fails(*given: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise KeyboardInterrupt
+        return merged(*given)
+
+    layers = [brush(surface, 200), replace(brush(surface, 90), blend="multiply")]
+    with (
+        mock.patch("octex.painting.paint.merged", second_fails),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        painter.paint(layers, max_depth=7)
+    assert count == 2
+    assert_same(painter.texture(), before)
+    assert len(painter.strokes) == 1
 
 
 def test_a_camera_that_stays_looks_once() -> None:

@@ -65,6 +65,7 @@ def scene() -> tuple[octex.Surface, list[octex.Projection], dict[str, Any]]:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     surface, shown, options = scene()
     expected = digest(octex.paint(None, surface, shown, **options))
@@ -92,6 +93,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
     surface, shown, options = scene()
     octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)
@@ -133,6 +135,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 def test_damaged_files_are_made_anew(tmp_path: Path) -> None:
     surface, shown, options = scene()
     expected = digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))

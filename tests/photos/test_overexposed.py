@@ -42,11 +42,12 @@ def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
 
 
 @needs_jit
+@pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("pictures", ["average", "best", "robust"])
 def test_what_is_cut_off_is_painted_by_others_that_show_it(
     pictures: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    surface, cameras, images = ring(12, 160)
+    surface, cameras, images = ring(12, 96)
     given = projections(exposed(images, GAINS), cameras)
     options: dict[str, Any] = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
     as_they_are = error(octex.paint(None, surface, projections(images, cameras), **options), surface)

@@ -257,20 +257,6 @@ def test_low_bits_is_a_mask(count: int) -> None:
 
 
 @needs_jit
-def test_a_kernel_compiles_without_a_cache_where_there_is_no_folder_for_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from numba.core import caching
-
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-
-    def double(number: int) -> int:
-        return 2 * number
-
-    assert jit.kernel(double)(4) == 8
-
-
-@needs_jit
 def test_code_whose_types_are_gone_is_compiled_anew(tmp_path: Path) -> None:
     call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
     options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}

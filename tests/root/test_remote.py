@@ -36,6 +36,7 @@ class Server(ThreadingHTTPServer):
     has_ranges = True
     is_broken = False
     sent = 0
+    largest = 0
     requests = 0
 
     @property
@@ -76,6 +77,7 @@ class Handler(BaseHTTPRequestHandler):
         if not is_head:
             self.wfile.write(body)
             server.sent += len(body)
+            server.largest = max(server.largest, len(body))
 
 
 @pytest.fixture
@@ -241,6 +243,22 @@ def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Pa
     assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
+def test_a_whole_file_comes_in_pieces(server: Server, large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("octex.remote._MOST", 32 * BLOCK)
+    server.content = large.read_bytes()
+    np.testing.assert_array_equal(octex.open(server.address).rows(), octex.open(large).rows())
+    assert server.largest <= 32 * BLOCK
+
+
+def test_a_cache_without_its_bytes_is_fetched_again(server: Server, large: Path, tmp_path: Path) -> None:
+    server.content = large.read_bytes()
+    octex.open(server.address, cache=tmp_path).rows()
+    (part,) = tmp_path.glob("*.part")
+    part.unlink()
+    again = octex.open(server.address, cache=tmp_path)
+    np.testing.assert_array_equal(again.rows(), octex.open(large).rows())
+
+
 def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path) -> None:
     server.content = large.read_bytes()
     here, there = octex.open(large), octex.open(server.address)
@@ -303,6 +321,21 @@ def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(
         local.sample(points, [0, 1, 0, 1, 1])
 
 
+def test_a_full_disk_under_a_cache_names_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def seek(self, _begin: int) -> None:
+            raise OSError(28, "No space left on device")
+
+    shell(5).save(tmp_path / "a.octex")
+    fsspec.filesystem("memory").pipe("/octex/full.octex", (tmp_path / "a.octex").read_bytes())
+    there = octex.open("memory://octex/full.octex", cache=tmp_path / "cache")
+    monkeypatch.setattr(there.source.file, "_file", Full())
+    with pytest.raises(
+        OutputError, match=rf"^{re.escape(str(tmp_path / 'cache'))}: the cache for memory://octex"
+    ):
+        there.rows()
+
+
 def test_a_full_disk_under_an_archive_names_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,7 +344,7 @@ def test_a_full_disk_under_an_archive_names_the_folder(
 
     shell(5).save(tmp_path / "a.octz")
     fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
-    monkeypatch.setattr("octex.archive.head.zeros", partial(arrays.zeros, most_in_memory=0))
+    monkeypatch.setattr("octex.archive.read.zeros", partial(arrays.zeros, most_in_memory=0))
     monkeypatch.setattr(arrays, "zeros_in", full)
     for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
         with pytest.raises(OutputError, match=r"has no room for .* bytes: No space left on device"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,227 +13,160 @@ import pytest
 
 from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
-from tests.make.fixtures import (
-    SQUARE,
-    SQUARE_UV,
-    Gltf,
-    png,
-    random_image,
-)
+from tests.make.fixtures import MISSING, SQUARE, SQUARE_UV, Gltf, png, put, random_image, rows
+
+PRIMITIVE = "meshes.0.primitives.0"
+ATTRIBUTES = f"{PRIMITIVE}.attributes"
 
 
-def broken(change: str, tmp_path: Path) -> Path:
-    """A model with one thing wrong."""
+def textured() -> Gltf:
+    """A square with an image; its first accessor and its second view are of the positions."""
     gltf = Gltf()
-    texture = gltf.texture(gltf.image(png(random_image(4, 4))))
-    material = gltf.material(texture)
-    entry = gltf.primitive(uv=SQUARE_UV, material=material)
-    node = gltf.show(entry)
-    attributes = entry["attributes"]
-    accessors, views = gltf.json["accessors"], gltf.json["bufferViews"]
-    position = accessors[attributes["POSITION"]]
-    path = tmp_path / "bad.glb"
-    if change == "vertex out of range":
-        entry["indices"] = gltf.accessor(np.array([0, 1, 9], np.uint8))
-    elif change == "negative index":
-        entry["indices"] = gltf.accessor(np.array([0, 1, -1], np.int8))
-    elif change == "fractional index":
-        entry["indices"] = gltf.accessor(np.array([0, 1, 2], np.float32))
-    elif change == "restart":
-        attributes["POSITION"] = gltf.accessor(np.repeat(SQUARE, 64, axis=0))
-        entry["indices"] = gltf.accessor(np.array([0, 100, 255], np.uint8))
-    elif change == "not finite":
-        attributes["POSITION"] = gltf.accessor(np.where(SQUARE == 1, np.float32(np.nan), SQUARE))
-    elif change == "signalling":
-        bits = np.where(SQUARE == 1, np.uint32(0x7FA00000), SQUARE.view(np.uint32))
-        attributes["POSITION"] = gltf.accessor(bits.view(np.float32))
-    elif change == "colours not finite":
-        attributes["COLOR_0"] = gltf.accessor(np.full((4, 3), np.nan, np.float32))
-    elif change == "factor not finite":
-        gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1e999, 1, 1, 1]
-    elif change == "beyond all bounds":
-        gltf.json["nodes"][node]["scale"] = [1e200, 1, 1]
-    elif change == "boundless by boundless":
-        gltf.json["nodes"][node] |= {"rotation": [1e308, 1e308, 0, 1], "scale": [1e308, -1e308, 1]}
-    elif change == "scale of one number":
-        gltf.json["nodes"][node]["scale"] = 0.5
-    elif change == "translation of one number":
-        gltf.json["nodes"][node]["translation"] = True
-    elif change == "infinite transform":
-        gltf.json["nodes"][node]["scale"] = [1e999, 1, 1]
-    elif change == "coordinates not finite":
-        attributes["TEXCOORD_0"] = gltf.accessor(np.full((4, 2), np.inf, np.float32))
-    elif change == "few coordinates":
-        attributes["TEXCOORD_0"] = gltf.accessor(SQUARE_UV[:2])
-    elif change == "node cycle":
-        gltf.json["nodes"][node]["children"] = [node]
-    elif change == "no such mesh":
-        gltf.json["nodes"][node]["mesh"] = 7
-    elif change == "points only":
-        entry["mode"] = 0
-    elif change == "nothing shown":
-        gltf.json["scenes"] = [{}]
-    elif change == "view outside buffer":
-        views[0]["byteLength"] = 10**6
-    elif change == "accessor outside view":
-        position["count"] = 1000
-    elif change == "zeros without end":
-        del position["bufferView"]
-        position["count"] = 10**12
-    elif change == "sparse index":
-        where = {"bufferView": gltf.view(b"\x63"), "componentType": 5121}
-        values = {"bufferView": gltf.view(bytes(12))}
-        position["sparse"] = {"count": 1, "indices": where, "values": values}
-    elif change == "wrong type":
-        position["type"] = "VEC2"
-    elif change == "unknown component":
-        position["componentType"] = 1
-    elif change == "alpha mode":
-        gltf.json["materials"][0]["alphaMode"] = "GLASS"
-    elif change == "wrap":
-        gltf.json["textures"][0]["sampler"] = gltf.add("samplers", wrapS=1)
-    elif change == "texture without image":
-        del gltf.json["textures"][0]["source"]
-    elif change == "unknown extension":
-        gltf.json["extensionsRequired"] = ["ACME_magic"]
-    elif change == "image missing":
-        gltf.json["images"][0] = {"uri": "wood.png"}
-    elif change.startswith("image at "):
-        gltf.json["images"][0] = {"uri": change.removeprefix("image at ")}
-    elif change == "image nowhere":
-        gltf.json["images"][0] = {}
-    elif change == "image broken":
-        gltf.json["images"][0] = {"bufferView": 1}
-    elif change == "image on the web":
-        gltf.json["images"][0] = {"uri": "https://example.org/wood.png"}
-    elif change == "image uri without data":
-        gltf.json["images"][0] = {"uri": "data:image/png;base64"}
-    elif change == "image not base64":
-        gltf.json["images"][0] = {"uri": "data:image/png;base64,!!!"}
-    elif change == "no buffer":
-        path = tmp_path / "bad.gltf"
-        gltf.save(path)
-        header = json.loads(path.read_text())
-        header["buffers"] = [{"byteLength": 4}]
-        path.write_text(json.dumps(header))
-        return path
-    elif change == "buffer missing":
-        path = tmp_path / "bad.gltf"
-        gltf.save(path, external=True)
-        (tmp_path / "a buffer.bin").unlink()
-        return path
-    elif change == "buffer truncated":
-        path = tmp_path / "bad.gltf"
-        gltf.save(path, external=True)
-        (tmp_path / "a buffer.bin").write_bytes(b"12")
-        return path
-    elif change == "glTF 1":
-        gltf.json["asset"]["version"] = "1.0"
-    elif change == "later glTF":
-        gltf.json["asset"]["minVersion"] = "2.1"
-    elif change == "no asset":
-        del gltf.json["asset"]
-    elif change == "types":
-        gltf.json["nodes"] = "three"
-    else:
-        data = bytearray(gltf.save(path).read_bytes())
-        if change == "truncated":
-            data = data[:-20]
-        elif change == "header only":
-            data = data[:15]
-        elif change == "GLB 1":
-            struct.pack_into("<I", data, 4, 1)
-        elif change == "first chunk":
-            data[16:20] = b"BIN\0"
-        elif change == "binary chunk":
-            at = 20 + struct.unpack_from("<I", data, 12)[0]
-            struct.pack_into("<I", data, at, 10**6)
-        elif change == "empty":
-            data = bytearray()
-        elif change == "another type":
-            data = bytearray(png(random_image(2, 2)))
-        elif change == "not JSON":
-            data = bytearray(b'{"asset": NaN}')
-        path.write_bytes(data)
-        return path
+    material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=material))
+    return gltf
+
+
+def broken(changes: dict[str, Any], path: Path) -> Path:
+    gltf = textured()
+    put(gltf.json, changes, gltf)
     return gltf.save(path)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("vertex out of range", "uses vertex 9, but there are 4"),
-        ("negative index", "uses vertex -1, but there are 4"),
-        ("fractional index", r"the indices of meshes\[0\].* are not integers"),
-        ("restart", "uses vertex 255, but uint8 indices keep this number"),
-        ("not finite", "vertices that are not finite"),
-        ("signalling", "vertices that are not finite"),
-        ("colours not finite", "colours are not all finite"),
-        ("factor not finite", "Infinity is not JSON|colours are not all finite"),
-        ("beyond all bounds", "not all finite"),
-        ("boundless by boundless", "not all finite"),
-        ("scale of one number", r"nodes\[0\]: scale must be 3 numbers, not 0\.5"),
-        ("translation of one number", r"nodes\[0\]: translation must be 3 numbers"),
-        ("infinite transform", "Infinity is not JSON|not all finite"),
-        ("coordinates not finite", "texture coordinates are not all finite"),
-        ("few coordinates", "has 2 rows for 4 vertices"),
-        ("node cycle", "reached twice"),
-        ("no such mesh", r"meshes\[7\]"),
-        ("points only", "no triangles"),
-        ("nothing shown", "no triangles"),
-        ("view outside buffer", "outside its buffer"),
-        ("accessor outside view", "outside its buffer view"),
-        ("zeros without end", "elements without data"),
-        ("sparse index", "sparse indices outside"),
-        ("wrong type", "type VEC2"),
-        ("unknown component", "malformed .1 is missing or unknown"),
-        ("alpha mode", "unknown alphaMode 'GLASS'"),
-        ("wrap", "unknown wrapS 1"),
-        ("texture without image", r"textures\[0\] names no image"),
-        ("unknown extension", "requires the glTF extension ACME_magic"),
-        ("no buffer", r"buffers\[0\] has no data"),
-        ("buffer missing", "a%20buffer.bin: No such file"),
-        ("buffer truncated", r"buffers\[0\] is truncated"),
-        ("glTF 1", "is glTF 1.0"),
-        ("later glTF", "needs glTF 2.1; octex reads glTF 2.0"),
-        ("no asset", "has no asset"),
-        ("types", "nodes must be a list, not 'three'"),
-        ("truncated", "truncated"),
-        ("header only", "truncated"),
-        ("GLB 1", "GLB version 1"),
-        ("first chunk", "first chunk is not JSON"),
-        ("binary chunk", "binary chunk ends early"),
-        ("empty", "is empty"),
-        ("another type", "neither GLB nor JSON"),
-        ("not JSON", "NaN is not JSON"),
-    ],
-)
-def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, change: str, message: str) -> None:
-    path = broken(change, tmp_path)
+def assert_refused(path: Path, message: str) -> None:
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(path)
     assert path.name in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
+_NAN = np.where(SQUARE == 1, np.float32(np.nan), SQUARE)
+_SIGNALLING = np.where(SQUARE == 1, np.uint32(0x7FA00000), SQUARE.view(np.uint32)).view(np.float32)
+
+
+def sparse_outside(gltf: Gltf) -> dict[str, Any]:
+    where = {"bufferView": gltf.view(b"\x63"), "componentType": 5121}
+    values = {"bufferView": gltf.view(bytes(12))}
+    return {"count": 1, "indices": where, "values": values}
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("changes", "message"),
     [
-        ("image missing", "wood.png: No such file"),
-        ("image at /dev/zero", "/dev/zero: absolute paths are not followed; name it from"),
-        ("image at %2Fdev%2Fzero", "absolute paths are not followed"),
-        ("image at C:\\wood.png", "absolute paths are not followed"),
-        ("image at ../../../../../../../../../../dev/zero", "it is a pipe or a device, not a file"),
-        ("image nowhere", "neither a uri nor a bufferView"),
-        ("image broken", "not an image"),
-        ("image on the web", "download it first"),
-        ("image uri without data", "data: URI without data"),
-        ("image not base64", "not valid base64"),
+        ({f"{PRIMITIVE}.indices": rows(0, 1, 9, dtype="uint8")}, "uses vertex 9, but there are 4"),
+        ({f"{PRIMITIVE}.indices": rows(0, 1, -1, dtype="int8")}, "uses vertex -1, but there are 4"),
+        (
+            {f"{PRIMITIVE}.indices": rows(0, 1, 2)},
+            r"the indices of meshes\[0\].* are not integers",
+        ),
+        (
+            {
+                f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0)),
+                f"{PRIMITIVE}.indices": rows(0, 100, 255, dtype="uint8"),
+            },
+            "uses vertex 255, but uint8 indices keep this number",
+        ),
+        ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_NAN)}, "vertices that are not finite"),
+        ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_SIGNALLING)}, "vertices that are not finite"),
+        (
+            {f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4)},
+            "colours are not all finite",
+        ),
+        (
+            {"materials.0.pbrMetallicRoughness.baseColorFactor": [1e999, 1, 1, 1]},
+            "Infinity is not JSON|colours are not all finite",
+        ),
+        ({"nodes.0.scale": [1e200, 1, 1]}, "not all finite"),
+        ({"nodes.0.rotation": [1e308, 1e308, 0, 1], "nodes.0.scale": [1e308, -1e308, 1]}, "not all finite"),
+        ({"nodes.0.scale": 0.5}, r"nodes\[0\]: scale must be 3 numbers, not 0\.5"),
+        ({"nodes.0.translation": True}, r"nodes\[0\]: translation must be 3 numbers"),
+        ({"nodes.0.scale": [1e999, 1, 1]}, "Infinity is not JSON|not all finite"),
+        (
+            {f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4)},
+            "texture coordinates are not all finite",
+        ),
+        ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*SQUARE_UV[:2])}, "has 2 rows for 4 vertices"),
+        ({"nodes.0.children": [0]}, "reached twice"),
+        ({"nodes.0.mesh": 7}, r"meshes\[7\]"),
+        ({f"{PRIMITIVE}.mode": 0}, "no triangles"),
+        ({"scenes": [{}]}, "no triangles"),
+        ({"bufferViews.0.byteLength": 10**6}, "outside its buffer"),
+        ({"accessors.0.count": 1000}, "outside its buffer view"),
+        ({"accessors.0.bufferView": MISSING, "accessors.0.count": 10**12}, "elements without data"),
+        ({"accessors.0.sparse": sparse_outside}, "sparse indices outside"),
+        ({"accessors.0.type": "VEC2"}, "type VEC2"),
+        ({"accessors.0.componentType": 1}, "malformed .1 is missing or unknown"),
+        ({"materials.0.alphaMode": "GLASS"}, "unknown alphaMode 'GLASS'"),
+        ({"textures.0.sampler": lambda gltf: gltf.add("samplers", wrapS=1)}, "unknown wrapS 1"),
+        ({"textures.0.source": MISSING}, r"textures\[0\] names no image"),
+        ({"extensionsRequired": ["ACME_magic"]}, "requires the glTF extension ACME_magic"),
+        ({"asset.version": "1.0"}, "is glTF 1.0"),
+        ({"asset.minVersion": "2.1"}, "needs glTF 2.1; octex reads glTF 2.0"),
+        ({"asset": MISSING}, "has no asset"),
+        ({"nodes": "three"}, "nodes must be a list, not 'three'"),
     ],
 )
-def test_a_bad_image_is_named(tmp_path: Path, change: str, message: str) -> None:
+def test_a_bad_model_is_refused_in_one_line_that_names_it(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    assert_refused(broken(changes, tmp_path / "bad.glb"), message)
+
+
+def with_long_chunk(data: bytes) -> bytes:
+    at = 20 + struct.unpack_from("<I", data, 12)[0]
+    return data[:at] + struct.pack("<I", 10**6) + data[at + 4 :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda data: data[:-20], "truncated"),
+        (lambda data: data[:15], "truncated"),
+        (lambda data: data[:4] + struct.pack("<I", 1) + data[8:], "GLB version 1"),
+        (lambda data: data[:16] + b"BIN\0" + data[20:], "first chunk is not JSON"),
+        (with_long_chunk, "binary chunk ends early"),
+        (lambda _: b"", "is empty"),
+        (lambda _: png(random_image(2, 2)), "neither GLB nor JSON"),
+        (lambda _: b'{"asset": NaN}', "NaN is not JSON"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line_that_names_it(
+    tmp_path: Path, damage: Callable[[bytes], bytes], message: str
+) -> None:
+    path = textured().save(tmp_path / "bad.glb")
+    path.write_bytes(damage(path.read_bytes()))
+    assert_refused(path, message)
+
+
+def test_buffers_that_are_not_there_are_named(tmp_path: Path) -> None:
+    path, buffer = tmp_path / "bad.gltf", tmp_path / "a buffer.bin"
+    textured().save(path, external=True)
+    buffer.write_bytes(b"12")
+    assert_refused(path, r"buffers\[0\] is truncated")
+    buffer.unlink()
+    assert_refused(path, "a%20buffer.bin: No such file")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"buffers": [{"byteLength": 4}]}))
+    assert_refused(path, r"buffers\[0\] has no data")
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        ({"uri": "wood.png"}, "wood.png: No such file"),
+        ({"uri": "/dev/zero"}, "/dev/zero: absolute paths are not followed; name it from"),
+        ({"uri": "%2Fdev%2Fzero"}, "absolute paths are not followed"),
+        ({"uri": "C:\\wood.png"}, "absolute paths are not followed"),
+        ({"uri": "../../../../../../../../../../dev/zero"}, "it is a pipe or a device, not a file"),
+        ({}, "neither a uri nor a bufferView"),
+        ({"bufferView": 1}, "not an image"),
+        ({"uri": "https://example.org/wood.png"}, "download it first"),
+        ({"uri": "data:image/png;base64"}, "data: URI without data"),
+        ({"uri": "data:image/png;base64,!!!"}, "not valid base64"),
+    ],
+)
+def test_a_bad_image_is_named(tmp_path: Path, image: dict[str, Any], message: str) -> None:
     with pytest.raises(ImageError, match=message) as caught:
-        load_surface(broken(change, tmp_path))
+        load_surface(broken({"images.0": image}, tmp_path / "bad.glb"))
     assert "bad.glb" in str(caught.value)
     assert "images[0]" in str(caught.value)
 
@@ -271,11 +205,7 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, valu
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
     entry: dict[str, Any] = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
-    *holders, key = place.split(".")
-    holder = entry
-    for each in holders:
-        holder = holder.setdefault(each, {})
-    holder[key] = value
+    put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(gltf.save(tmp_path / "bad.glb"))

@@ -16,7 +16,7 @@ from octex.errors import ImageError, MissingExtraError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
 from octex.source.surface import Surface
-from tests.make.fixtures import SQUARE, Gltf, png, random_image
+from tests.make.fixtures import SQUARE, Gltf, png, put, random_image
 
 # Pictures of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
 BLOCKS = np.array(
@@ -277,76 +277,70 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(
     assert path.name in str(caught.value)
 
 
-def damaged(change: str, path: Path) -> Path:
-    """The grid in a code, with one thing wrong."""
-    if change.startswith("draco"):
-        gltf = grid(draco)
-        entry = gltf.json["meshes"][0]["primitives"][0]
-        coded = entry["extensions"]["KHR_draco_mesh_compression"]
-        if change == "draco cut":
-            gltf.json["bufferViews"][coded["bufferView"]]["byteLength"] //= 2
-        elif change == "draco nothing":
-            gltf.json["bufferViews"][coded["bufferView"]]["byteLength"] = 0
-        elif change == "draco no such attribute":
-            coded["attributes"]["NORMAL"] = 77
-        elif change == "draco another type":
-            coded["attributes"]["NORMAL"] = coded["attributes"]["COLOR_0"]
-        elif change == "draco points":
-            coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
-            coded["bufferView"] = gltf.view(coder.encode(ATTRIBUTES["POSITION"]))
-        elif change == "draco a list":
-            coded["attributes"] = [0]
-        return gltf.save(path)
-    path = meshopt(path.with_suffix(".gltf"))
-    header = json.loads(path.read_text())
-    view = next(each for each in header["bufferViews"] if "extensions" in each)
-    coded = view["extensions"]["EXT_meshopt_compression"]
-    if change == "meshopt cut":
-        coded["byteLength"] //= 2
-    elif change == "meshopt outside":
-        coded["byteOffset"] = 10**6
-    elif change == "meshopt many rows":
-        coded["count"] = 10**9
-    elif change == "meshopt few rows":
-        coded["count"] = 3
-    elif change == "meshopt odd rows":
-        coded["byteStride"] = 7
-    elif change == "meshopt unknown filter":
-        coded["filter"] = "BLUR"
-    elif change == "meshopt unknown mode":
-        coded["mode"] = 7
-    elif change == "meshopt not an object":
-        view["extensions"]["EXT_meshopt_compression"] = 1
-    path.write_text(json.dumps(header))
-    return path
+def encoded(gltf: Gltf) -> bytes:
+    """Return the content that a Draco mesh is decoded from."""
+    extensions = gltf.json["meshes"][0]["primitives"][0]["extensions"]
+    view = gltf.json["bufferViews"][extensions["KHR_draco_mesh_compression"]["bufferView"]]
+    return bytes(gltf.binary[view["byteOffset"] :][: view["byteLength"]])
+
+
+def points_alone(gltf: Gltf) -> int:
+    coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
+    return gltf.view(coder.encode(ATTRIBUTES["POSITION"]))
+
+
+def color_of(gltf: Gltf) -> int:
+    extensions = gltf.json["meshes"][0]["primitives"][0]["extensions"]
+    return int(extensions["KHR_draco_mesh_compression"]["attributes"]["COLOR_0"])
+
+
+DRACO = "meshes.0.primitives.0.extensions.KHR_draco_mesh_compression"
+MESHOPT = "bufferViews.3.extensions.EXT_meshopt_compression"
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("place", "value", "message"),
     [
-        ("draco cut", r"primitives\[0\]: its Draco content is damaged"),
-        ("draco nothing", r"primitives\[0\]: its Draco content is damaged"),
-        ("draco no such attribute", "no attribute 77, for NORMAL"),
-        ("draco another type", "does not fit what was decoded for it, uint8"),
-        ("draco points", "its Draco content has no triangles"),
-        ("draco a list", r"attributes must be an object, not \[0\]"),
-        ("meshopt cut", r"bufferViews\[3\]: its meshopt content is damaged"),
-        ("meshopt outside", r"bufferViews\[3\] reaches outside its buffer"),
         (
-            "meshopt many rows",
+            f"{DRACO}.bufferView",
+            lambda gltf: gltf.view(encoded(gltf)[: len(encoded(gltf)) // 2]),
+            r"primitives\[0\]: its Draco content is damaged",
+        ),
+        (
+            f"{DRACO}.bufferView",
+            lambda gltf: gltf.view(b""),
+            r"primitives\[0\]: its Draco content is damaged",
+        ),
+        (f"{DRACO}.attributes.NORMAL", 77, "no attribute 77, for NORMAL"),
+        (f"{DRACO}.attributes.NORMAL", color_of, "does not fit what was decoded for it, uint8"),
+        (f"{DRACO}.bufferView", points_alone, "its Draco content has no triangles"),
+        (f"{DRACO}.attributes", [0], r"attributes must be an object, not \[0\]"),
+        (f"{MESHOPT}.byteLength", 40, r"bufferViews\[3\]: its meshopt content is damaged"),
+        (f"{MESHOPT}.byteOffset", 10**6, r"bufferViews\[3\] reaches outside its buffer"),
+        (
+            f"{MESHOPT}.count",
+            10**9,
             r"bufferViews\[3\]: .* bytes of meshopt content cannot hold 1000000000 rows of 12",
         ),
-        ("meshopt few rows", "damaged|reaches outside its buffer view"),
-        ("meshopt odd rows", "its meshopt content is damaged .*4 to 256 bytes"),
-        ("meshopt unknown filter", "its meshopt content is damaged .*filter must be"),
-        ("meshopt unknown mode", "its meshopt content is damaged .*mode must be"),
-        ("meshopt not an object", "EXT_meshopt_compression must be an object, not 1"),
+        (f"{MESHOPT}.count", 3, "damaged|reaches outside its buffer view"),
+        (f"{MESHOPT}.byteStride", 7, "its meshopt content is damaged .*4 to 256 bytes"),
+        (f"{MESHOPT}.filter", "BLUR", "its meshopt content is damaged .*filter must be"),
+        (f"{MESHOPT}.mode", 7, "its meshopt content is damaged .*mode must be"),
+        (MESHOPT, 1, "EXT_meshopt_compression must be an object, not 1"),
     ],
 )
 def test_damaged_content_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, change: str, message: str
+    tmp_path: Path, place: str, value: Any, message: str
 ) -> None:
-    path = damaged(change, tmp_path / "bad.glb")
+    if place.startswith(DRACO):
+        gltf = grid(draco)
+        put(gltf.json, {place: value}, gltf)
+        path = gltf.save(tmp_path / "bad.glb")
+    else:
+        path = meshopt(tmp_path / "bad.gltf")
+        header = json.loads(path.read_text())
+        put(header, {place: value})
+        path.write_text(json.dumps(header))
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(path)
     assert str(caught.value).startswith(path.name)

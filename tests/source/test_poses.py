@@ -17,7 +17,7 @@ from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
-from tests.make.fixtures import SQUARE, Gltf
+from tests.make.fixtures import MISSING, SQUARE, Gltf, put, rows
 from tests.oracles.naive_poses import posed
 
 WEIGHTS = np.float32([[1, 0, 0, 0], [0.25, 0.75, 0, 0], [0.5, 0.25, 0.25, 0], [0, 0, 1, 0]])
@@ -149,92 +149,69 @@ def test_what_has_no_animation_is_not_posed(tmp_path: Path) -> None:
         octex.load_surface(tmp_path / "a.obj", pose="A@0")
 
 
-def broken(change: str) -> Gltf:
-    """A model with one thing wrong."""
-    gltf = moving("weights" if "weights of" in change else "rotation", "LINEAR")
-    primitive = gltf.json["meshes"][0]["primitives"][0]
-    attributes, animation = primitive["attributes"], gltf.json["animations"][0]
-    sampler, target = animation["samplers"][0], animation["channels"][0]["target"]
-    if change == "negative weights":
-        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[2, -1, 0, 0]] * 4))
-    elif change == "weights that are not finite":
-        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.inf, 1, 0, 0]] * 4))
-    elif change == "weights that are no numbers":
-        attributes["WEIGHTS_0"] = gltf.accessor(np.float32([[np.nan, 1, 0, 0]] * 4))
-    elif change == "no weights":
-        del attributes["WEIGHTS_0"]
-    elif change == "no joints":
-        del attributes["JOINTS_0"]
-    elif change == "a joint out of range":
-        attributes["JOINTS_0"] = gltf.accessor(JOINTS + np.uint8(1))
-    elif change == "few inverse matrices":
-        gltf.json["accessors"][gltf.json["skins"][0]["inverseBindMatrices"]]["count"] = 2
-    elif change == "a joint beside the scene":
-        gltf.json["skins"][0]["joints"][1] = gltf.add("nodes")
-    elif change == "an empty skin":
-        gltf.json["skins"][0]["joints"] = []
-    elif change == "no skin":
-        gltf.json["skins"] = []
-    elif change == "weights of three targets":
-        gltf.json["nodes"][0]["weights"] = [0, 0, 0]
-        target["path"] = "unknown"
-    elif change == "a target of few vertices":
-        primitive["targets"][0]["POSITION"] = gltf.accessor(SQUARE[:2])
-    elif change == "an unknown interpolation":
-        sampler["interpolation"] = "WAVY"
-    elif change == "times that go back":
-        sampler["input"] = gltf.accessor(TIMES[::-1].copy())
-    elif change == "no times":
-        sampler["input"] = gltf.accessor(TIMES[:0])
-    elif change == "few values":
-        sampler["output"] = gltf.accessor(unit(np.ones((3, 4))))
-    elif change == "values of another width":
-        sampler["output"] = gltf.accessor(np.ones((4, 3), np.float32))
-    elif change == "values that are not finite":
-        sampler["output"] = gltf.accessor(np.full((4, 4), np.inf, np.float32))
-    elif change == "a sampler that is not there":
-        animation["channels"][0]["sampler"] = 1
-    elif change == "a node with a matrix":
-        target["node"] = gltf.json["skins"][0]["joints"][0]
-    elif change == "one field twice":
-        animation["channels"] *= 2
-    else:
-        target["node"] = 99
+PRIMITIVE, SAMPLER = "meshes.0.primitives.0", "animations.0.samplers.0"
+WEIGHTS_0, JOINTS_0 = f"{PRIMITIVE}.attributes.WEIGHTS_0", f"{PRIMITIVE}.attributes.JOINTS_0"
+CHANNEL = "animations.0.channels.0"
+MATRICES = moving("rotation", "LINEAR").json["skins"][0]["inverseBindMatrices"]
+NOT_WEIGHTS = "which must be finite and not below 0"
+#: Two changes that the page's tests make, too.
+WAVY = {f"{SAMPLER}.interpolation": "WAVY"}
+NO_SUCH_JOINT = {JOINTS_0: rows(*JOINTS + 1, dtype="uint8")}
+
+
+def broken(changes: dict[str, Any]) -> Gltf:
+    """A model with something wrong."""
+    gltf = moving("weights" if "nodes.0.weights" in changes else "rotation", "LINEAR")
+    put(gltf.json, changes, gltf)
     return gltf
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("changes", "message"),
     [
         (
-            "negative weights",
-            r"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], which must be finite and not below 0",
+            {WEIGHTS_0: rows(*[[2, -1, 0, 0]] * 4)},
+            rf"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], {NOT_WEIGHTS}",
         ),
-        ("weights that are not finite", "which must be finite and not below 0"),
-        ("weights that are no numbers", "which must be finite and not below 0"),
-        ("no weights", "has JOINTS_0 without weights"),
-        ("no joints", "has a skin but no JOINTS_0"),
-        ("a joint out of range", "vertex 2 is moved by joint 3, but its skin has 3"),
-        ("few inverse matrices", "has 2 inverse bind matrices for 3 joints"),
-        ("a joint beside the scene", r"joint nodes\[5\], which the scene does not show"),
-        ("an empty skin", "has no joints"),
-        ("no skin", r"refers to skins\[0\]"),
-        ("weights of three targets", r"has 2 morph targets, and nodes\[0\] weights of 3"),
-        ("a target of few vertices", r"targets\[0\] moves 2 of 4 vertices"),
-        ("an unknown interpolation", "interpolates by 'WAVY'"),
-        ("times that go back", "times that do not ascend from 0 on"),
-        ("no times", "times that do not ascend"),
-        ("few values", "has 3 values for 4 times"),
-        ("values of another width", "has type VEC3"),
-        ("values that are not finite", "has values that are not finite"),
-        ("a sampler that is not there", r"refers to samplers\[1\]"),
-        ("a node with a matrix", "which has a matrix"),
-        ("one field twice", "its rotation twice"),
-        ("a node that is not there", r"refers to nodes\[99\]"),
+        ({WEIGHTS_0: rows(*[[np.inf, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
+        ({WEIGHTS_0: rows(*[[np.nan, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
+        ({WEIGHTS_0: MISSING}, "has JOINTS_0 without weights"),
+        ({JOINTS_0: MISSING}, "has a skin but no JOINTS_0"),
+        (NO_SUCH_JOINT, "vertex 2 is moved by joint 3, but its skin has 3"),
+        ({f"accessors.{MATRICES}.count": 2}, "has 2 inverse bind matrices for 3 joints"),
+        (
+            {"skins.0.joints.1": lambda gltf: gltf.add("nodes")},
+            r"joint nodes\[5\], which the scene does not show",
+        ),
+        ({"skins.0.joints": []}, "has no joints"),
+        ({"skins": []}, r"refers to skins\[0\]"),
+        (
+            {"nodes.0.weights": [0, 0, 0], f"{CHANNEL}.target.path": "unknown"},
+            r"has 2 morph targets, and nodes\[0\] weights of 3",
+        ),
+        ({f"{PRIMITIVE}.targets.0.POSITION": rows(*SQUARE[:2])}, r"targets\[0\] moves 2 of 4 vertices"),
+        (WAVY, "interpolates by 'WAVY'"),
+        ({f"{SAMPLER}.input": rows(*TIMES[::-1])}, "times that do not ascend from 0 on"),
+        ({f"{SAMPLER}.input": rows()}, "times that do not ascend"),
+        ({f"{SAMPLER}.output": rows(*unit(np.ones((3, 4))))}, "has 3 values for 4 times"),
+        ({f"{SAMPLER}.output": rows(*np.ones((4, 3)))}, "has type VEC3"),
+        ({f"{SAMPLER}.output": rows(*np.full((4, 4), np.inf))}, "has values that are not finite"),
+        ({f"{CHANNEL}.sampler": 1}, r"refers to samplers\[1\]"),
+        (
+            {f"{CHANNEL}.target.node": lambda gltf: gltf.json["skins"][0]["joints"][0]},
+            "which has a matrix",
+        ),
+        (
+            {"animations.0.channels": lambda gltf: 2 * gltf.json["animations"][0]["channels"]},
+            "its rotation twice",
+        ),
+        ({f"{CHANNEL}.target.node": 99}, r"refers to nodes\[99\]"),
     ],
 )
-def test_a_broken_animation_is_refused_in_one_line(tmp_path: Path, change: str, message: str) -> None:
-    file = broken(change).save(tmp_path / "a.glb")
+def test_a_broken_animation_is_refused_in_one_line(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    file = broken(changes).save(tmp_path / "a.glb")
     octex.load_surface(file)  # as it rests it is read
     with pytest.raises(ModelError, match=message) as refused:
         octex.load_surface(file, pose="A@0")

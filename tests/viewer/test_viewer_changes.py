@@ -15,7 +15,7 @@ import octex
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
-from octex.viewer.changes import change_between
+from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, opened, served
@@ -166,6 +166,33 @@ def test_runs_and_new_cells_make_up_the_texture_that_is_now() -> None:
     nothing, stream = change_between(after, after)
     assert nothing == {"runs": 1, "cells": 0, "kept": 0, "sides": 0}
     assert len(stream) == 12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    surface = sheet(np.eye(3), 0.01) if seed % 2 else ball(24)
+    waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+    texture = octex.convert(waves, depth=6 + seed % 2, max_error=3 if seed > 1 else None)
+    painter = octex.Painter(texture, surface)
+    low, high = surface.bounds
+    width, is_small = float((high - low).max()), 0
+    for _ in range(12):
+        middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
+        before, move = painter.texture(), random.integers(4)
+        if move < 3:
+            sphere = octex.Sphere(middle, width * random.uniform(0.005, 0.1))
+            changes = painter.fill(sphere, random.random(3), max_depth=int(random.integers(6, 10)))
+        else:
+            changes = (
+                tuple(change.inverted() for change in painter.strokes[-1:][0]) if painter.strokes else ()
+            )
+            painter.undo()
+        for change in changes:
+            after = painter.texture()
+            assert change_of(change, before, after) == change_between(before, after)
+            is_small += change.tiles is not None
+    assert is_small > 2
 
 
 def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
 from tests.make.command import result
 from tests.make.fixtures import Gltf
-from tests.source.test_poses import broken, moving
+from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
 
 SIZE = 120, 90
 
@@ -54,7 +54,7 @@ def test_frames_are_where_poses_are(tmp_path: Path, path: str) -> None:
 
 
 def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> None:
-    gltf = broken("an unknown interpolation")
+    gltf = broken(WAVY)
     sound = moving("rotation", "LINEAR").json["animations"][0]
     gltf.add("animations", **{**sound, "name": "B"})
     file = gltf.save(tmp_path / "a.glb")
@@ -71,7 +71,7 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> N
 
 def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="is moved by joint 3"):
-        load_motion(broken("a joint out of range").save(tmp_path / "a.glb"))
+        load_motion(broken(NO_SUCH_JOINT).save(tmp_path / "a.glb"))
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert load_motion(tmp_path / "a.obj") is None
 
@@ -79,7 +79,7 @@ def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path: Path) ->
 def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = broken("a joint out of range").save(tmp_path / "a.glb")
+    file = broken(NO_SUCH_JOINT).save(tmp_path / "a.glb")
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
     told = result(capsys, "view", tmp_path / "a.octex", file, tmp_path / "a.html")
     assert "no animations: a.glb: meshes[0].primitives[0]: vertex 2 is moved by joint 3" in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -10,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from inputs import painted_torus
-from measuring import DROID, PEERS, Report, Setup, Spent, Worker, in_turns, pinned, timed
+from measuring import DROID, Report, Setup, Spent, in_turns, open3d, pinned, timed
 
 import octex
 from octex.baking.gutters import find_nearest
 from octex.baking.layout import Layout, charts_of, neighbors
 from octex.baking.texels import draw_texels
 from octex.channels import CHANNELS, linear_to_srgb, srgb_to_linear
-from octex.formats.shared import materials_of
+from octex.formats.models import materials_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -236,13 +235,9 @@ def _speed(setup: Setup, report: Report) -> None:
     sources = {name: _waves(rate, CHANNELS[name].components) for name, rate in rates.items()}
     texture = octex.convert(surface.with_sources(sources), 6 if setup.quick else 10)
     octex.bake(texture, surface, uv="keep", texture_size=64)
-    began = time.perf_counter(), time.process_time()
-    octex.bake(texture, surface, uv="keep", texture_size=size)
-    wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
-    report.line(
-        f"{size}², five channels, {len(surface.triangles):,} triangles", f"{wall:.2f} s (CPU {cpu:.2f} s)"
-    )
-    report.at_most("baking: five channels of 4096²", wall, 6.0, "s")
+    spent, _ = timed(lambda: octex.bake(texture, surface, uv="keep", texture_size=size))
+    report.line(f"{size}², five channels, {len(surface.triangles):,} triangles", spent)
+    report.at_most("baking: five channels of 4096²", spent.wall, 6.0, "s")
     _beside_open3d(setup, report, texture, surface, size)
 
 
@@ -254,9 +249,6 @@ def _beside_open3d(
     setup: Setup, report: Report, texture: octex.OctreeTexture, surface: octex.Surface, size: int
 ) -> None:
     """Bake one channel on one core, and colours of vertices by Open3D."""
-    if setup.peer_python is None:
-        report.note("left out: Open3D (--peer-python)")
-        return
     assert surface.uv is not None
     path = setup.folder / "bake.npz"
     uv = np.empty((len(surface.vertices), 2), np.float32)
@@ -267,11 +259,11 @@ def _beside_open3d(
         options = {"uv": "keep", "texture_size": size, "channels": ["base_color"], "threads": 1}
         return timed(lambda: octex.bake(texture, surface, **options))[0]
 
-    command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "bake", str(path), str(size)]
-    with Worker(command, setup.core) as worker, pinned({setup.core}):
+    with open3d(setup, report, "bake", path, size, core=setup.core) as peer, pinned({setup.core}):
+        if not peer:
+            return
         own()
-        worker.run()
-        found = in_turns({"octex": own, "Open3D": worker.spent}, setup.repeats)
+        found = in_turns({"octex": own, **peer}, setup.repeats)
     for name, each in found.items():
         report.line(f"{name}, {size}², three components, one core", str(each))
     report.at_least("baking: of Open3D's rate", found["Open3D"].cpu / found["octex"].cpu, 2)

@@ -5,28 +5,23 @@ from __future__ import annotations
 import os
 import re
 import sys
-import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 
 from inputs import painted_torus, write_mesh
 from inputs import torus as torus_mesh
 from measuring import (
-    PEERS,
     Report,
     Setup,
     Spent,
-    Task,
-    Worker,
-    copy_speed,
     in_turns,
     megabytes,
     millions,
+    open3d,
     pinned,
     run_program,
+    task,
     timed,
 )
 
@@ -40,22 +35,17 @@ def torus(setup: Setup, report: Report) -> None:
     mesh = setup.folder / "torus.bin"
     write_mesh(mesh, *torus_mesh(around, across)[:2])
     size = {"around": around, "across": across, "depth": depth}
-    for task in (
-        () if setup.quick else ("tree", "keys")
-    ):  # what they compile is in the cache before memory is measured
-        with Task(setup, task, pin=False, around=20, across=10, depth=6) as worker:
-            worker.run()
-    with ExitStack() as stack:
-        tree = stack.enter_context(Task(setup, "tree", **size))
-        keys = stack.enter_context(Task(setup, "keys", **size))
-        octex_tree, octex_keys = "octex, tree with flags and areas", "octex, sorted keys alone"
-        contestants: dict[str, Callable[[], Spent]] = {octex_tree: tree.spent, octex_keys: keys.spent}
-        open3d, openvdb = "Open3D VoxelGrid, cells read out", "OpenVDB meshToVolume"
-        if setup.peer_python:
-            command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "cells", str(mesh), str(1 << depth)]
-            contestants[open3d] = stack.enter_context(Worker(command, setup.core)).spent
-        else:
-            report.note("left out: Open3D (--peer-python)")
+    octex_tree, octex_keys = "octex, tree with flags and areas", "octex, sorted keys alone"
+    openvdb = "OpenVDB meshToVolume"
+    for name in () if setup.quick else ("tree", "keys"):  # so that their memory is not that of compiling
+        with task(setup, name, pin=False, around=20, across=10, depth=6) as work:
+            work.run()
+    with (
+        task(setup, "tree", **size) as tree,
+        task(setup, "keys", **size) as keys,
+        open3d(setup, report, "cells", mesh, 1 << depth, core=setup.core) as peer,
+    ):
+        contestants = {octex_tree: tree.spent, octex_keys: keys.spent, **peer}
         if setup.peers:
             contestants[openvdb] = lambda: _mesh_to_volume(setup, mesh, 1 << depth)
         else:
@@ -64,14 +54,13 @@ def torus(setup: Setup, report: Report) -> None:
         built = tree.run()
     for name, each in spent.items():
         report.line(name, f"{each}   {millions(built['leaves'] / each.cpu)} cells/s")
-    with pinned({setup.core}):
-        report.line("limit: copying the tree once", f"{built['bytes'] / copy_speed():.4f} s")
     report.line("cells", f"{built['leaves']:,}")
     if not setup.quick:
         report.at_least("torus: cells (those that the surface meets)", built["leaves"], 3.35e6, "cells")
-    if open3d in spent:
-        report.at_least("torus: tree, faster than Open3D", spent[open3d].cpu / spent[octex_tree].cpu, 6)
-        report.at_least("torus: keys, faster than Open3D", spent[open3d].cpu / spent[octex_keys].cpu, 15)
+    if peer:
+        theirs = spent["Open3D"].cpu
+        report.at_least("torus: tree, faster than Open3D", theirs / spent[octex_tree].cpu, 6)
+        report.at_least("torus: keys, faster than Open3D", theirs / spent[octex_keys].cpu, 15)
     if openvdb in spent:
         report.at_least("torus: tree, faster than OpenVDB", spent[openvdb].cpu / spent[octex_tree].cpu, 5)
     report.at_most("torus: peak memory of the process", built["peak"] / 2**20, 500, "MB")
@@ -105,14 +94,9 @@ def boombox(setup: Setup, report: Report) -> None:
         with ThreadPoolExecutor(threads) as pool:
             return octex.convert(surface, depth, fit=False, run=octex.Run(executor=pool))
 
-    alone: list[float] = []  # processor time that one thread of two spends while the other has nothing to do
-
     def on(used: set[int], threads: int) -> Spent:
         with pinned(used):
-            begin = time.thread_time()
-            spent = timed(lambda: convert(threads))[0]
-            alone.append(time.thread_time() - begin)
-            return spent
+            return timed(lambda: convert(threads))[0]
 
     texture = convert(1)
     one, two = "one thread", "two threads"
@@ -122,16 +106,10 @@ def boombox(setup: Setup, report: Report) -> None:
         rate = leaves / (each.cpu if name == one else each.wall)
         report.line(name, f"{each}   {millions(rate)} leaves/s")
     report.line("cells", f"{leaves:,} leaves, {cells:,} with the nodes' averages")
-    with pinned({setup.core}):
-        report.line("limit: copying the texture once", f"{texture.nbytes / copy_speed():.4f} s")
     report.at_least("boombox: a core", leaves / spent[one].cpu / 1e6, 4, "M leaves/s")
     if len(pair) == 2:
         report.at_least(
             "boombox: two threads beside one, by the wall", spent[one].wall / spent[two].wall, 1.7
-        )
-        path = alone[-1] + (spent[two].cpu - alone[-1]) / 2
-        report.line(
-            "the same, were both processors free", f"{spent[one].cpu / path:.2f} × (by processor time)"
         )
     else:
         report.note("left out: two threads (one processor)")
@@ -143,8 +121,8 @@ def large(setup: Setup, report: Report) -> None:
     report.title(f"large: painted torus, {2 * around * across:,} triangles, {size}² texels, depth {depth}")
     path = setup.folder / "large.octex"
     arguments = {"around": around, "across": across, "size": size, "depth": depth, "path": str(path)}
-    with Task(setup, "large", pin=False, **arguments) as worker:
-        made = worker.run()
+    with task(setup, "large", pin=False, **arguments) as work:
+        made = work.run()
     convert, save = Spent(**made["convert"]), Spent(**made["save"])
     report.line("leaves, bytes of the file", f"{made['leaves']:,}, {megabytes(made['bytes'])}")
     report.line(
@@ -153,8 +131,8 @@ def large(setup: Setup, report: Report) -> None:
     )
     report.line("save", save)
     level = 3 if setup.quick else 5
-    with Task(setup, "look", path=str(path), level=level) as worker:
-        looks = [worker.run() for _ in range(setup.repeats)]
+    with task(setup, "look", path=str(path), level=level) as work:
+        looks = [work.run() for _ in range(setup.repeats)]
     look = {name: median(look[name] for look in looks) for name in looks[0]}
     report.line("open: nothing cached, cached", f"{look['cold'] * 1e3:.2f} ms, {look['warm'] * 1e3:.2f} ms")
     report.line(f"20 × 20 points at level {level}, nothing cached", f"{look['look'] * 1e3:.2f} ms")

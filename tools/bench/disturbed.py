@@ -18,7 +18,7 @@ from measuring import Report, codes, decibels
 
 import octex
 from octex.channels import linear_to_srgb, srgb_to_linear
-from octex.photos import refine
+from octex.photos import balance, refine, sharpness
 
 Array = npt.NDArray[Any]
 
@@ -184,6 +184,8 @@ def disturbed(
     if report.quick:
         for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
             setattr(refine, constant, getattr(refine, constant) // 20)
+        refine._TRIES = 2
+        balance._POINTS, sharpness._POINTS = 500, 2000
     for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
         options, refines, below = _TOLD[what]
         if report.quick and what not in ("strangers", "all together"):

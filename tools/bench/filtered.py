@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from inputs import RADIUS, scattered_on_sphere, seen_on_sphere
 from lookups import sphere_texture
-from measuring import Report, Setup, Task, clocked, megabytes, run_program
+from measuring import Report, Setup, clocked, megabytes, run_program, task
 from painted_sphere import View, painted_sphere, view
 
 import octex
@@ -255,8 +255,8 @@ def pages(setup: Setup, report: Report) -> None:
     report.title(f"pages: pictures from a file of {megabytes(size)}")
     sizes = (20, 64) if setup.quick else (20, 256, 1024)
     for n in sizes:
-        with Task(setup, "picture", pin=False, path=str(path), pixels=n) as worker:
-            answer = worker.run()
+        with task(setup, "picture", pin=False, path=str(path), pixels=n) as work:
+            answer = work.run()
         report.line(f"{n}², read", f"{answer['touched'] / 1e6:.2f} MB in {answer['wall']:.3f} s")
         if n == 20:
             report.at_most("pages: 20²", answer["touched"] / 1e6, 0.5, "MB")

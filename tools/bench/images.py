@@ -10,9 +10,7 @@ import numpy.typing as npt
 from measuring import Report, Setup, clocked
 
 import octex
-from octex.channels import decode, encode, linear_to_srgb
-from octex.source.corners import Corners
-from octex.source.surface import SurfaceSamples
+from octex.channels import linear_to_srgb
 
 Floats = npt.NDArray[np.floating]
 
@@ -135,7 +133,7 @@ def _times(setup: Setup, side: int) -> dict[str, list[float]]:
 
 
 def materials(setup: Setup, report: Report) -> None:
-    """All channels of a model beside its base colour alone; directions through rest space and back."""
+    """All channels of a model beside its base colour alone."""
     depth = 6 if setup.quick else 10
 
     def convert(model: octex.Surface) -> octex.OctreeTexture:
@@ -157,51 +155,3 @@ def materials(setup: Setup, report: Report) -> None:
             report.line(name, each)
         ratio = spent["all channels"].cpu / spent["base colour"].cpu
         report.at_most(f"materials: all channels beside base colour, {folder}", ratio, 2.5)
-        _round_trip(surface, depth, report, folder)
-
-
-def _round_trip(surface: octex.Surface, depth: int, report: Report, folder: str) -> None:
-    """Compare directions of the normal map with those that come back from rest space."""
-    samples = surface.scatter(100_000)
-    source = surface.evaluate(samples, "normal")
-    frames = _frames(surface, samples)
-    tangential = np.einsum("nij,nj->ni", frames, source)
-    stored = decode(encode(source.astype(np.float64), "uint8", "direction"), "direction")
-    back = np.einsum("nij,nj->ni", frames, stored)
-    report.at_most(
-        f"materials: normals through rest space, 99th percentile, {folder}", _angle(tangential, back), 1, "°"
-    )
-    texture = octex.convert(surface, depth, channels=["normal"], fit=False)
-    cell = texture.placement.size / 2**depth
-    found = texture.sample(samples.rest, "normal")
-    averaged = surface.evaluate(samples, "normal", width=cell)
-    angles = f"{_angle(source, found, 50):.2f}°, {_angle(source, found):.2f}° beside points"
-    report.line(
-        "through the octree: 50th, 99th",
-        f"{angles}, {_angle(averaged, found):.2f}° beside cells",
-    )
-
-
-def _frames(surface: octex.Surface, samples: SurfaceSamples) -> Floats:
-    """Return the tangent's frames (n, 3, 3) at samples: rows tangent, bitangent, normal."""
-    assert surface.frames is not None
-    normal = _unit(_between(surface.frames.normals, samples))
-    tangent = _between(surface.frames.tangents, samples)
-    hand = np.sign(tangent[:, 3:])
-    along = tangent[:, :3] - normal * np.sum(normal * tangent[:, :3], axis=1, keepdims=True)
-    tangent = _unit(along)
-    return np.stack([tangent, hand * np.cross(normal, tangent), normal], axis=1)
-
-
-def _between(corners: Corners, samples: SurfaceSamples) -> Floats:
-    return np.einsum("nk,nkc->nc", samples.barycentric, corners.values[corners.rows[samples.triangles]])
-
-
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
-
-
-def _angle(a: Floats, b: Floats, percentile: float = 99) -> float:
-    """Return a percentile of the angle between directions, in degrees."""
-    cosine = np.clip(np.sum(_unit(a) * _unit(b), axis=1), -1.0, 1.0)
-    return float(np.percentile(np.degrees(np.arccos(cosine)), percentile))

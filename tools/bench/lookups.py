@@ -12,16 +12,15 @@ import numpy.typing as npt
 from inputs import painted_torus, scattered_on_sphere, seen_on_sphere, sphere_cells, torus
 from measuring import (
     DROID,
-    PEERS,
     Report,
     Setup,
     Spent,
-    Task,
-    Worker,
     clocked,
     in_turns,
     millions,
+    open3d,
     run_program,
+    task,
     timed,
 )
 
@@ -102,7 +101,6 @@ def lookup(setup: Setup, report: Report) -> None:
         for (name, order), rate in rates.items():
             report.line(f"octex, {name}, {order}", f"{millions(rate)} lookups/s")
         if depth in (6, 10):
-            _limit(points, setup, report)
             _two_threads(texture, points, setup, report)
         if output is None:
             report.note("left out: OpenVDB and NanoVDB (--peers)")
@@ -120,14 +118,6 @@ def lookup(setup: Setup, report: Report) -> None:
                     report.line(what, f"{millions(rate)} lookups/s: octex {ratio:.2f} × as fast")
                     if peer == "NanoVDB" and depth == 10:
                         report.at_least(f"lookup: {name}, {order}, NanoVDB's", ratio, TARGETS[name][number])
-
-
-def _limit(points: dict[str, npt.NDArray[np.float32]], setup: Setup, report: Report) -> None:
-    for order, each in points.items():
-        target = np.empty_like(each)
-        spent = min(timed(lambda: np.copyto(target, each))[0].cpu for _ in range(max(setup.repeats, 5)))  # noqa: B023
-        what = f"limit: copying as many points in and values out, {order}"
-        report.line(what, f"{millions(len(each) / spent)} lookups/s")
 
 
 def _two_threads(
@@ -309,10 +299,9 @@ def resident(setup: Setup, report: Report) -> None:
     texture.save(path)
     report.title(f"resident: sphere, {1 << depth} cells along an edge, bytes a cell")
     report.line("all arrays", f"{texture.nbytes / leaves:.2f}")
-    with Task(
-        setup, "resident", pin=False, path=str(path), count=2000 if setup.quick else 2_000_000
-    ) as worker:
-        answer = worker.run()
+    count = 2000 if setup.quick else 2_000_000
+    with task(setup, "resident", pin=False, path=str(path), count=count) as work:
+        answer = work.run()
     report.line("tiles", f"{answer['tiles'] / leaves:.2f}")
     report.at_most(
         "resident: after 2 M random quadratic lookups", answer["grown"] / leaves, 8.5, "bytes a cell"
@@ -330,16 +319,11 @@ def today(setup: Setup, report: Report) -> None:
     spent = _times(texture, points, ("quadratic",), setup)["quadratic", "random"]
     rate = len(points["random"]) / spent.cpu
     report.line("octex, quadratic, random", f"{millions(rate)} lookups/s")
-    if not setup.peer_python:
-        report.note("left out: Open3D (--peer-python)")
-        return
     vertices, triangles, uv = torus(around, across)
     path = setup.folder / "today.npz"
     image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
     np.savez(path, vertices=vertices, triangles=triangles, uv=uv, image=image, points=points["random"])
-    command = [setup.peer_python, str(PEERS / "open3d_peer.py"), "look_up", str(path)]
-    with Worker(command, setup.core) as worker:
-        worker.run()
-        theirs = in_turns({"theirs": worker.spent}, setup.repeats)["theirs"]
-    rate, ratio = len(points["random"]) / theirs.cpu, theirs.cpu / spent.cpu
-    report.line("Open3D, random", f"{millions(rate)} lookups/s: octex {ratio:.1f} × as fast")
+    with open3d(setup, report, "look_up", path, core=setup.core) as peer:
+        for name, theirs in in_turns(peer, setup.repeats).items():
+            rate, ratio = len(points["random"]) / theirs.cpu, theirs.cpu / spent.cpu
+            report.line(f"{name}, random", f"{millions(rate)} lookups/s: octex {ratio:.1f} × as fast")

@@ -198,9 +198,9 @@ class Worker:
                 return answer
         raise RuntimeError(f"{self._process.args!r} ended without an answer")
 
-    def spent(self) -> Spent:
+    def spent(self, words: str = "") -> Spent:
         """Have the work done once; return the time it took by its own account."""
-        answer = self.run()
+        answer = self.run(words)
         return Spent(answer["cpu"], answer["wall"])
 
 
@@ -209,30 +209,41 @@ def octex_worker(core: int | None = None) -> Worker:
     return Worker([sys.executable, str(HERE / "worker.py")], core)
 
 
-class Task:
-    """A task of ``worker.py``, in a process of its own; in a quick run one process has them all."""
+class Task(NamedTuple):
+    """A task of ``worker.py``."""
 
-    def __init__(self, setup: Setup, name: str, *, pin: bool = True, **arguments: object) -> None:
-        self._words = json.dumps([name, arguments])
-        self._own = None if setup.worker else octex_worker(setup.core if pin else None)
-        self._worker = setup.worker or self._own
-
-    def __enter__(self) -> Task:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._own:
-            self._own.__exit__()
+    worker: Worker
+    words: str
 
     def run(self) -> dict[str, Any]:
         """Do it once; return the answer."""
-        assert self._worker
-        return self._worker.run(self._words)
+        return self.worker.run(self.words)
 
     def spent(self) -> Spent:
         """Do it once; return the time it took by its own account."""
-        answer = self.run()
-        return Spent(answer["cpu"], answer["wall"])
+        return self.worker.spent(self.words)
+
+
+@contextmanager
+def task(setup: Setup, name: str, *, pin: bool = True, **arguments: object) -> Iterator[Task]:
+    """Start a process for a task of ``worker.py``; in a quick run one process has them all."""
+    own = octex_worker(setup.core if pin else None) if setup.worker is None else nullcontext(setup.worker)
+    with own as worker:
+        yield Task(worker, json.dumps([name, arguments]))
+
+
+@contextmanager
+def open3d(
+    setup: Setup, report: Report, *words: object, core: int | None = None
+) -> Iterator[dict[str, Callable[[], Spent]]]:
+    """Start a task of ``open3d_peer.py``, and do it once; yield it by its name, or none without a Python."""
+    if not setup.peer_python:
+        report.note("left out: Open3D (--peer-python)")
+        yield {}
+        return
+    with Worker([setup.peer_python, str(PEERS / "open3d_peer.py"), *map(str, words)], core) as worker:
+        worker.run()
+        yield {"Open3D": worker.spent}
 
 
 class Output(NamedTuple):
@@ -268,12 +279,6 @@ def memory(field: str) -> int:
         if line.startswith(f"{field}:"):
             return int(line.split()[1]) * 1024
     raise RuntimeError(f"/proc/self/status has no {field}")
-
-
-def copy_speed(size: int = 1 << 26) -> float:
-    """Bytes a second that this core copies from memory to memory."""
-    source, target = np.ones(size, np.uint8), np.ones(size, np.uint8)
-    return size / median(timed(lambda: np.copyto(target, source))[0].cpu for _ in range(5))
 
 
 def millions(number: float) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from disturbed import Points, Ring, disturbed
 from inputs import painted_torus, torus
-from measuring import DROID, PEERS, Report, Setup, Worker, clocked, codes, decibels, timed
+from measuring import DROID, Report, Setup, clocked, codes, decibels, open3d, timed
 
 import octex
 from octex.drawing.hits import rest_normals, visible_hits
@@ -141,8 +141,7 @@ def _on_layer(brush: octex.Projection, size: int) -> octex.Projection:
 
 def _beside_open3d(setup: Setup, report: Report, depth: int) -> None:
     """Paint a picture onto 100 k triangles; Open3D projects it into an image of 2048² texels."""
-    if not setup.peer_python or setup.quick:
-        report.note("left out: Open3D (--peer-python)")
+    if setup.quick:
         return
     vertices, triangles, uv = torus(316, 158)
     surface = octex.Surface.from_arrays(vertices, triangles)
@@ -156,10 +155,12 @@ def _beside_open3d(setup: Setup, report: Report, depth: int) -> None:
     texture = octex.convert(surface, depth)
     shot = octex.Projection(image, camera)
     ours = _median(setup, lambda: octex.paint(texture, surface, shot, max_depth=depth))
-    with Worker([setup.peer_python, str(PEERS / "open3d_peer.py"), "paint", str(path)]) as worker:
-        theirs = worker.spent().wall
     report.line(f"onto {len(triangles):,} triangles, fitted", f"{ours:.2f} s")
-    report.line("Open3D, into an image of 2048²", f"{theirs:.2f} s: octex {theirs / ours:.1f} × as fast")
+    with open3d(setup, report, "paint", path) as peer:
+        for name, work in peer.items():
+            theirs = work().wall
+            ratio = f"octex {theirs / ours:.1f} × as fast"
+            report.line(f"{name}, into an image of 2048²", f"{theirs:.2f} s: {ratio}")
 
 
 def _median(setup: Setup, work: Any) -> float:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 from inputs import painted_torus, torus
-from measuring import PEERS, Report, Setup, Worker, clocked, in_turns, pinned, timed
+from measuring import Report, Setup, clocked, in_turns, open3d, pinned, timed
 
 import octex
 
@@ -28,21 +28,14 @@ def transfer(setup: Setup, report: Report) -> None:
         spent, laid = timed(lambda: target.with_sources(octex.Transfer(source).sources))
         report.line("made ready", spent)
         laid.source.evaluate(*(each[:100] for each in where))
-        contestants = {"octex": lambda: timed(lambda: laid.source.evaluate(*where))[0]}
-        if setup.peer_python:
-            path = setup.folder / "transfer.npz"
-            own, faces, uv = torus(around, across)
-            image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
-            points = np.asarray(samples.rest[order], np.float32)
-            np.savez(path, vertices=own, triangles=faces, uv=uv, image=image, points=points)
-            with Worker(
-                [setup.peer_python, str(PEERS / "open3d_peer.py"), "look_up", str(path)], setup.core
-            ) as worker:
-                worker.run()
-                found = in_turns({**contestants, "Open3D": worker.spent}, setup.repeats)
-        else:
-            report.note("left out: Open3D (--peer-python)")
-            found = in_turns(contestants, setup.repeats)
+        path = setup.folder / "transfer.npz"
+        own, faces, uv = torus(around, across)
+        image = np.random.default_rng(0).integers(0, 256, (size, size, 3), np.uint8)
+        points = np.asarray(samples.rest[order], np.float32)
+        np.savez(path, vertices=own, triangles=faces, uv=uv, image=image, points=points)
+        with open3d(setup, report, "look_up", path, core=setup.core) as peer:
+            ours = {"octex": lambda: timed(lambda: laid.source.evaluate(*where))[0]}
+            found = in_turns({**ours, **peer}, setup.repeats)
     for name, each in found.items():
         report.line(name, f"{order.size / each.cpu / 1e6:.2f} M points/s")
     if "Open3D" in found:

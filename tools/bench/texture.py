@@ -149,7 +149,7 @@ def psnr(setup: Setup, report: Report) -> None:
         least_inside = min(least_inside, inside)
         rows.append([*decibels, elsewhere])
         figures = "  ".join(f"{value:6.2f}" for value in rows[-1])
-        report.line(name, f"{figures}  {is_split.mean():7.2%}{_remark(decibels, elsewhere, inside)}")
+        report.line(name, f"{figures}  {is_split.mean():7.2%}")
     if rows:
         columns = np.array(rows)
         report.line("least", "  ".join(f"{value:6.2f}" for value in columns.min(axis=0)))
@@ -167,14 +167,3 @@ def _flags(texture: octex.OctreeTexture, points: np.ndarray) -> np.ndarray:
     cells = np.empty(len(points), np.int64)
     nearest_cells(texture.tree.arrays, points, *texture.placement, cells, np.empty(len(points), np.bool_))
     return texture.tree.arrays.flags[cells]
-
-
-def _remark(decibels: list[float], elsewhere: float, inside: float) -> str:
-    remarks = []
-    if inside < 1:
-        remarks.append(f"only {inside:.6f} inside stored cells")
-    if elsewhere < 25:
-        remarks.append("far from its source")
-    if decibels[-1] < 45 and elsewhere - decibels[0] < 2 * (len(decibels) - 1):
-        remarks.append("hardly nearer with depth")
-    return "   ← " + ", ".join(remarks) if remarks else ""

@@ -3,7 +3,7 @@
 
 usage: tools/blender/bake.py PYTHON [MODEL] [--depth 10] [--texture-size 2048] [--picture 512] [--samples 4]
 
-PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs bake_worker.py.
+PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs worker.py.
 Blender imports the baked .glb and draws its base colour with Cycles: emission, the Standard view transform.
 Blender reads maps without averaging, so that where texels are smaller than pixels one ray a pixel differs by
 aliasing: the whole model is drawn with several, and a part of it from so near that texels are larger than
@@ -14,8 +14,6 @@ does not bake 4 times as many texels a second as Blender (processor time; the sa
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -23,6 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from calling import DROID, blender
 from PIL import Image
 
 import octex
@@ -31,8 +30,6 @@ from octex.drawing import render_surface, texture_shader
 from octex.drawing.hits import Hits
 from octex.drawing.shaders import Appearance
 
-WORKER = Path(__file__).with_name("bake_worker.py")
-DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
 #: From glTF's axes to those that Blender's importer gives them.
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 DECIBELS, TIMES = 35.0, 4.0
@@ -64,7 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
         model = Path(folder) / "baked.glb"
         octex.write_model(baked, model)
         pictures = [Path(folder) / f"{number}.png" for number in range(len(views))]
-        told = blender(options.python, model, pictures, list(views.values()), size)
+        jobs = [job_of(*view, path) for view, path in zip(views.values(), pictures, strict=True)]
+        told = blender(options.python, "bake", model=str(model), texture_size=size, views=jobs)
         drawn = [np.array(Image.open(each)).astype(np.float64) for each in pictures]
     worst, share = np.inf, 1.0
     for number, ((name, (camera, samples)), picture) in enumerate(zip(views.items(), drawn, strict=True)):
@@ -102,29 +100,16 @@ def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> n
     return middle + half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
-def blender(
-    python: Path, model: Path, pictures: list[Path], views: list[tuple[octex.Camera, int]], size: int
-) -> dict[str, Any]:
-    """Have Blender draw a model, and bake it; return what it says of its bake."""
-    job: dict[str, Any] = {"model": str(model), "texture_size": size, "views": []}
-    for picture, (camera, samples) in zip(pictures, views, strict=True):
-        pose = np.linalg.inv(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
-        job["views"].append(
-            {
-                "picture": str(picture),
-                "pose": (Z_UP @ pose).tolist(),
-                "focal": camera.K[0, 0] / camera.width,
-                "pixels": [camera.width, camera.height],
-                "samples": samples,
-            }
-        )
-    done = subprocess.run(
-        [str(python), str(WORKER), json.dumps(job)], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+def job_of(camera: octex.Camera, samples: int, picture: Path) -> dict[str, Any]:
+    """Return a picture to draw, as worker.py reads it."""
+    pose = np.linalg.inv(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
+    return {
+        "picture": str(picture),
+        "pose": (Z_UP @ pose).tolist(),
+        "focal": camera.K[0, 0] / camera.width,
+        "pixels": [camera.width, camera.height],
+        "samples": samples,
+    }
 
 
 def view(

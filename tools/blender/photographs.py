@@ -4,7 +4,7 @@
 usage: photographs.py PYTHON [MODEL] [--count 14] [--width 800] [--held-out 4] [--keep FOLDER]
        photographs.py --scan MESH --cameras FILE [--balance full] [--refine-cameras] [--keep FOLDER]
 
-PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs photographs_worker.py.
+PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs worker.py.
 The model stands in sun and skylight on a ground that no mesh has; the photographs are JPEG files, the bare
 mesh is a PLY, the cameras are a transforms.json. With --keep an earlier run's photographs in FOLDER serve
 again. Photographs that are held out are drawn from what the others painted, and compared inside the
@@ -15,8 +15,6 @@ their means, for what shines looks lighter from some sides, and nothing tells ho
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +24,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import numpy.typing as npt
+from calling import DROID, blender
 from PIL import Image
 
 import octex
@@ -34,8 +33,6 @@ from octex.drawing import render_surface, texture_shader
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.painting.options import BALANCES, PICTURES
 
-WORKER = Path(__file__).with_name("photographs_worker.py")
-DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
 #: Pixels from the silhouette's edge on that are compared: those at it show the ground, too.
 FROM_EDGE = 2
 #: How much of what is compared others saw, at least.
@@ -61,7 +58,10 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("give PYTHON, or --scan and --cameras")
     with folder_at(options.keep) as folder:
         if options.cameras is None and not (folder / "transforms.json").exists():
-            photograph(options, folder)
+            job = {"count": options.count, "width": options.width, "rays": options.rays}
+            blender(
+                options.python, "photograph", model=str(options.model), folder=str(folder.resolve()), **job
+            )
         surface = octex.load_surface(options.scan or folder / "scan.ply")
         frames = octex.read_cameras(options.cameras or folder / "transforms.json")
         frames = [each for each in frames if each.image is not None and each.image.exists()]
@@ -93,16 +93,6 @@ def folder_at(path: Path | None) -> Iterator[Path]:
     else:
         path.mkdir(parents=True, exist_ok=True)
         yield path
-
-
-def photograph(options: argparse.Namespace, folder: Path) -> None:
-    """Have Blender take the photographs."""
-    job = {"model": str(options.model), "folder": str(folder.resolve())}
-    job |= {"count": options.count, "width": options.width, "rays": options.rays}
-    call = [str(options.python), str(WORKER), json.dumps(job)]
-    done = subprocess.run(call, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")
 
 
 def compared(

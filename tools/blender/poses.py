@@ -3,7 +3,7 @@
 
 usage: poses.py PYTHON MODEL [MODEL …] [--times 10]
 
-PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs poses_worker.py. Each
+PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs worker.py. Each
 animation is taken at so many times, evenly from its start to its end. Blender blends the components of
 quaternions between keys where glTF asks for slerp: at these times it gets keys, by its own mathutils' slerp.
 The exit code is 1 if a vertex is off by more than 1e-4 of the model's size.
@@ -12,18 +12,16 @@ The exit code is 1 if a vertex is off by more than 1e-4 of the model's size.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+from calling import blender
 
 import octex
 from octex.source.models.gltf_file import Document
 from octex.source.models.gltf_motion import Moves
 
-WORKER = Path(__file__).with_name("poses_worker.py")
 LIMIT = 1e-4
 
 
@@ -45,13 +43,8 @@ def compare(python: Path, model: Path, count: int) -> float:
     lengths = {str(each.get("name", n)): Moves(document, n).length for n, each in animations}
     names = [each.get("name", f"Anim_{n}") for n, each in animations]
     times = [np.linspace(0, length, count).astype(np.float32).tolist() for length in lengths.values()]
-    job = {"model": str(model.resolve()), "animations": list(lengths), "names": names, "times": times}
-    done = subprocess.run(
-        [str(python), str(WORKER), json.dumps(job)], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")
-    found = json.loads(done.stdout.splitlines()[-1])
+    job = {"animations": list(lengths), "names": names, "times": times}
+    found = blender(python, "pose", model=str(model.resolve()), **job)
     worst = 0.0
     for name, chosen in zip(lengths, times, strict=True):
         distances = []

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from octex.archive.head import channels_in, packed, pieces_of
-from octex.archive.layout import MAGIC, START, Place, runs
+from octex.archive.layout import MAGIC, START, Place, channels_in, pieces_of, runs
+from octex.archive.write import packed
 from octex.channels import ChannelFormat
 from octex.texture import Channel, OctreeTexture
 from octex.tree.octree import Octree

@@ -9,7 +9,7 @@ import struct
 import sys
 import zlib
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,47 +22,16 @@ SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
 _MOST_PER_BYTE = 65536
 
 
-class _Format(NamedTuple):
-    dtype: str
-    lanes: str  # in the order in which they are stored
-
-
-#: The values of VkFormat that are read: UNORM and SRGB of 8 bits, UNORM of 16, and SFLOAT.
+#: The type and the lanes, as they are stored, of the values of VkFormat that are read: UNORM and SRGB of 8
+#: bits, UNORM of 16, and SFLOAT.
 _FORMATS = {
-    **dict.fromkeys((9, 15), _Format("u1", "r")),
-    **dict.fromkeys((16, 22), _Format("u1", "rg")),
-    **dict.fromkeys((23, 29), _Format("u1", "rgb")),
-    **dict.fromkeys((30, 36), _Format("u1", "bgr")),
-    **dict.fromkeys((37, 43), _Format("u1", "rgba")),
-    **dict.fromkeys((44, 50), _Format("u1", "bgra")),
-    **{70 + 7 * n: _Format("<u2", "rgba"[: n + 1]) for n in range(4)},
-    **{76 + 7 * n: _Format("<f2", "rgba"[: n + 1]) for n in range(4)},
-    **{100 + 3 * n: _Format("<f4", "rgba"[: n + 1]) for n in range(4)},
+    **{first + 7 * n: ("u1", lanes) for first in (9, 15)
+       for n, lanes in enumerate(("r", "rg", "rgb", "bgr", "rgba", "bgra"))},
+    **{70 + 7 * n: ("<u2", "rgba"[: n + 1]) for n in range(4)},
+    **{76 + 7 * n: ("<f2", "rgba"[: n + 1]) for n in range(4)},
+    **{100 + 3 * n: ("<f4", "rgba"[: n + 1]) for n in range(4)},
 }  # fmt: skip
 _PLAIN, _ZSTD, _ZLIB = 0, 2, 3  # schemes of supercompression
-
-
-class _Header(NamedTuple):
-    """The head of a file, up to where its largest level is."""
-
-    vk_format: int
-    type_size: int
-    width: int
-    height: int
-    depth: int
-    layers: int
-    faces: int
-    levels: int
-    scheme: int
-    description: int  # where the data format descriptor is
-    description_bytes: int
-    entries: int  # where the pairs of keys and values are
-    entries_bytes: int
-    shared: int
-    shared_bytes: int
-    level: int  # where the largest level is
-    packed_bytes: int
-    unpacked_bytes: int
 
 
 def decode_ktx2(data: bytes, name: str) -> Texels:
@@ -71,29 +40,34 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     Of plain texels, lanes that the file lacks are 0, alpha is 1. Raises ImageError, and MissingExtraError
     where codes need the extra ``ktx2``.
     """
-    header = _Header(*struct.unpack_from("<13I5Q", data, len(SIGNATURE)))
-    if header.vk_format == 0:
-        return _universal(data, name, header)
-    if header.vk_format not in _FORMATS:
+    # Of the data format descriptor and the metadata, where they are; of the largest level, its sizes too.
+    (
+        vk_format, _, width, height, depth, layers, faces, _, scheme, descriptor, _, entries, entries_size,
+        _, _, level, packed, unpacked,
+    ) = struct.unpack_from("<13I5Q", data, len(SIGNATURE))  # fmt: skip
+    if vk_format == 0:
+        return _universal(data, name, unpacked)
+    if vk_format not in _FORMATS:
         raise ImageError(
-            f"{name} has vkFormat {header.vk_format}, which octex does not read; save it as R8G8B8A8, or in "
-            "Basis Universal's codes"
+            f"{name} has vkFormat {vk_format}, which octex does not read; save it as R8G8B8A8, or in Basis "
+            "Universal's codes"
         )
-    if max(header.depth, 1) * max(header.layers, 1) * header.faces != 1:
+    if max(depth, 1) * max(layers, 1) * faces != 1:
         raise ImageError(f"{name} is a volume, an array or a cube of images; save the one that you mean")
-    if any(byte & 1 for byte in data[header.description + 15 : header.description + 16]):
+    if any(byte & 1 for byte in data[descriptor + 15 : descriptor + 16]):
         raise ImageError(f"{name} has colours multiplied by alpha; save it without (straight alpha)")
-    width, height = header.width, max(header.height, 1)
+    height = max(height, 1)
     check_size(width, height, len(data), name, _MOST_PER_BYTE)
-    dtype, lanes = _FORMATS[header.vk_format]
+    dtype, lanes = _FORMATS[vk_format]
+    what = f"texels of vkFormat {vk_format}"
     size = width * height * len(lanes) * np.dtype(dtype).itemsize
-    texels = _unpacked(data[header.level : header.level + header.packed_bytes], header, size, name)
+    texels = _unpacked(data[level : level + packed], scheme, size, name, what)
     if size == 0 or len(texels) != size:
         raise ImageError(
-            f"{name} is damaged: {width} × {height} texels of vkFormat {header.vk_format} take {size} bytes, "
-            "and it has another number; save it again"
+            f"{name} is damaged: {width} × {height} {what} take {size} bytes, and it has another number; "
+            "save it again"
         )
-    metadata = _metadata(data[header.entries : header.entries + header.entries_bytes])
+    metadata = _metadata(data[entries : entries + entries_size])
     orientation = metadata.get(b"KTXorientation", b"rd")
     values = np.frombuffer(texels, dtype).reshape(height, width, len(lanes))
     values = values[:: -1 if orientation[1:2] == b"u" else 1, :: -1 if orientation[:1] == b"l" else 1]
@@ -104,17 +78,16 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     return spread(every)
 
 
-def _unpacked(data: bytes, header: _Header, size: int, name: str) -> bytes:
+def _unpacked(data: bytes, scheme: int, size: int, name: str, what: str) -> bytes:
     """Return what was packed, at most a byte more than ``size``; nothing of what is cut off."""
-    if header.scheme == _PLAIN:
+    if scheme == _PLAIN:
         return data
-    if header.scheme not in (_ZLIB, _ZSTD):
+    if scheme not in (_ZLIB, _ZSTD):
         raise ImageError(
-            f"{name} has texels of vkFormat {header.vk_format} packed by scheme {header.scheme}, which octex "
-            "does not read; pack them by zstd"
+            f"{name} has {what} packed by scheme {scheme}, which octex does not read; pack them by zstd"
         )
     unpacker: Any = zlib.decompressobj()
-    if header.scheme == _ZSTD:
+    if scheme == _ZSTD:
         module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
         try:
             unpacker = import_module(module).ZstdDecompressor()
@@ -137,7 +110,7 @@ def _metadata(data: bytes) -> dict[bytes, bytes]:
     return entries
 
 
-def _universal(data: bytes, name: str, header: _Header) -> Texels:
+def _universal(data: bytes, name: str, unpacked: int) -> Texels:
     """Return the texels of Basis Universal's codes, ETC1S or UASTC."""
     try:
         import opengl_basisu
@@ -147,6 +120,6 @@ def _universal(data: bytes, name: str, header: _Header) -> Texels:
     texture = opengl_basisu.open(data)
     check_size(texture.width, texture.height, len(data), name, _MOST_PER_BYTE)
     blocks = -(-texture.width // 4) * -(-texture.height // 4) * texture.faces * texture.layers
-    if header.unpacked_bytes > 16 * blocks:  # of the largest image
+    if unpacked > 16 * blocks:  # of the largest image
         raise ImageError(f"{name} is damaged: its texels unpack to too many bytes; save it again")
     return spread(texture.transcode("rgba8").data)

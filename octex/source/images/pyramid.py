@@ -89,7 +89,16 @@ def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
             first += stride * (high + 1 + rim)
         rows_of.append(first)
     layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
-    kinds = [_kind(picture, what) for picture in pictures]
+    kinds = [
+        SUMS
+        if what == AREAS
+        else FLOAT
+        if each.texels.dtype == np.float32
+        else SRGB
+        if each.is_light
+        else DATA
+        for each in pictures
+    ]
     bases, ends = [], {SRGB: 0, FLOAT: 0, SUMS: 0}
     for kind, layout in zip(kinds, layout_of, strict=True):
         held = SRGB if kind == DATA else kind
@@ -119,14 +128,6 @@ def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
     with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
     return images, layout_of
-
-
-def _kind(picture: Picture, what: int) -> int:
-    if what == AREAS:
-        return SUMS
-    if picture.texels.dtype == np.float32:
-        return FLOAT
-    return SRGB if picture.is_light else DATA
 
 
 def _shapes(width: int, height: int, what: int) -> tuple[list[tuple[int, int]], int, int]:

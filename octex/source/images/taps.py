@@ -68,24 +68,20 @@ def wrapped(index: int, size: int, mode: int) -> int:
 
 
 @inlined
-def four_taps(
-    images: Images, row: int, foot: Footprint, left: int, top: int, right: float, down: float, weight: float,
-    places: Int64s, weights: Float64s, count: int,
+def window(
+    images: Images, row: int, foot: Footprint, left: int, top: int, across: tuple[float | np.float32, ...],
+    down: tuple[float | np.float32, ...], places: Int64s, weights: Float64s, count: int,
 ) -> int:  # fmt: skip
-    """Add a texel of a level and the next ones across and down, which have these shares of a weight."""
+    """Add a window of a level's texels, whose columns and rows have these weights."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
-    x0, y0 = int(left), int(top)
-    x1, y1 = x0 + 1, y0 + 1
-    if x0 < 0 or x1 >= width:
-        x0, x1 = wrapped(x0, width, foot.wrap_u), wrapped(x1, width, foot.wrap_u)
-    if y0 < 0 or y1 >= height:
-        y0, y1 = wrapped(y0, height, foot.wrap_v), wrapped(y1, height, foot.wrap_v)
-    upper, lower = first + y0 * (width + 2), first + y1 * (width + 2)
-    places[count], weights[count] = upper + x0, weight * (1.0 - right) * (1.0 - down)
-    places[count + 1], weights[count + 1] = upper + x1, weight * right * (1.0 - down)
-    places[count + 2], weights[count + 2] = lower + x0, weight * (1.0 - right) * down
-    places[count + 3], weights[count + 3] = lower + x1, weight * right * down
-    return count + 4
+    is_inside = left >= 0 and left + len(across) <= width
+    for j in range(len(down)):
+        start = first + wrapped(top + j, height, foot.wrap_v) * (width + 2)
+        for i in range(len(across)):
+            x = left + i if is_inside else wrapped(left + i, width, foot.wrap_u)
+            places[count], weights[count] = start + x, across[i] * down[j]
+            count += 1
+    return count
 
 
 @inlined
@@ -95,7 +91,9 @@ def bilinear(
     """Add the four texels of a level around a point, with a weight in all."""
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     left, top = math.floor(x), math.floor(y)
-    return four_taps(images, row, foot, left, top, x - left, y - top, weight, places, weights, count)
+    right, down = x - left, y - top
+    across = (weight * (1.0 - right), weight * right)
+    return window(images, row, foot, left, top, across, (1.0 - down, down), places, weights, count)
 
 
 @inlined
@@ -106,7 +104,7 @@ def flat_texels(
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = _ramp(x - left, math.sqrt(12.0 * xx)), _ramp(y - top, math.sqrt(12.0 * yy))
-    return four_taps(images, row, foot, left, top, right, down, 1.0, places, weights, 0)
+    return window(images, row, foot, left, top, (1.0 - right, right), (1.0 - down, down), places, weights, 0)
 
 
 @inlined

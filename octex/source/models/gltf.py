@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import reprlib
 from collections.abc import Iterable
-from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,9 +19,11 @@ from octex.errors import ImageError, ModelError, damaged
 from octex.parallel import cpu_count, pool_of
 from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
-from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.models.gltf_file import (
+    DRACO,
+    MESHOPT,
     Document,
     Json,
     as_numbers,
@@ -42,6 +43,11 @@ _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
+# Extensions that a file may require: those that are read, and those that change nothing octex reads.
+_KNOWN_EXTENSIONS = {
+    DRACO, *MESHOPT, *_IMAGE_EXTENSIONS, "EXT_mesh_gpu_instancing", "KHR_animation_pointer",
+    "KHR_lights_punctual", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_xmp_json_ld",
+}  # fmt: skip
 # Larger numbers are damage; products of two stay finite in single precision.
 _FARTHEST = 1e18
 
@@ -52,172 +58,163 @@ def load_gltf(path: Path, options: Options) -> Surface:
     Rest positions are the mesh as it is modelled, without morph targets and skins; ``options.pose`` moves the
     positions, as ``gltf_motion`` says. ``uv`` is TEXCOORD_0, where all primitives with textures have it.
     """
-    return _Scene(path, options).surface()
+    document = Document(path)
+    shown = _shown(document, options)
+    if not shown:
+        raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
+    known = _materials(document, (each.primitive.material for each in shown), options)
+    numbers = {number: place for place, number in enumerate(known)}
+    is_mapped = any(each.material.normal_slot is not None for each in known.values())
+    is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
+    has_frames = is_mapped or (options.normals and is_smooth)
+    parts: dict[str, Part] = {}
+    for primitive in (each.primitive for each in shown):
+        if primitive.name not in parts:
+            number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
+            part = Part(primitive.positions, primitive.triangles, number)
+            if options.materials:
+                part = _bound(part, primitive, known[primitive.material], has_frames)
+            parts[primitive.name] = part
+    posed = None
+    if options.pose is not None:
+        pose = pose_of(document, options.pose)
+        posed = np.concatenate([pose.positions(each) for each in shown])
+    asset = document.json["asset"]
+    origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
+    if isinstance(extras := asset.get("extras"), dict):
+        keys = ("author", "license", "licence")
+        origin |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
+    if document.files:
+        origin["files"] = json.dumps(document.files, sort_keys=True, ensure_ascii=False)
+    return assembled(
+        [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
+        [each.material for each in known.values()],
+        options, document.name, provenance=origin, posed=posed,
+    )  # fmt: skip
 
 
 def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     """Return how all vertices move, ``rate`` frames a second or more; None without animations."""
-    scene = _Scene(path, Options(materials=False))
-    return motion_of(scene.document, scene.shown(), rate)
+    document = Document(path)
+    return motion_of(document, _shown(document, Options(materials=False)), rate)
 
 
-class _Scene:
-    def __init__(self, path: Path, options: Options) -> None:
-        self.document = Document(path)
-        self.document.refuse_extensions()
-        self._options = options
-        self._meshes: dict[int, list[Primitive]] = {}
-
-    def surface(self) -> Surface:
-        document, options = self.document, self._options
-        shown = self.shown()
-        if not shown:
-            raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-        known = _materials(document, (each.primitive.material for each in shown), options)
-        numbers = {number: place for place, number in enumerate(known)}
-        is_mapped = any(each.material.normal_slot is not None for each in known.values())
-        is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
-        has_frames = is_mapped or (options.normals and is_smooth)
-        parts: dict[str, Part] = {}
-        for primitive in (each.primitive for each in shown):
-            if primitive.name not in parts:
-                part = self._part(primitive, known[primitive.material], has_frames)
-                number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
-                parts[primitive.name] = part._replace(materials=number)
-        posed = None
-        if options.pose is not None:
-            pose = pose_of(document, options.pose)
-            posed = np.concatenate([pose.positions(each) for each in shown])
-        asset = document.json["asset"]
-        origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
-        if isinstance(extras := asset.get("extras"), dict):
-            keys = ("author", "license", "licence")
-            origin |= {key: extras[key] for key in keys if isinstance(extras.get(key), str)}
-        if document.files:
-            origin["files"] = json.dumps(document.files, sort_keys=True, ensure_ascii=False)
-        return assembled(
-            [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
-            [each.material for each in known.values()],
-            options,
-            document.name,
-            provenance=origin,
-            posed=posed,
-        )
-
-    def shown(self) -> list[Placed]:
-        """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
-        return [
+def _shown(document: Document, options: Options) -> list[Placed]:
+    """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
+    for extension in document.items("extensionsRequired"):
+        if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
+            raise ModelError(
+                f"{document.name} requires the glTF extension {extension}, which octex does not read; export "
+                "it without"
+            )
+    meshes: dict[int, list[Primitive]] = {}
+    shown = []
+    for number, node, matrix in scene_nodes(document):
+        if "mesh" not in node:
+            continue
+        if node["mesh"] not in meshes:
+            meshes[node["mesh"]] = _primitives(document, node["mesh"], options)
+        shown += [
             Placed(number, copy, matrix @ copy, primitive)
-            for number, node, matrix in scene_nodes(self.document)
-            if "mesh" in node
-            for copy in self._copies(node)
-            for primitive in self._mesh(node["mesh"])
+            for copy in _copies(document, node)
+            for primitive in meshes[node["mesh"]]
             if len(primitive.triangles)
         ]
+    return shown
 
-    def _copies(self, node: Json) -> list[Float64s]:
-        """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
-        instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
-        if instancing is None:
-            return [np.eye(4)]
-        columns = {
-            key: self.document.accessor(instancing["attributes"][name], (3, 4)).astype(np.float64)
-            for name, key in (("TRANSLATION", "translation"), ("ROTATION", "rotation"), ("SCALE", "scale"))
-            if name in instancing["attributes"]
-        }
-        count = min((len(rows) for rows in columns.values()), default=0)
-        return [local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
-    def _mesh(self, number: int) -> list[Primitive]:
-        if number not in self._meshes:
-            what = f"{self.document.name}: meshes[{number}].primitives"
-            entries = [
-                as_object(entry, f"{what}[{index}]")
-                for index, entry in enumerate(self.document.item("meshes", number)["primitives"])
-            ]
-            self._meshes[number] = [
-                self._primitive(entry, f"{what}[{index}]")
-                for index, entry in enumerate(entries)
-                if entry.get("mode", _TRIANGLES) in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN)
-                and "POSITION" in entry["attributes"]
-            ]
-        return self._meshes[number]
+def _copies(document: Document, node: Json) -> list[Float64s]:
+    """Return the transforms of a node's instances (EXT_mesh_gpu_instancing), else only the identity."""
+    instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
+    if instancing is None:
+        return [np.eye(4)]
+    columns = {
+        name.lower(): document.accessor(instancing["attributes"][name], (3, 4)).astype(np.float64)
+        for name in ("TRANSLATION", "ROTATION", "SCALE")
+        if name in instancing["attributes"]
+    }
+    count = min((len(rows) for rows in columns.values()), default=0)
+    return [local_matrix({key: rows[i] for key, rows in columns.items()}) for i in range(count)]
 
-    def _primitive(self, entry: Json, name: str) -> Primitive:
-        document = self.document
-        attributes = entry["attributes"]
+
+def _primitives(document: Document, number: int, options: Options) -> list[Primitive]:
+    """Read the triangles of a mesh."""
+    what = f"{document.name}: meshes[{number}].primitives"
+    entries = {
+        f"{what}[{index}]": as_object(entry, f"{what}[{index}]")
+        for index, entry in enumerate(document.item("meshes", number)["primitives"])
+    }
+    primitives = []
+    for name, entry in entries.items():
+        mode, attributes = entry.get("mode", _TRIANGLES), entry["attributes"]
+        if mode not in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN) or "POSITION" not in attributes:
+            continue
         triangles, decoded = document.draco(entry, name) or (None, {})
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             positions = positions.astype(np.float64)
         if not np.isfinite(positions).all():
             raise ModelError(f"{name} has vertices that are not finite; repair the model")
-        indices = self._indices(entry, triangles, len(positions), name)
-        mode = entry.get("mode", _TRIANGLES) if triangles is None else _TRIANGLES
-        number = entry.get("material") if self._options.materials else None
-        return Primitive(
-            document, name, positions, _triangles(indices, mode).astype(np.int32), number, attributes,
-            decoded, entry.get("targets", []),
-        )  # fmt: skip
-
-    def _indices(self, entry: Json, triangles: Array | None, count: int, name: str) -> Int64s:
-        """Return the vertices of the corners of a primitive, or of its decoded triangles: below ``count``."""
+        indices: Array = np.arange(len(positions))
         if triangles is not None:
-            indices = triangles.reshape(-1)
+            indices, mode = triangles.reshape(-1), _TRIANGLES
         elif "indices" in entry:
-            indices = self.document.accessor(entry["indices"], (1,))[:, 0]
-        else:
-            return np.arange(count)
-        if indices.dtype.kind == "f":
-            what = name.replace(": ", ": the indices of ", 1)
-            raise damaged(f"{what} are not integers")
-        low, high = indices.min(initial=0), indices.max(initial=0)
-        if len(indices) and not 0 <= low <= high < count:
-            raise ModelError(
-                f"{name} uses vertex {low if low < 0 else high}, but there are {count}; "
-                "export the model again"
-            )
-        if high == np.iinfo(indices.dtype).max:
-            raise ModelError(
-                f"{name} uses vertex {high}, but {indices.dtype.name} indices keep this "
-                "number for the end of a strip (3.7.2.1); export it with wider indices"
-            )
-        return indices.astype(np.int64)
-
-    def _part(self, primitive: Primitive, known: Description, has_frames: bool) -> Part:
-        """Read what a primitive's material needs, and what may be of use without one."""
-        positions, triangles = primitive.positions, primitive.triangles
-        part = Part(positions, triangles, np.zeros(len(triangles), np.int32))
-        if not self._options.materials:
-            return part
-
-        def bound(rows: Floats | None) -> Corners | None:
-            return None if rows is None else Corners(rows.astype(np.float32), triangles)
-
-        colors = primitive.attribute("COLOR_0", (3, 4))
-        if colors is not None and colors.shape[1] == 3:
-            colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
-        uv = primitive.attribute("TEXCOORD_0", (2,))
-        coordinates = []
-        for slot in known.slots:
-            read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
-            if read is None:
-                what = f"{self.document.name}: a textured material is of meshes without {slot.name}"
-                warn(f"{what}, which read one texel; give them coordinates")
-                read = np.zeros((len(positions), 2))
-            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
-                coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
-        frames = None
-        if has_frames:
-            normals, place = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
-            tangents = mapped = None
-            if place is not None:  # tangents mean something only below a normal map
-                tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[place]
-            frames = corner_frames(positions, triangles, normals, tangents, mapped)
-        is_smooth = "NORMAL" in primitive.attributes
-        return Part(
-            positions, triangles, part.materials, bound(colors), coordinates, bound(uv), frames, is_smooth
+            indices = document.accessor(entry["indices"], (1,))[:, 0]
+        _check_indices(indices, len(positions), name)
+        cut = _triangles(indices.astype(np.int64), mode).astype(np.int32)
+        material = entry.get("material") if options.materials else None
+        primitives.append(
+            Primitive(document, name, positions, cut, material, attributes, decoded, entry.get("targets", []))
         )
+    return primitives
+
+
+def _check_indices(indices: Array, count: int, name: str) -> None:
+    if indices.dtype.kind == "f":
+        raise damaged(f"{name.replace(': ', ': the indices of ', 1)} are not integers")
+    low, high = indices.min(initial=0), indices.max(initial=0)
+    if len(indices) and not 0 <= low <= high < count:
+        raise ModelError(
+            f"{name} uses vertex {low if low < 0 else high}, but there are {count}; export the model again"
+        )
+    if high == np.iinfo(indices.dtype).max:
+        raise ModelError(
+            f"{name} uses vertex {high}, but {indices.dtype.name} indices keep this number for the end of a "
+            "strip (3.7.2.1); export it with wider indices"
+        )
+
+
+def _bound(part: Part, primitive: Primitive, known: Description, has_frames: bool) -> Part:
+    """Read what a primitive's material needs, and what may be of use without one."""
+    positions, triangles = part.positions, part.triangles
+
+    def bound(rows: Floats | None) -> Corners | None:
+        return None if rows is None else Corners(rows.astype(np.float32), triangles)
+
+    colors = primitive.attribute("COLOR_0", (3, 4))
+    if colors is not None and colors.shape[1] == 3:
+        colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
+    uv = primitive.attribute("TEXCOORD_0", (2,))
+    coordinates = []
+    for slot in known.slots:
+        read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
+        if read is None:
+            what = f"{primitive.document.name}: a textured material is of meshes without {slot.name}"
+            warn(f"{what}, which read one texel; give them coordinates")
+            read = np.zeros((len(positions), 2))
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
+            coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
+    frames = None
+    if has_frames:
+        normals, place = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
+        tangents = mapped = None
+        if place is not None:  # tangents mean something only below a normal map
+            tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[place]
+        frames = corner_frames(positions, triangles, normals, tangents, mapped)
+    return part._replace(
+        colors=bound(colors), coordinates=coordinates, uv=bound(uv), frames=frames,
+        is_smooth="NORMAL" in primitive.attributes,
+    )  # fmt: skip
 
 
 def _triangles(indices: Int64s, mode: int) -> Int64s:
@@ -257,31 +254,32 @@ class _Record(NamedTuple):
         return as_numbers(self.entry.get(key, default), len(default), f"{self.name}.{key}", _FARTHEST)
 
 
-#: A use of a texture: its image, which is being decoded, wraps of u and v, flat texels, and its coordinates.
-_Reference = tuple[Future[Texels], int, int, bool, Slot]
-
-
 def _materials(
     document: Document, numbers: Iterable[int | None], options: Options
 ) -> dict[int | None, Description]:
     """Return materials by number, None for glTF's default; images are decoded in parallel, each once."""
     described = {number: _described(document, number) for number in dict.fromkeys(numbers)}
+    files: dict[str | int, tuple[bytes, str]] = {}
+    textures = {
+        (number, name): _texture(document, use, files)
+        for number, (_, uses) in described.items()
+        for name, use in uses.items()
+        if options.wants_image(name)
+    }
     with pool_of(cpu_count()) as pool:
-        images = _Images(document, pool)
-        references = {
-            number: {name: images.begin(each) for name, each in uses.items() if options.wants_image(name)}
-            for number, (_, uses) in described.items()
-        }
-        known: dict[int | None, Description] = {}
-        for number, (material, _) in described.items():
-            slots: dict[Slot, int] = {}
-            inputs = dict(material.inputs)
-            for name, (image, wrap_u, wrap_v, nearest, slot) in references[number].items():
+        texels = dict(zip(files, pool.map(lambda file: decode_image(*file), files.values()), strict=True))
+    known: dict[int | None, Description] = {}
+    for number, (material, uses) in described.items():
+        slots: dict[Slot, int] = {}
+        inputs = dict(material.inputs)
+        for name in uses:
+            if (number, name) in textures:
+                file, wrap_u, wrap_v, nearest, slot = textures[number, name]
                 place = slots.setdefault(slot, len(slots))
-                texture = Texture(image.result(), wrap_u, wrap_v, nearest, place)
+                texture = Texture(texels[file], wrap_u, wrap_v, nearest, place)
                 inputs[name] = inputs[name]._replace(texture=texture)
-            known[number] = Description(material._replace(inputs=inputs), tuple(slots))
-        return known
+        known[number] = Description(material._replace(inputs=inputs), tuple(slots))
+    return known
 
 
 def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
@@ -295,15 +293,8 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     inputs: dict[str, Input] = {}
     uses: dict[str, _Record] = {}
 
-    def state(
-        name: str,
-        factor: tuple[float, ...],
-        holder: _Record,
-        key: str,
-        lanes: tuple[int, ...] = (0, 1, 2),
-        offset: tuple[float, ...] = (),
-    ) -> None:
-        inputs[name] = Input(factor, None, lanes, offset)
+    def state(name: str, stated: Input, holder: _Record, key: str) -> None:
+        inputs[name] = stated
         if holder.states(key):
             uses[name] = holder.part(key)
 
@@ -316,9 +307,9 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     else:
         pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
         color = pbr.numbers("baseColorFactor", (1.0,) * 4)
-    state("base_color", color[:3], pbr, texture)
+    state("base_color", Input(color[:3]), pbr, texture)
     if mode != "OPAQUE":
-        state("alpha", color[3:], pbr, texture, (3,))
+        state("alpha", Input(color[3:], None, (3,)), pbr, texture)
     name = record.entry.get("name")
     material = Material(
         inputs,
@@ -332,85 +323,76 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     if is_older:
         texture = "specularGlossinessTexture"
         inputs["metallic"] = Input((0.0,))
-        state("roughness", (-pbr.number("glossinessFactor", 1.0),), pbr, texture, (3,), (1.0,))
+        rough = Input((-pbr.number("glossinessFactor", 1.0),), None, (3,), (1.0,))
+        state("roughness", rough, pbr, texture)
         if pbr.states("specularFactor", texture):
-            state("specular", pbr.numbers("specularFactor", (1.0,) * 3), pbr, texture)
+            state("specular", Input(pbr.numbers("specularFactor", (1.0,) * 3)), pbr, texture)
     else:
         texture = "metallicRoughnessTexture"
         for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
             if pbr.states(key, texture):
-                state(name, (pbr.number(key, 1.0),), pbr, texture, (lane,))
+                state(name, Input((pbr.number(key, 1.0),), None, (lane,)), pbr, texture)
         if extensions.states("KHR_materials_specular", "KHR_materials_ior"):
             layer, ior = extensions.part("KHR_materials_specular"), extensions.part("KHR_materials_ior")
             index = max(ior.number("ior", 1.5), 0.0)  # 0 reflects all
             first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
             tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
-            state("specular", tuple(tint.tolist()), layer, "specularColorTexture")
+            state("specular", Input(tuple(tint.tolist())), layer, "specularColorTexture")
     if record.states("occlusionTexture"):
         strength = record.part("occlusionTexture").number("strength", 1.0)
-        state("occlusion", (strength,), record, "occlusionTexture", (0,), (1.0 - strength,))
+        occlusion = Input((strength,), None, (0,), (1.0 - strength,))
+        state("occlusion", occlusion, record, "occlusionTexture")
     if record.states("emissiveFactor", "emissiveTexture"):
         strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
         light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
-        state("emissive", light, record, "emissiveTexture")
+        state("emissive", Input(light), record, "emissiveTexture")
     if record.states("normalTexture"):
         scale = record.part("normalTexture").number("scale", 1.0)
-        state("normal", (scale, scale, 1.0), record, "normalTexture")
+        state("normal", Input((scale, scale, 1.0)), record, "normalTexture")
     return material, uses
 
 
-def _slot(use: _Record) -> Slot:
+def _texture(
+    document: Document, use: _Record, files: dict[str | int, tuple[bytes, str]]
+) -> tuple[str | int, int, int, bool, Slot]:
+    """Return what a reference to a texture means: its image, wraps of u and v, flat texels, coordinates.
+
+    ``files`` gets the image's content, by its place in the file, and its name in errors.
+    """
+    number = use.entry.get("index")
+    entry = document.item("textures", number)
+    source = entry.get("source")
+    for name, extension in entry.get("extensions", {}).items():
+        if source is None and name in _IMAGE_EXTENSIONS:
+            source = extension.get("source")
+    if source is None:
+        raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
+    sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
+    wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
+    for axis, code in wraps.items():
+        if code not in _WRAPS:
+            raise damaged(f"{document.name}: a sampler has an unknown {axis} {code}")
+    wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
+    image, what = document.item("images", source), f"images[{source}]"
+    file: str | int | None = image.get("bufferView", image.get("uri"))
+    name = f"{document.name}: {what}"
+    if file is None:
+        raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
+    if file not in files:
+        if isinstance(file, str):
+            content = document.resource(file, what, ImageError)
+            name = name if file.startswith("data:") else f"{name} ({file})"
+        else:
+            content = bytes(document.view(file)[0])
+        files[file] = content, name
     transform = use.part("extensions").part("KHR_texture_transform")
-    number = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
-    if isinstance(number, bool) or not isinstance(number, int) or number < 0:
-        raise damaged(f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}")
-    return Slot(
-        f"TEXCOORD_{number}",
+    place = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
+    if isinstance(place, bool) or not isinstance(place, int) or place < 0:
+        raise damaged(f"{use.name}.texCoord must be a whole number, not {reprlib.repr(place)}")
+    slot = Slot(
+        f"TEXCOORD_{place}",
         transform.numbers("scale", (1.0, 1.0)),
         transform.number("rotation", 0.0),
         transform.numbers("offset", (0.0, 0.0)),
     )
-
-
-class _Images:
-    """The images of a document, decoded by an executor from the moment they are asked for."""
-
-    def __init__(self, document: Document, executor: Executor) -> None:
-        self._document, self._executor = document, executor
-        self._decoding: dict[str | int, Future[Texels]] = {}
-
-    def begin(self, use: _Record) -> _Reference:
-        """Return what a reference to a texture means, and begin to decode its image."""
-        document, number = self._document, use.entry.get("index")
-        entry = document.item("textures", number)
-        source = entry.get("source")
-        for name, extension in entry.get("extensions", {}).items():
-            if source is None and name in _IMAGE_EXTENSIONS:
-                source = extension.get("source")
-        if source is None:
-            raise ModelError(f"{document.name}: textures[{number}] names no image that octex reads")
-        sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
-        wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
-        for axis, code in wraps.items():
-            if code not in _WRAPS:
-                raise damaged(f"{document.name}: a sampler has an unknown {axis} {code}")
-        wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
-        return self._read(source), wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, _slot(use)
-
-    def _read(self, number: int) -> Future[Texels]:
-        """Read an image and have it decoded, unless another one at its place in the file is."""
-        document = self._document
-        entry = document.item("images", number)
-        what = f"images[{number}]"
-        name = f"{document.name}: {what}"
-        place: str | int | None = entry.get("bufferView", entry.get("uri"))
-        if place is None:
-            raise ImageError(f"{name} has neither a uri nor a bufferView; export the model again")
-        if place not in self._decoding:
-            if isinstance(place, str):
-                data = document.resource(place, what, ImageError)
-                name = name if place.startswith("data:") else f"{name} ({place})"
-            else:
-                data = bytes(document.view(place)[0])
-            self._decoding[place] = self._executor.submit(decode_image, data, name)
-        return self._decoding[place]
+    return file, wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, slot

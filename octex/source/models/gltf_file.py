@@ -43,21 +43,6 @@ _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
 _MOST_ZEROS = 2**24
 
-# Extensions that a file may require: those that are read, and those that change nothing octex reads.
-_KNOWN_EXTENSIONS = {
-    DRACO,
-    *MESHOPT,
-    "EXT_mesh_gpu_instancing",
-    "EXT_texture_avif",
-    "EXT_texture_webp",
-    "KHR_animation_pointer",
-    "KHR_lights_punctual",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_transform",
-    "KHR_xmp_json_ld",
-}
-
 
 class Document:
     """A parsed file: its JSON, and the bytes that it refers to; ``content`` is the file's, if read."""
@@ -93,15 +78,6 @@ class Document:
     def _required(self) -> list[Any]:
         return self.items("extensionsRequired")
 
-    def refuse_extensions(self) -> None:
-        """Raise ModelError for a file that requires what octex does not read."""
-        for extension in self._required:
-            if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
-                raise ModelError(
-                    f"{self.name} requires the glTF extension {extension}, which octex does not read; "
-                    "export it without"
-                )
-
     def _unpack(self, data: bytes) -> bytes:
         """Return the JSON chunk of a GLB and keep its binary chunk."""
         if len(data) < 20:
@@ -113,16 +89,14 @@ class Document:
             raise ModelError(f"{self.name} is damaged: its first chunk is not JSON")
         if length > len(data) or 20 + json_length > len(data):
             raise ModelError(f"{self.name} is truncated: it should have {length} bytes and has {len(data)}")
-        position = 20 + json_length
-        while position + 8 <= length:
-            (chunk_length,) = struct.unpack_from("<I", data, position)
-            position += 8
-            if data[position - 4 : position] == b"BIN\0":
-                if position + chunk_length > len(data):
+        end = 20 + json_length
+        while end + 8 <= length and self._binary is None:
+            size, kind = struct.unpack_from("<I4s", data, end)
+            first, end = end + 8, end + 8 + size
+            if kind == b"BIN\0":
+                if end > len(data):
                     raise ModelError(f"{self.name} is truncated: its binary chunk ends early")
-                self._binary = data[position : position + chunk_length]
-                break
-            position += chunk_length
+                self._binary = data[first:end]
         return data[20 : 20 + json_length]
 
     def items(self, kind: str) -> list[Any]:

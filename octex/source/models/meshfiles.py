@@ -11,7 +11,6 @@ import re
 import warnings
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +19,14 @@ from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors
 from octex.source.images.decode import global_settings
-from octex.source.models.reading import Options, colored_surface, cut_shape, parse_numbers, whole_numbers
+from octex.source.models.reading import (
+    Options,
+    colored_surface,
+    cut_part,
+    parse_numbers,
+    whole_numbers,
+    with_colors,
+)
 from octex.source.surface import Surface
 
 # Keeps traces of damaged normals off the screen where no program asks for logs.
@@ -47,8 +53,9 @@ def load_stl(path: Path, options: Options) -> Surface:
         except (DeprecationWarning, ValueError):
             raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
     faces = np.array(mesh.faces, np.int64)
-    shape = cut_shape(path.name, np.array(mesh.vertices, np.float64), faces.ravel(), np.full(len(faces), 3))
-    return colored_surface(path.name, options, shape, None)
+    positions = np.array(mesh.vertices, np.float64)
+    part, _, _ = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3))
+    return colored_surface(path.name, options, part)
 
 
 def load_off(path: Path, options: Options) -> Surface:
@@ -63,27 +70,28 @@ def load_off(path: Path, options: Options) -> Surface:
         raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
     if head[4] or head[5] or "BINARY" in first:
         raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
-    counts = first[1:] or (lines.pop(0).split() if lines else [])
+    words = first[1:] or (lines.pop(0).split() if lines else [])
     try:
-        n_vertices, n_faces = int(counts[0]), int(counts[1])
+        n_vertices, n_faces = int(words[0]), int(words[1])
     except (IndexError, ValueError):
         raise ModelError(f"{name}: the numbers of vertices and faces are missing") from None
     if n_vertices < 0 or n_faces < 0 or n_vertices + n_faces > len(lines):
         raise ModelError(f"{name} is truncated: it has fewer lines than vertices and faces")
-    vertices = _rows(lines[:n_vertices], name)
-    faces = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
-    if len(vertices.counts) and vertices.counts.min() < 3:
+    values, starts, counts = _rows(lines[:n_vertices], name)
+    if len(counts) and counts.min() < 3:
         raise damaged(f"{name}: a vertex has less than three numbers")
-    positions = vertices.values[vertices.starts[:, None] + np.arange(3)]
-    sizes = whole_numbers(faces.values[faces.starts])
-    if not ((sizes >= 0) & (sizes < faces.counts)).all():
+    positions, skip = values[starts[:, None] + np.arange(3)], 6 if head[3] else 3
+    of_vertices = _off_colors(values, starts + skip, counts - skip - (2 if head[1] else 0))
+    values, starts, counts = _rows(_whole_faces(lines[n_vertices:], n_faces), name)
+    sizes = whole_numbers(values[starts])
+    if not ((sizes >= 0) & (sizes < counts)).all():
         raise damaged(f"{name}: a face has fewer corners than it says")
     within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    indices = whole_numbers(faces.values[np.repeat(faces.starts + 1, sizes) + within])
-    shape = cut_shape(name, positions, indices, sizes)
-    before_colors = np.full(len(positions), 6 if head[3] else 3)
-    of_vertices = _off_colors(vertices, before_colors, 2 if head[1] else 0)
-    return colored_surface(name, options, shape, shape.colors(of_vertices, _off_colors(faces, sizes + 1, 0)))
+    indices = whole_numbers(values[np.repeat(starts + 1, sizes) + within])
+    part, _, numbers = cut_part(name, positions, indices, sizes)
+    of_faces = _off_colors(values, starts + 1 + sizes, counts - 1 - sizes)
+    part = with_colors(part, numbers, of_vertices, of_faces)
+    return colored_surface(name, options, part)
 
 
 def _whole_faces(lines: list[str], count: int) -> list[str]:
@@ -95,28 +103,22 @@ def _whole_faces(lines: list[str], count: int) -> list[str]:
     return [" ".join(face) for face in faces]
 
 
-class _Rows(NamedTuple):
-    values: Float64s
-    starts: Int64s
-    counts: Int64s
-
-
-def _rows(lines: list[str], name: str) -> _Rows:
+def _rows(lines: list[str], name: str) -> tuple[Float64s, Int64s, Int64s]:
+    """Return the numbers of all lines, where each line's start, and how many it has."""
     counts = np.array([len(line.split()) for line in lines], np.int64)
     values = parse_numbers(" ".join(lines))
     if values is None or values.size != counts.sum():
         raise damaged(f"{name}: a vertex or a face is not numbers")
-    return _Rows(values, np.cumsum(counts) - counts, counts)
+    return values, np.cumsum(counts) - counts, counts
 
 
-def _off_colors(rows: _Rows, skip: Int64s, tail: int) -> Float32s | None:
-    """Return the linear colours after ``skip`` numbers of each row, white where there are none; or None."""
-    left = rows.counts - skip - tail
-    colored = left >= 3
+def _off_colors(values: Float64s, starts: Int64s, counts: Int64s) -> Float32s | None:
+    """Return linear colours of so many numbers each, white where there are fewer than three; or None."""
+    colored = counts >= 3
     if not colored.any():
         return None
-    colors = np.full((len(left), 4), np.nan)
+    colors = np.full((len(counts), 4), np.nan)
     for column in range(4):
-        has_column = colored & (left > column)
-        colors[has_column, column] = rows.values[(rows.starts + skip)[has_column] + column]
+        has_column = colored & (counts > column)
+        colors[has_column, column] = values[starts[has_column] + column]
     return guessed_colors(colors)

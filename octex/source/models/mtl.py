@@ -129,7 +129,7 @@ class _Describer:
         self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
         self._images, self._options = images, options
-        self._slots: list[Slot] = []
+        self._slots: dict[Slot, int] = {}
 
     def describe(self) -> Description:
         """Return the material."""
@@ -202,7 +202,7 @@ class _Describer:
             return None if opacity == 1.0 else Input((opacity,))
         if not self._options.wants("alpha"):
             return Input((1.0,))
-        matte = not image.lane and is_translucent(self._images.read(*self._file(image)))
+        matte = not image.lane and is_translucent(self._texels(image))
         texture, lane = self._lane(image._replace(lane="m") if matte else image)
         return Input((opacity or 1.0,), texture, (lane,))
 
@@ -214,7 +214,7 @@ class _Describer:
         if not self._options.wants("normal"):
             return Input((1.0, 1.0, 1.0))
         if normal_map is None:
-            texels = self._images.read(*self._file(image))
+            texels = self._texels(image)
             if image.lane or is_grey(texels):
                 if image.lane == "l":
                     texels = self._images.luminance(texels)
@@ -231,20 +231,19 @@ class _Describer:
         return texture, _LANES.get(image.lane, 0)
 
     def _texture(self, image: _Map) -> Texture:
-        return self._placed(self._images.read(*self._file(image), image.base, image.gain), image)
+        return self._placed(self._texels(image, image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
-        if image.slot not in self._slots:
-            self._slots.append(image.slot)
-        return Texture(texels, image.wrap, image.wrap, slot=self._slots.index(image.slot))
+        place = self._slots.setdefault(image.slot, len(self._slots))
+        return Texture(texels, image.wrap, image.wrap, slot=place)
 
-    def _file(self, image: _Map) -> tuple[Path, str]:
+    def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
         path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
                 f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}"
             )
-        return path, f"{self._where}: {image.file}"
+        return self._images.read(path, f"{self._where}: {image.file}", base, gain)
 
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")

@@ -21,13 +21,12 @@ from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
     Description,
     Options,
-    Part,
     assembled,
-    cut_shape,
-    frames_below,
+    cut_part,
     parse_numbers,
     slot_coordinates,
     warn,
+    with_frames,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
@@ -41,30 +40,25 @@ def load_obj(path: Path, options: Options) -> Surface:
     vertices = _numbers(text.vertices, 3, name, "v")
     positions = np.ascontiguousarray(vertices[:, :3])
     indices, sizes = _faces(text, name)
-    shape = cut_shape(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
-    triangles, corners = shape.triangles, shape.corners
-    colors = uv = frames = None
+    part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
     if vertices.shape[1] >= 6:
-        colors = Corners(guessed_colors(vertices[:, 3:6]), triangles)
-    numbers, known = np.zeros(len(triangles), np.int32), [Description()]
+        part = part._replace(colors=Corners(guessed_colors(vertices[:, 3:6]), part.triangles))
+    known = [Description()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
-        known, numbers, files = _bind(text, path, shape.numbers, len(sizes), options)
-    coordinates: list[Corners] = []
+        known, numbers, files = _bind(text, path, polygons, len(sizes), options)
+        part = part._replace(materials=numbers)
     rows = indices[corners, 1]
-    described = dict(enumerate(known))
+    described, uv = dict(enumerate(known)), None
     if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
-        upright, bound = _coordinates(text, known, numbers, rows, name)
+        upright, bound = _coordinates(text, known, part.materials, rows, name)
         uv = Corners(flip_v(upright), bound)
-        coordinates = slot_coordinates(described, numbers, lambda _: (upright, bound))
+        coordinates = slot_coordinates(described, part.materials, lambda _: (upright, bound))
+        part = part._replace(coordinates=coordinates, uv=uv if (rows >= 0).all() else None)
     is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
-        frames = frames_below(described, numbers, positions, triangles, normals, coordinates, uv)
-    part = Part(
-        positions, triangles, numbers, colors, coordinates, uv if (rows >= 0).all() else None, frames,
-        normals is not None, shape.polygons,
-    )  # fmt: skip
+        part = with_frames(part, described, normals, uv)
     return assembled(
         [part],
         [each.material for each in known],
@@ -77,33 +71,25 @@ def load_obj(path: Path, options: Options) -> Surface:
 
 class _Text:
     def __init__(self, path: Path) -> None:
-        self.vertices: list[str] = []
-        self.coordinates: list[str] = []
-        self.normals: list[str] = []
-        self.faces: list[str] = []
-        self.libraries: list[str] = []
-        self.tags: list[str] = []
+        lines: dict[str, list[str]] = {key: [] for key in ("f", "v", "vt", "vn", "mtllib", "t")}
+        self.faces, self.vertices, self.coordinates, self.normals, self.libraries, self.tags = lines.values()
         # Numbers of faces, vertices, coordinates and normals read where faces begin to follow other lines:
         # what relative indices count from.
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
-        counted = {"v": self.vertices, "vt": self.coordinates, "vn": self.normals}
-        others = {"mtllib": self.libraries, "t": self.tags}
         moved = True
         for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
-            if key in counted:
-                counted[key].append(rest)
-                moved = True
-            elif key == "f":
+            if key == "f":
                 if moved:
-                    self.runs.append([len(lines) for lines in (self.faces, *counted.values())])
+                    self.runs.append([len(lines[each]) for each in ("f", "v", "vt", "vn")])
                     moved = False
                 self.faces.append(rest)
+            elif key in lines:
+                lines[key].append(rest)
+                moved = True
             elif key == "usemtl":
                 self.uses.append((len(self.faces), rest.strip()))
-            elif key in others:
-                others[key].append(rest)
 
 
 def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
@@ -111,12 +97,11 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
 
     A tag is its kind, how many whole numbers, fractions and words it has, like 2/1/0, and these.
     """
-    #: Vertices of edges, and vertices; and how sharp each is.
-    named: dict[str, list[list[int]]] = {"crease": [], "corner": []}
-    sharpness: dict[str, list[float]] = {"crease": [], "corner": []}
+    edges: list[tuple[list[int], float]] = []  # vertices, and how sharp they are
+    points: list[tuple[list[int], float]] = []
     for tag in tags:
         kind, *words = tag.split() or [""]
-        if kind not in named:
+        if kind not in ("crease", "corner"):
             continue
         try:
             wholes, fractions, _ = (int(count) for count in words[0].split("/"))
@@ -125,16 +110,17 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
             is_sound = len(numbers) == (2 if kind == "crease" else 1) and 0 <= sharp < np.inf
             if not is_sound or not all(0 <= each < vertices for each in numbers):
                 raise ValueError
-            named[kind].append(numbers)
-            sharpness[kind].append(sharp)
+            (edges if kind == "crease" else points).append((numbers, sharp))
         except (IndexError, ValueError):
             raise damaged(f"{name}: a line 't {tag[:40]}' is not a crease tag") from None
-    if not any(named.values()):
+    if not edges and not points:
         return None
     return Creases(
-        np.array(named["crease"], np.int32).reshape(-1, 2), np.array(sharpness["crease"], np.float32),
-        np.array(named["corner"], np.int32).reshape(-1), np.array(sharpness["corner"], np.float32),
-    )  # fmt: skip
+        np.array([each for each, _ in edges], np.int32).reshape(-1, 2),
+        np.array([sharp for _, sharp in edges], np.float32),
+        np.array([each for each, _ in points], np.int32).reshape(-1),
+        np.array([sharp for _, sharp in points], np.float32),
+    )
 
 
 def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:
@@ -229,12 +215,8 @@ def _bind(
     text: _Text, path: Path, polygons: Int64s, faces: int, options: Options
 ) -> tuple[list[Description], Int32s, dict[str, str]]:
     """Return the materials in use, the number of each triangle's, and the digests of the files read."""
-    starts = [first for first, _ in text.uses]
-    uses = [
-        (first, end, material)
-        for first, end, (_, material) in zip(starts, [*starts[1:], faces], text.uses, strict=True)
-        if first < end
-    ]
+    ends = [*(first for first, _ in text.uses[1:]), faces]
+    uses = [(first, end, name) for (first, name), end in zip(text.uses, ends, strict=True) if first < end]
     numbers = np.zeros(faces, np.int32)
     known = [Description()]
     if not text.libraries:  # no materials are promised

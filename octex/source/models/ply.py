@@ -23,13 +23,13 @@ from octex.source.images.pyramid import Texels
 from octex.source.materials import Texture
 from octex.source.models.reading import (
     Options,
-    Shape,
     colored_surface,
-    cut_shape,
+    cut_part,
     opaque,
     parse_numbers,
     warn,
     whole_numbers,
+    with_colors,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
@@ -179,31 +179,35 @@ class Ply:
     def surface(self, options: Options) -> Surface:
         """Return the polygons, or strips, with colours of vertices, or else of faces, and images."""
         vertex, face = self._numbers("vertex"), self._numbers("face")
-        lists = self.data.get("face", {})
         positions = self._positions()
         indices, sizes = self._indices("face")
         if not len(sizes):
             indices = _of_strips(*self._indices("tristrips"))
             sizes = np.full(len(indices) // 3, 3)
-        shape = cut_shape(self.name, positions, indices, sizes)
-        colors = shape.colors(_element_colors(vertex), _element_colors(face))
-        coordinates = self._coordinates(vertex, lists.get("texcoord"), shape, sizes)
+        part, corners, numbers = cut_part(self.name, positions, indices, sizes)
+        part = with_colors(part, numbers, _element_colors(vertex), _element_colors(face))
+        listed = self.data.get("face", {}).get("texcoord")
+        if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
+            uv = Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))
+            part = part._replace(uv=uv)
+        elif names := [names for names in _COORDINATES if vertex.keys() >= set(names)]:
+            coordinates = np.stack([vertex[name].values for name in names[0]], axis=1)
+            part = part._replace(uv=Corners(flip_v(coordinates), part.triangles))
         if not options.wants("base_color") or not self.images:
-            return colored_surface(self.name, options, shape, colors, coordinates=coordinates)
-        if coordinates is None:
+            return colored_surface(self.name, options, part)
+        if part.uv is None:
             what = f"{self.name} names the image {self.images[0]} but has no texture coordinates"
             warn(f"{what} to read it at, so it is left out; give it some")
-            return colored_surface(self.name, options, shape, colors)
+            return colored_surface(self.name, options, part)
         textures = [Texture(self._image(image)) for image in self.images]
-        numbers = None
         if "texnumber" in face:
             chosen = whole_numbers(face["texnumber"].values)
             if not 0 <= chosen.min() <= chosen.max() < len(textures):
                 raise ModelError(
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
                 )
-            numbers = chosen[shape.numbers].astype(np.int32)
-        return colored_surface(self.name, options, shape, colors, textures, numbers, coordinates)
+            part = part._replace(materials=chosen[numbers].astype(np.int32))
+        return colored_surface(self.name, options, part, textures)
 
     def _indices(self, element: str) -> tuple[Int64s, Int64s]:
         """Return the vertices of all of an element, and how many belong to each."""
@@ -212,18 +216,6 @@ class Ply:
         if listed is None or listed.sizes is None:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         return whole_numbers(listed.values), listed.sizes
-
-    def _coordinates(
-        self, vertex: dict[str, _Values], listed: _Values | None, shape: Shape, sizes: Int64s
-    ) -> Corners | None:
-        if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
-            return Corners(flip_v(listed.values.reshape(-1, 2)), shape.corners.astype(np.int32))
-        for u, v in _COORDINATES:
-            if u in vertex and v in vertex:
-                return Corners(
-                    flip_v(np.stack([vertex[u].values, vertex[v].values], axis=1)), shape.triangles
-                )
-        return None
 
     def _image(self, image: str) -> Texels:
         what = f"{self.name}: {image}"

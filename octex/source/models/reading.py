@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from octex.source.materials import AlphaMode, Input, Material, MaterialSource, T
 from octex.source.surface import Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
 from octex.source.vectors import Vector, cross_product, dot_product, minus, row_of
-
-AnyArray = TypeVar("AnyArray", Float32s, Float64s, Int32s)
 
 
 class Options(NamedTuple):
@@ -116,14 +114,9 @@ def slot_coordinates(
     bound = []
     for place in range(max(len(each.slots) for each in known.values())):
         values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
-        readers: dict[Slot, list[int]] = {}
-        for number, each in known.items():
-            if place < len(each.slots):
-                readers.setdefault(each.slots[place], []).append(number)
-        for slot, materials in readers.items():
-            is_read = np.zeros(max(known) + 1, np.bool_)
-            is_read[materials] = True
-            chosen = is_read[numbers]
+        reading = {number: each.slots[place] for number, each in known.items() if place < len(each.slots)}
+        for slot in dict.fromkeys(reading.values()):
+            chosen = np.isin(numbers, [number for number, read_slot in reading.items() if read_slot == slot])
             if chosen.any():
                 coordinates, of_corners = read(slot.name)
                 values.append(flip_v(slot.applied(coordinates)))
@@ -131,25 +124,6 @@ def slot_coordinates(
                 first += len(coordinates)
         bound.append(Corners(np.concatenate(values), rows))
     return bound
-
-
-def frames_below(
-    known: Mapping[int, Description],
-    numbers: Int32s,
-    positions: Float64s,
-    triangles: Int32s,
-    normals: Corners | None,
-    coordinates: Sequence[Corners],
-    otherwise: Corners | None,
-) -> Frames:
-    """Return frames at corners: along the coordinates of normal maps, along ``otherwise`` without one."""
-    slots = np.full(max(known) + 1, -1)
-    for number, each in known.items():
-        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
-    mapped = None
-    if otherwise is not None and (slots >= 0).any():
-        mapped = Corners.chosen([*coordinates, otherwise], slots[numbers])
-    return corner_frames(positions, triangles, normals, None, mapped)
 
 
 class Part(NamedTuple):
@@ -190,6 +164,20 @@ class Part(NamedTuple):
         )
 
 
+def with_frames(
+    part: Part, known: Mapping[int, Description], normals: Corners | None, otherwise: Corners | None
+) -> Part:
+    """Return a part with frames: along the coordinates of normal maps, along ``otherwise`` without one."""
+    slots = np.full(max(known) + 1, -1)
+    for number, each in known.items():
+        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
+    mapped = None
+    if otherwise is not None and (slots >= 0).any():
+        mapped = Corners.chosen([*part.coordinates, otherwise], slots[part.materials])
+    frames = corner_frames(part.positions, part.triangles, normals, None, mapped)
+    return part._replace(frames=frames, is_smooth=normals is not None)
+
+
 def winding(linear: Float64s) -> slice:
     """Return the order of corners below a transform (3, 3): a mirroring one turns triangles inside out."""
     return slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
@@ -211,8 +199,8 @@ def assembled(
     """
     parts = [part.placed() for part in parts]
     firsts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    positions = _concatenated([part.positions for part in parts])
-    triangles = _concatenated(
+    positions = np.concatenate([part.positions for part in parts])
+    triangles = np.concatenate(
         [part.triangles + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     )
 
@@ -226,7 +214,7 @@ def assembled(
             for part, each in zip(parts, attributes, strict=True)
         ]
         if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
-            return Corners(_concatenated([each.values for each in every]), triangles)
+            return Corners(np.concatenate([each.values for each in every]), triangles)
         return Corners.joined(every)
 
     is_smooth = any(part.is_smooth for part in parts)
@@ -235,7 +223,7 @@ def assembled(
     frames = Frames(*(Corners.joined(each) for each in zip(*shaded, strict=True))) if shaded else None
     source = MaterialSource(
         materials,
-        _concatenated([part.materials for part in parts]),
+        np.concatenate([part.materials for part in parts]),
         positions,
         triangles,
         colors=joined([part.colors for part in parts], 1.0),
@@ -264,51 +252,39 @@ def assembled(
     )
 
 
-def _concatenated(arrays: Sequence[AnyArray]) -> AnyArray:
-    """Return arrays as one; a lone one is not copied."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+def cut_part(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> tuple[Part, Int64s, Int64s]:
+    """Cut polygons, of so many of the vertices ``indices`` each, into triangles of one material.
 
-
-class Shape(NamedTuple):
-    """Polygons, cut into triangles."""
-
-    positions: Float64s
-    triangles: Int32s
-    corners: Int64s  # (triangles, 3)   which of all corners of polygons each corner is
-    numbers: Int64s  # (triangles,)     the polygon of each
-    polygons: Polygons | None
-
-    def colors(self, of_vertices: Float32s | None, of_polygons: Float32s | None) -> Corners | None:
-        """Bind the colours of vertices, or else of polygons."""
-        if of_vertices is not None:
-            return Corners(of_vertices, self.triangles)
-        if of_polygons is not None:
-            return Corners(of_polygons, np.repeat(self.numbers.astype(np.int32), 3).reshape(-1, 3))
-        return None
-
-
-def cut_shape(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> Shape:
-    """Cut polygons, of so many of the vertices ``indices`` each, into triangles."""
+    Returns which of ``indices`` each corner (m, 3) is, and the polygon of each triangle (m,), too.
+    """
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
         text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
         raise ModelError(text)
     corners, numbers = triangulate(positions, indices, sizes)
     if len(corners) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    triangles = indices[corners].astype(np.int32)
-    return Shape(positions, triangles, corners, numbers, cut_polygons(corners, numbers, sizes))
+    polygons = cut_polygons(corners, numbers, sizes)
+    materials = np.zeros(len(corners), np.int32)
+    part = Part(positions, indices[corners].astype(np.int32), materials, polygons=polygons)
+    return part, corners, numbers
+
+
+def with_colors(
+    part: Part, numbers: Int64s, of_vertices: Float32s | None, of_polygons: Float32s | None
+) -> Part:
+    """Return a part with the colours of its vertices, or else of its triangles' polygons (m,)."""
+    if of_vertices is not None:
+        return part._replace(colors=Corners(of_vertices, part.triangles))
+    if of_polygons is None:
+        return part
+    return part._replace(colors=Corners(of_polygons, np.repeat(numbers.astype(np.int32), 3).reshape(-1, 3)))
 
 
 def colored_surface(
-    name: str,
-    options: Options,
-    shape: Shape,
-    colors: Corners | None,
-    textures: Sequence[Texture | None] = (None,),
-    numbers: Int32s | None = None,
-    coordinates: Corners | None = None,
+    name: str, options: Options, part: Part, textures: Sequence[Texture | None] = (None,)
 ) -> Surface:
     """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
+    colors = part.colors
     if colors is not None and not colors.values[colors.rows, 3].any():
         colors = colors._replace(values=opaque(colors.values, name))
     is_translucent = colors is not None and (colors.values[:, 3] < 1).any()
@@ -317,12 +293,7 @@ def colored_surface(
         Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
         for each in textures
     ]
-    if numbers is None:
-        numbers = np.zeros(len(shape.triangles), np.int32)
-    slots = () if coordinates is None else (coordinates,)
-    part = Part(
-        shape.positions, shape.triangles, numbers, colors, slots, coordinates, polygons=shape.polygons
-    )
+    part = part._replace(colors=colors, coordinates=() if part.uv is None else (part.uv,))
     return assembled([part], materials, options, name)
 
 

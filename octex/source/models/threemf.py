@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_shape, warn, winding
+from octex.source.models.reading import Options, colored_surface, cut_part, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -94,15 +94,15 @@ class _Package:
         firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
         positions = np.concatenate([mesh.positions for mesh in meshes])
-        shape = cut_shape(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
-        rows = np.concatenate([mesh.rows for mesh in meshes]).ravel()[shape.corners].astype(np.int32)
-        images = np.concatenate([mesh.images for mesh in meshes])[shape.numbers]
-        return colored_surface(
-            self._name, self._options, shape,
-            Corners(np.concatenate(self._colors), rows) if rows.any() else None,
-            self._images, images,
-            Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
-        )  # fmt: skip
+        part, _, _ = cut_part(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
+        rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
+        images = np.concatenate([mesh.images for mesh in meshes])
+        part = part._replace(
+            materials=images,
+            colors=Corners(np.concatenate(self._colors), rows) if rows.any() else None,
+            uv=Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
+        )
+        return colored_surface(self._name, self._options, part, self._images)
 
     def _read(self, part: str) -> bytes:
         try:
@@ -158,34 +158,19 @@ class _Package:
             self._images.append(Texture(texels, u, v))
             places = np.array([[each.get("u"), each.get("v")] for each in rows], np.float64).reshape(-1, 2)
         elif kind in ("multiproperties", "compositematerials"):
-            self._blended(key, group)
-            return
+            other, chosen = _chosen(group)
+            of = self._groups.get((key[0], other))
+            if of is None:
+                return
+            taken = of.first + self._checked(chosen, of.size)
+            image = of.image
+            colors, places = np.concatenate(self._colors)[taken], np.concatenate(self._places)[taken]
         elif kind != "texture2dgroup":
             return
-        self._groups[key] = _Group(sum(map(len, self._colors)), count, image)
+        is_blended = kind in ("multiproperties", "compositematerials")
+        self._groups[key] = _Group(sum(map(len, self._colors)), count, image, is_blended)
         self._colors.append(colors)
         self._places.append(places)
-
-    def _blended(self, key: tuple[str, str], group: Element) -> None:
-        """Add rows for a group that blends others: those of one of them."""
-        if _tag(group) == "multiproperties":
-            layer = len(group.get("pids", "").split()) - 1
-            other = group.get("pids", "").split()[layer]
-            chosen = [int((each.get("pindices", "").split() + ["0"] * (layer + 1))[layer]) for each in group]
-        else:
-            other = group.get("matid", "")
-            listed = [int(word) for word in group.get("matindices", "").split()]
-            chosen = [
-                listed[int(np.argmax([float(word) for word in each.get("values", "").split()]))]
-                for each in group
-            ]
-        of = self._groups.get((key[0], other))
-        if of is not None:
-            taken = of.first + self._checked(np.array(chosen, np.int64), of.size)
-            colors, places = np.concatenate(self._colors), np.concatenate(self._places)
-            self._groups[key] = _Group(len(colors), len(taken), of.image, True)
-            self._colors.append(colors[taken])
-            self._places.append(places[taken])
 
     def _placed(self, part: str, item: Element, depth: int) -> list[_Mesh]:
         """Return the meshes of an item of the build, or of a component, in the space that it is placed in."""
@@ -248,6 +233,18 @@ class _Package:
         if chosen.size and not 0 <= chosen.min() <= chosen.max() < count:
             raise damaged(f"{self._name}: a property {chosen.max()} is used of {count}")
         return chosen
+
+
+def _chosen(group: Element) -> tuple[str, Int64s]:
+    """Return the one group that counts of those that a group blends, and which of its rows (n,)."""
+    if _tag(group) == "multiproperties":
+        others = group.get("pids", "").split()
+        layer = len(others) - 1
+        chosen = [int((each.get("pindices", "").split() + ["0"] * len(others))[layer]) for each in group]
+        return others[layer], np.array(chosen, np.int64)
+    listed = [int(word) for word in group.get("matindices", "").split()]
+    shares = [[float(word) for word in each.get("values", "").split()] for each in group]
+    return group.get("matid", ""), np.array([listed[int(np.argmax(each))] for each in shares], np.int64)
 
 
 def _tag(element: Element) -> str:

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Ar, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
 from octex.channels import CHANNELS, encode, srgb_to_linear
-from octex.errors import ImageError, MissingExtraError, ModelError, damaged
+from octex.errors import ImageError, ModelError, damaged
 from octex.files import is_absolute
-from octex.source.corners import Corners, Polygons
+from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
@@ -31,10 +32,10 @@ from octex.source.models.reading import (
     Slot,
     assembled,
     cut_polygons,
-    frames_below,
     slot_coordinates,
     triangulate,
     warn,
+    with_frames,
 )
 from octex.source.surface import Surface, flip_v
 
@@ -59,10 +60,6 @@ def load_usd(path: Path, options: Options) -> Surface:
     Point instancers, shapes that are no meshes and materials other than UsdPreviewSurface are left out, with
     ModelWarning; without coordinates images are read at (0, 0). ``uv`` is ``st`` or the first read.
     """
-    try:
-        from pxr import Tf, Usd, UsdUtils
-    except ImportError:
-        raise MissingExtraError.needed(f"{path.name}: to read USD", "usd-core", "usd") from None
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
     try:
         stage = Usd.Stage.Open(str(path.absolute()))
@@ -87,8 +84,6 @@ class _Scene:
     """Collects the meshes of a stage into one surface."""
 
     def __init__(self, stage: Any, name: str, options: Options) -> None:
-        from pxr import Usd, UsdGeom
-
         self._stage, self._name, self._options = stage, name, options
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
@@ -116,8 +111,6 @@ class _Scene:
         )  # fmt: skip
 
     def _shown(self) -> list[Any]:
-        from pxr import Usd, UsdGeom
-
         meshes = []
         others: Counter[str] = Counter()
         every = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
@@ -142,8 +135,6 @@ class _Scene:
 
     def _placed(self, prim: Any) -> Float64s:
         """Return the matrix (4, 4) that takes a mesh to the world, in metres with y up."""
-        from pxr import UsdGeom
-
         placed = np.array(self._places.GetLocalToWorldTransform(prim)).T
         if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
             placed = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]) @ placed
@@ -153,8 +144,6 @@ class _Scene:
 
     def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
         """Return the faces of a mesh by their materials' numbers, and these; the mesh's own comes first."""
-        from pxr import UsdGeom, UsdShade
-
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Mesh(prim).GetDoubleSidedAttr().Get(self._time))
         default = self._materials.number(api.ComputeBoundMaterial()[0], both)
@@ -169,8 +158,6 @@ class _Scene:
     def _part(
         self, prim: Any, faces: dict[int, Int64s], known: dict[int, Description], *, has_frames: bool
     ) -> Part:
-        from pxr import UsdGeom
-
         mesh, what = UsdGeom.Mesh(prim), f"{self._name}: {prim.GetPath()}"
         positions = _rows(mesh.GetPointsAttr().Get(self._time), 3).astype(np.float64)
         sizes = _rows(mesh.GetFaceVertexCountsAttr().Get(self._time)).astype(np.int64)
@@ -181,12 +168,10 @@ class _Scene:
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
         _check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
-        polygons = cut_polygons(cut, owners, sizes)
         is_shown = ~np.isin(owners, _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64))
         cut, owners = cut[is_shown], owners[is_shown]
-        polygons = polygons and Polygons(*(each[is_shown] for each in polygons))
-        if len(np.unique(owners)) == len(owners):
-            polygons = None
+        has_polygons = len(np.unique(owners)) < len(owners)
+        polygons = cut_polygons(cut, owners, sizes) if has_polygons else None
         if mesh.GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
             cut, polygons = cut[:, ::-1], polygons and polygons._replace(corners=polygons.corners[:, ::-1])
         primvars = _Primvars(prim, self._time, what, corners, sizes, cut)
@@ -207,17 +192,13 @@ class _Scene:
             return read or nowhere
 
         coordinates = slot_coordinates(known, part.materials, read)
-        normals = primvars.normals() if has_frames else None
         uv = primvars.corners(next((slot.name for each in known.values() for slot in each.slots), "st"), 2)
-        return part._replace(
+        part = part._replace(
             colors=self._colors(part.materials, known, primvars),
             coordinates=coordinates,
             uv=uv and uv._replace(values=flip_v(uv.values)),
-            frames=frames_below(known, part.materials, positions, triangles, normals, coordinates, nowhere)
-            if has_frames
-            else None,
-            is_smooth=normals is not None,
         )
+        return with_frames(part, known, primvars.normals(), nowhere) if has_frames else part
 
     def _colors(self, numbers: Int32s, known: dict[int, Description], primvars: _Primvars) -> Corners | None:
         """Return displayColor and displayOpacity where a material reads them; white elsewhere."""
@@ -242,8 +223,6 @@ class _Primvars:
     def __init__(
         self, prim: Any, time: Any, what: str, corners: Int64s, sizes: Int64s, triangles: Int64s
     ) -> None:
-        from pxr import UsdGeom
-
         self.what = what
         self._mesh, self._api, self._time = UsdGeom.Mesh(prim), UsdGeom.PrimvarsAPI(prim), time
         self._rows = {
@@ -390,8 +369,6 @@ class _Materials:
 
     def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
         """Return an image as codes in the space of a channel."""
-        from pxr import Ar
-
         what = f"{self._name}: {node.GetPath()}"
         if is_absolute(asset.path):
             raise ImageError(
@@ -435,8 +412,6 @@ def _plain() -> Description:
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
     """Return the shader and output that an input is connected to, or None, "" and its value; or None."""
-    from pxr import UsdShade
-
     entry = shader.GetInput(name)
     if not entry:
         return None

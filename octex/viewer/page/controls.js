@@ -37,7 +37,7 @@ export function control(canvas, camera, seen, moved, rested) {
       camera.pan(dx / height / 2, -dy / height / 2);
       if (spread > 0 && now > 0) zoomAt([(a.x + b.x) / 2 - frame.left, (a.y + b.y) / 2 - frame.top], now / spread);
       spread = now;
-    } else if (event.buttons & 2 || event.buttons & 4 || event.shiftKey) {
+    } else if (event.buttons & 2 || event.shiftKey) {
       camera.pan(dx / height, -dy / height);
     } else {
       camera.orbit((-dx / height) * 4, (dy / height) * 4);

@@ -18,6 +18,7 @@ const STAGES = {
   surface: ["screen.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
   probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
+  stroke: ["screen.vert", ["stroke.frag"]],
 };
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
 // Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
@@ -34,6 +35,7 @@ export class Gpu {
     this.canvas = canvas;
     this.shaders = shaders;
     this.mostCubes = MOST_CUBES;
+    this.background = BACKGROUND;
     this.studio = studio; // what the header says of its light, and the stream
     this.parts = parts;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
@@ -130,6 +132,7 @@ export class Gpu {
 
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, part, look, planes) {
+    const { paint } = look;
     if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, shown: kind };
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh, motion, channels } = part.header;
@@ -141,6 +144,7 @@ export class Gpu {
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, OVER: kind === "surface" && look.isOver });
+    Object.assign(flags, { PAINTS: paint && (kind === "places" || kind === "layers") });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
@@ -151,6 +155,7 @@ export class Gpu {
       if (at[0] >= planes) continue;
       if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${lanes(channel)}`);
       else if (MATERIALS.includes(name)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
+      if (kind === "surface" && name === paint?.channel) define("PAINTED", `g_sum${at[0]}.${lanes(channel)}`);
       if (name !== look.channel) continue;
       const color = (from) => (components === 2 ? `vec3(${from}.${lanes(channel)}, 0.0)` : `vec3(${from}.${lanes(channel)})`);
       define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
@@ -205,18 +210,18 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in so many pixels. Before there is a mesh this makes its programs ready, while data comes.
-  draw(look, camera, width, height) {
+  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed.
+  // Before there is a mesh this makes its programs ready, while data comes.
+  draw(look, camera, width, height, only = null) {
     const { gl, canvas } = this;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
-    gl.clearColor(...BACKGROUND);
+    gl.clearColor(...this.background);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.enable(gl.DEPTH_TEST);
     this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
-    else this.drawSurface(look, camera, width, height);
+    else this.drawSurface(look, camera, width, height, only);
   }
 
   // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
@@ -268,21 +273,26 @@ export class Gpu {
     gl.disable(gl.STENCIL_TEST);
   }
 
-  drawSurface(look, camera, width, height) {
-    const { gl } = this;
+  drawSurface(look, camera, width, height, only) {
+    const { gl } = this, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
     const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
     const picture = this.target("picture", width, height, [gl.RGBA8], places);
+    if (only) {
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(...only);
+    }
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
-    gl.clearColor(...BACKGROUND);
+    gl.clearColor(...this.background);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(look, camera, places, picture, OPAQUES);
+    this.drawLayer(look, camera, places, picture, OPAQUES, {}, only && !isLayered);
     let last = picture;
-    if (this.parts.some((part) => part.mesh && part.hasAlpha)) {
+    if (isLayered) {
       last = this.target("blended", width, height, [gl.RGBA8], places);
       this.copy(picture, last);
       const behind = { u_behind: picture.textures[0] };
       this.drawLayer({ ...look, isOver: true }, camera, places, last, TRANSLUCENTS, behind);
     }
+    gl.disable(gl.SCISSOR_TEST);
     this.copy(last, { ...last, buffer: null });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
@@ -294,10 +304,11 @@ export class Gpu {
     gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   }
 
-  // Draw the nearest surface of some alpha, over what is `behind` it.
-  drawLayer(look, camera, places, target, alphas, behind = {}) {
+  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: places are drawn already.
+  drawLayer(look, camera, places, target, alphas, behind = {}, isKnown = false) {
     const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures, drawn = { u_places, u_ways, ...behind };
-    this.drawPlaces(look, camera, places, width, height, { alphas });
+    if (!isKnown) this.drawPlaces(look, camera, places, width, height, { alphas });
+    if (look.paint) Object.assign(drawn, look.paint.textures);
     const beside = this.parts.find((part) => this.showsSource(part, look));
     if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
@@ -306,6 +317,7 @@ export class Gpu {
       this.setTree(program, part, look, planes, drawn);
       this.setLight(program);
       this.setColors(program);
+      look.paint?.set(program, width, height);
       gl.uniform1f(program.at("u_divider"), look.divider * width);
       gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
       gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
@@ -345,6 +357,7 @@ export class Gpu {
   // Cells of a level as cubes: colours, or which of them a pixel sees.
   drawCubes(look, camera, pixel = null, picture = null) {
     const { gl } = this, level = this.cubesLevel(look);
+    gl.enable(gl.DEPTH_TEST);
     for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
       const { origin, size, channels, flags } = part.header, cubes = part.cubesAt(level);
@@ -365,6 +378,7 @@ export class Gpu {
       gl.bindVertexArray(cubes.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 18, cubes.count);
     }
+    gl.disable(gl.DEPTH_TEST);
     gl.bindVertexArray(null);
   }
 
@@ -392,7 +406,6 @@ export class Gpu {
     gl.viewport(0, 0, 1, 1);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    gl.enable(gl.DEPTH_TEST);
     this.drawCubes(look, camera, pixel, size);
     const [[x, y, z, level], [cell, part, away, isSeen]] = [0, 1].map((number) => {
       const found = new Uint32Array(4);

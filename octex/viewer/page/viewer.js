@@ -52,6 +52,7 @@ class Viewer {
     keep(this.camera);
     if (before) restoreControls(before.controls);
     this.explain();
+    if (header.session) this.painting = await (await import("./paint.js")).begin(this, header.session);
     this.move();
     this.follow(this.wanted ?? this.version);
   }
@@ -120,13 +121,17 @@ class Viewer {
     try {
       while (this.version !== this.wanted) {
         const change = await readChange(this.version);
-        if (!change) return reload();
+        if (!change) {
+          await this.painting?.allSent();
+          return reload();
+        }
         const streams = change.parts.map((_, number) => readStream(`change-${number}`));
         for (const [number, bytes] of (await Promise.all(streams)).entries()) {
           const { header, counts } = change.parts[number], part = this.parts[number];
           this.sent = part.change(header, patched(part.octree, header, counts, bytes));
         }
         this.version = change.version;
+        this.painting?.arrived(change.session);
         this.describe();
         this.move();
       }
@@ -245,6 +250,7 @@ class Viewer {
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.isLost = false;
       this.gpu.build();
+      this.painting?.strokes.build();
       element("status").textContent = "";
       this.move();
     });
@@ -307,6 +313,16 @@ class Viewer {
     this.isSharp = isStill;
     if (this.gpu.makesCubes) this.move();
     else if (!this.isSharp || this.turning) this.again();
+  }
+
+  // Draw a part of the picture anew, in CSS pixels from the upper left, where nothing else has changed.
+  drawPart({ left, top, right, bottom }) {
+    if (!this.isDrawn || this.isLost) return this.move(true);
+    const { canvas, gpu } = this, across = canvas.width / canvas.clientWidth, down = canvas.height / canvas.clientHeight;
+    const x = Math.max(Math.floor(left * across), 0), y = Math.max(Math.floor(canvas.height - bottom * down), 0);
+    const width = Math.min(Math.ceil(right * across), canvas.width) - x;
+    const height = Math.min(Math.ceil(canvas.height - top * down), canvas.height) - y;
+    if (width > 0 && height > 0) gpu.draw(this.look, this.camera, canvas.width, canvas.height, [x, y, width, height]);
   }
 
   draw(scale) {

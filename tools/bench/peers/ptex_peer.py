@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Judge octex's reading and writing of .ptx files by Ptex's own library.
 
-usage: ptex_peer.py SOURCE [FILE.ptx|FOLDER...] [--build FOLDER] [--random N] [--seed N] [--slides]
+usage: ptex_peer.py SOURCE [FILE.ptx|FOLDER...] [--build FOLDER] [--random N] [--seed N]
 
 SOURCE is a checkout of github.com/wdas/ptex, or a bare clone of it; it is built with ptex_peer.cpp into
 FOLDER by a C++ compiler, with zlib's headers. Each file is read by both, and so are N random contents,
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -120,8 +119,8 @@ def dumped(program: Path, path: Path) -> Dump:
     return Dump(contents, np.array(constant), np.array(least), reductions)
 
 
-def written(program: Path, contents: Contents, path: Path) -> float:
-    """Write a file by the library; return the seconds that it took."""
+def written(program: Path, contents: Contents, path: Path) -> None:
+    """Write a file by the library."""
     faces, texels = contents.faces, contents.texels
     head = np.array(
         [
@@ -144,7 +143,6 @@ def written(program: Path, contents: Contents, path: Path) -> float:
     done = subprocess.run([str(program), "write", str(path)], input=b"".join(parts), capture_output=True)
     if done.returncode:
         raise ModelError(f"{path.name}: Ptex says {done.stderr.decode(errors='replace').strip()}")
-    return float(done.stdout)
 
 
 def differences(dump: Dump, path: Path, wanted: Contents | None = None) -> Iterator[str]:
@@ -237,38 +235,6 @@ def random_contents(seed: int) -> Contents:
     )
 
 
-def slides() -> Contents:
-    """Return the contents of the slides' case: 212,064 faces of 4² texels of a painted, noisy colour."""
-    side = 4
-    across, down = 752, 282
-    assert across * down == 212_064
-    row, column = np.divmod(np.arange(across * down), across)
-    v, u = np.divmod(np.arange(side * side), side)
-    x = (column[:, None] * side + u).ravel()
-    y = (row[:, None] * side + v).ravel()
-    draw = np.random.default_rng(0)
-    color = np.zeros((len(x), 3))
-    for octave in range(8):
-        grid = draw.random((2**octave + 2, 2**octave + 2, 3)) - 0.5
-        gx, gy = x / (across * side) * 2**octave, y / (down * side) * 2**octave
-        i, j = gx.astype(int), gy.astype(int)
-        f, g = (gx - i)[:, None], (gy - j)[:, None]
-        low = grid[j, i] * (1 - f) + grid[j, i + 1] * f
-        high = grid[j + 1, i] * (1 - f) + grid[j + 1, i + 1] * f
-        color += (low * (1 - g) + high * g) / 2**octave
-    color = 0.5 + 0.35 * color + draw.normal(0, 0.015, color.shape)
-    texels = np.rint(np.clip(color, 0, 1) * 255).astype(np.uint8)
-    faces = np.arange(across * down).reshape(down, across)
-    neighbors = np.full((down, across, 4), -1, np.int32)
-    neighbors[1:, :, 0], neighbors[:, :-1, 1] = faces[:-1], faces[:, 1:]
-    neighbors[:-1, :, 2], neighbors[:, 1:, 3] = faces[1:], faces[:, :-1]
-    edges = np.tile(np.array([2, 3, 0, 1], np.uint8), (len(row), 1))
-    log2 = np.full((len(row), 2), 2, np.int8)
-    return Contents(
-        "quad", Faces(log2, neighbors.reshape(-1, 4), edges, np.zeros(len(row), np.bool_)), texels
-    )
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("source", type=Path)
@@ -276,7 +242,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--build", type=Path, default=Path("build") / "ptex_peer")
     parser.add_argument("--random", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--slides", action="store_true")
     options = parser.parse_args(arguments)
     program = build(options.source, options.build.resolve())
     failed = 0
@@ -306,24 +271,6 @@ def main(arguments: list[str] | None = None) -> int:
             written(program, contents, its)
             judge(f"written by Ptex, seed {seed}", its, contents)
         print(f"{options.random} random contents written by both")
-        if options.slides:
-            contents = slides()
-            seconds = written(program, contents, its)
-            began = time.perf_counter(), time.process_time()
-            write_contents(contents, own, executor)
-            spent = time.perf_counter() - began[0], time.process_time() - began[1]
-            began = time.perf_counter(), 0.0
-            with PtexFile(own) as file:
-                file.texels(100_000)
-            opened = time.perf_counter() - began[0]
-            print(
-                f"{len(contents.faces.log2):,} faces, {len(contents.texels):,} texels: "
-                f"Ptex {its.stat().st_size:,} bytes in {seconds:.2f} s; "
-                f"octex {own.stat().st_size:,} in {spent[0]:.2f} s ({spent[1]:.2f} s of processors); "
-                f"opened, and one face read, in {opened:.3f} s"
-            )
-            judge("slides", own, contents)
-            failed += own.stat().st_size > its.stat().st_size
     print("differences" if failed else "no difference")
     return 1 if failed else 0
 

@@ -6,7 +6,7 @@ in vec3 v_seen;
 in vec3 v_normal;
 in vec3 v_restNormal;
 
-layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is
+layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is; the last one: it faces away
 layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across
 
 #ifdef LAYERED
@@ -57,5 +57,8 @@ void main() {
   width = 1.0 / gl_FragCoord.w;
 #endif
   o_place = floatBitsToUint(vec4(v_rest, width));
+#ifdef PAINTS
+  o_place.w = (o_place.w & ~1u) | (gl_FrontFacing ? 0u : 1u);
+#endif
   o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
 }

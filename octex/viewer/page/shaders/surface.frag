@@ -72,6 +72,43 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 #define OCCLUSION 1.0
 #endif
 
+#ifdef PAINTED
+uniform sampler2D u_strokes;  // what is sent and not yet painted: light times coverage, and coverage
+uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
+uniform vec4 u_paint;  // its light and opacity
+uniform vec2 u_picture;  // pixels
+uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
+uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: this view, 2: another one, of which
+uniform mat4 u_strokesCamera;  // sees positions at rest in the root cell
+uniform highp usampler2D u_strokesPlaces;  // what its pixels see, as places.frag has drawn it
+uniform highp usampler2D u_strokesWays;
+
+// How much of paint stays at an angle, as octex.painting.reading has it.
+float paintable(bool isAway, float cosine) {
+  float share = clamp((min(cosine, 1.0) - u_angles.y) / (u_angles.x - u_angles.y), 0.0, 1.0);
+  return isAway && u_angles.z < 0.5 ? 0.0 : share * share * (3.0 - 2.0 * share);
+}
+
+vec3 painted(vec3 light, vec4 place, float cosine) {
+  vec2 at = gl_FragCoord.xy / u_picture, from = at;
+  float share = paintable((floatBitsToUint(place.w) & 1u) == 1u, cosine), before = share;
+  if (u_strokesView == 2) {
+    vec4 seen = u_strokesCamera * vec4(place.xyz, 1.0);
+    from = 0.5 + 0.5 * seen.xy / seen.w;
+    ivec2 texel = ivec2(from * vec2(textureSize(u_strokesPlaces, 0)));
+    uvec4 bits = texelFetch(u_strokesPlaces, texel, 0), ways = texelFetch(u_strokesWays, texel, 0);
+    vec4 there = uintBitsToFloat(bits);
+    bool isSeen = seen.w > 0.0 && from == clamp(from, 0.0, 1.0) && there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w;
+    before = isSeen ? paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y))) : 0.0;
+  }
+  if (u_strokesView > 0) {
+    vec4 sent = before * texture(u_strokes, from);
+    light = light * (1.0 - sent.a) + sent.rgb;
+  }
+  return mix(light, u_paint.rgb, share * u_paint.a * texture(u_stroke, at).r);
+}
+#endif
+
 #ifdef POSED
 // A direction at rest as it is posed: `side` is the surface's normal at rest, `normal` that in view space, in which
 // `across` is what became of the side's tangent.
@@ -93,6 +130,9 @@ void main() {
   face(unpacked(ways.z));
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
+#ifdef PAINTED
+  PAINTED = painted(PAINTED, place, dot(normal, toward));
+#endif
   vec3 shown;
 #if defined(SHOWS_LIT)
 #ifdef NORMAL

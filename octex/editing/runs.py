@@ -1,0 +1,162 @@
+"""Textures joined from runs of the cells of others: cells of a level stand in Morton order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
+from octex.jit import kernel
+from octex.texture import Channel, OctreeTexture
+from octex.tree.children import children_before, groups_of, masks_of
+from octex.tree.layout import KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import Octree
+
+
+class Runs(NamedTuple):
+    """Cells, or nodes, of several textures, end to end."""
+
+    owners: Int64s
+    begins: Int64s
+    ends: Int64s
+
+    @classmethod
+    def joined(cls, *parts: Iterable[Int64s]) -> Runs:
+        """Put runs one after the other; those that follow on each other become one."""
+        owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
+        some = begins < ends
+        owners, begins, ends = owners[some], begins[some], ends[some]
+        follows = np.zeros(owners.size + 1, np.bool_)
+        follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
+        return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
+
+    @classmethod
+    def of_numbers(cls, owners: Int64s, numbers: Int64s) -> Runs:
+        """Return the runs of consecutive numbers of one owner."""
+        return cls.joined((owners, numbers, numbers + 1))
+
+    def numbers(self) -> Int64s:
+        """Return all numbers of the runs."""
+        counts = self.ends - self.begins
+        return np.repeat(self.begins - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+
+    def of(self, arrays: Sequence[Array]) -> Array:
+        """Join the runs of an array of each texture."""
+        runs = zip(*(column.tolist() for column in self), strict=True)
+        return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
+
+
+#: The root, the first of all textures.
+ROOT = Runs(*np.array([[0], [0], [1]], np.int64))
+
+
+def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
+    """Return the runs of the children of runs of nodes: of cells, and of those of them that are nodes."""
+    first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
+    for number, tree in enumerate(trees):
+        own = nodes.owners == number
+        first[:, own] = children_before(tree.arrays.groups, nodes.begins[own])
+        last[:, own] = children_before(tree.arrays.groups, nodes.ends[own])
+    return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
+
+
+def add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
+    """Add all below the last runs of nodes, level by level: the runs of cells, and of nodes."""
+    while True:
+        found, below = children_in(trees, nodes[-1])
+        if not (found.begins < found.ends).any():
+            return
+        cells.append(Runs.joined(found))
+        nodes.append(Runs.joined(below))
+
+
+def joined_runs(
+    textures: Sequence[OctreeTexture],
+    like: OctreeTexture,
+    cells: Sequence[Runs],
+    nodes: Sequence[Runs],
+    turned: Bools,
+) -> OctreeTexture:
+    """Return a texture of runs of cells and nodes of others, level by level, with the channels of one.
+
+    Of the first cells those ``turned`` are nodes instead of leaves, or the other way round.
+    """
+    counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
+    counts = counts[:, : np.count_nonzero(counts[0])]
+    level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
+    every, above = (Runs.joined(*runs) for runs in (cells, nodes))
+    n_nodes = int(level_nodes[-1])
+    masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
+    for word, own in enumerate(masks):
+        own[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
+    _turn(masks, turned)
+    trees = [each.tree for each in textures]
+    flags = every.of([tree.arrays.flags for tree in trees])
+    areas = every.of([tree.arrays.areas for tree in trees])
+    split_cells, split_runs, row_runs = _split_runs(trees, every)
+    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], every)
+    split = SplitTable(
+        split_cells,
+        split_runs.of([tree.split.facings for tree in trees]),
+        row_runs.of([tree.split.areas for tree in trees]),
+    )
+    tree = Octree(
+        TreeArrays(groups_of(masks), level_cells, level_nodes, flags, areas), split, KeptTable(kept_cells)
+    )
+    channels = {}
+    for name, channel in like.channels.items():
+        own_channels = [each.channels[name] for each in textures]
+        channels[name] = Channel(
+            channel.format,
+            every.of([own.values for own in own_channels]),
+            row_runs.of([own.split_values for own in own_channels]),
+            kept_runs.of([own.kept_values for own in own_channels]),
+        )
+    return like.with_cells(tree, channels)
+
+
+@kernel
+def _turn(masks: Uint8s, turned: Bools) -> None:
+    """Make leaves of those of the first cells that are nodes and ``turned``, or nodes of leaves."""
+    cell = 1
+    for node in range(masks.shape[1]):
+        if cell >= turned.size:
+            break
+        children = masks[0, node] | masks[1, node]
+        for octant in range(8):
+            bit = np.uint8(1 << octant)
+            if children & bit:
+                if cell < turned.size and turned[cell]:
+                    masks[0, node] ^= bit
+                    masks[1, node] ^= bit
+                cell += 1
+
+
+def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
+    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
+    found, runs = _listed([tree.split.cells for tree in trees], cells)
+    ends = [
+        np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
+    ]
+    firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
+    every = np.concatenate(ends)
+    rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
+    return found, runs, rows
+
+
+def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
+    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
+    owners, begins, ends = cells
+    counts = ends - begins
+    shifts = np.cumsum(counts) - counts - begins
+    first, last = np.zeros((2, owners.size), np.int64)
+    for number, table in enumerate(tables):
+        own = owners == number
+        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
+        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
+    has = last > first
+    runs = Runs(owners[has], first[has], last[has])
+    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
+    return found.astype(np.uint32), runs

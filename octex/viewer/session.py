@@ -1,0 +1,372 @@
+"""A session of painting in the browser: commands of pages, each in a journal before it is done."""
+
+from __future__ import annotations
+
+import copy
+import json
+import queue
+import re
+import threading
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from octex.arrays import Array
+from octex.cameras.camera import Camera
+from octex.channels import BASE_COLOR, decode
+from octex.checks import as_number, as_reals, as_whole
+from octex.editing.draft import Change
+from octex.errors import ArgumentError, OctexError
+from octex.nearest.triangles import Triangles
+from octex.painting.options import DRAWN_ANGLE, PaintOptions, format_of
+from octex.painting.painter import Painter
+from octex.painting.picture import Projection
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer.journal import Journal
+
+#: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
+MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
+#: Commands that wait for their turn; a page keeps more of them itself.
+_MOST_WAITING = 64
+#: Pages whose last number is known.
+_MOST_PAGES = 1000
+_LONGEST_NAME = 40
+_MOST_NUMBER = 2**53 - 1
+_KINDS = "stroke", "fill", "undo", "redo", "save"
+
+
+class BusyError(OctexError):
+    """So many commands wait that a page must send this one again later."""
+
+
+class OrderError(OctexError):
+    """A page's commands have begun before this session: it must count them from 1, under another name."""
+
+
+class Command(NamedTuple):
+    """What a page asks for; pages count their commands from 1."""
+
+    page: str
+    number: int
+    kind: str
+    given: dict[str, Any]
+    content: bytes
+
+
+class _Step(NamedTuple):
+    """What is undone at once."""
+
+    name: str
+    strokes: int  # of the Painter
+
+
+class Shown(NamedTuple):
+    """The texture at a time, and what pages are told of the session."""
+
+    texture: OctreeTexture
+    told: dict[str, Any]
+    before: OctreeTexture | None  # the texture at the time before
+    changes: tuple[Change, ...]  # since then
+
+
+class Session:
+    """Paints what pages send with a `Painter`, in the order in which it came, on a thread of its own.
+
+    ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
+    ``changed`` is called after each.
+    Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
+    repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
+    """
+
+    def __init__(
+        self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
+    ) -> None:
+        format_of(texture, BASE_COLOR.name)
+        texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
+        self._painter = Painter(texture, surface)
+        self._surface = surface.placed_in(texture)
+        self._output = output
+        self._queue: queue.Queue[Command | None] = queue.Queue()
+        self._lock = threading.Lock()  # of what is known of commands that wait
+        self._numbers: dict[str, int] = {}  # of each page, the last one that is in the journal
+        self._baked: dict[str, int] = {}  # and that is done
+        self._steps: list[_Step] = []
+        self._undone: list[_Step] = []
+        self._fault, self._is_ending = "", False
+        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
+        self._before: OctreeTexture | None = None  # the texture before the last command
+        self._changes: tuple[Change, ...] = ()  # by that
+        self.changed: Callable[[], None] = lambda: None
+        self.repeated = 0
+        self._journal = Journal(output, texture, surface)
+        with self._journal.undone_on_failure():
+            for body in self._journal.begin(recover):
+                command = command_of(body)
+                self._numbers[command.page] = command.number
+                if command.kind != "save":
+                    self._do(command)
+                    self.repeated += 1
+        if self.repeated:
+            self._saved = None  # what was saved of them is not known
+        self.shown = self._shown()
+        self._worker = threading.Thread(target=self._work, args=(texture, surface), daemon=True)
+        self._worker.start()
+
+    def take(self, body: bytes) -> int:
+        """Take a command of a page and return its number; one that was taken before is not done again.
+
+        Raises ArgumentError for what is no command, OrderError, BusyError, and OutputError for a full disk.
+        """
+        command = command_of(body)
+        with self._lock:
+            last = self._numbers.get(command.page, 0)
+            if command.number <= last:
+                return command.number
+            if command.number != last + 1:
+                raise OrderError(f"number is {command.number}; the next one is {last + 1}")
+            if self._queue.qsize() >= _MOST_WAITING:
+                raise BusyError("too many strokes wait; send it again")
+            if not last and len(self._numbers) >= _MOST_PAGES:
+                raise ArgumentError("too many pages have painted; start octex view again")
+            self._journal.append(body)
+            self._numbers[command.page] = command.number
+            self._queue.put(command)
+        return command.number
+
+    def wait(self) -> None:
+        """Wait until all that was taken is done."""
+        self._queue.join()
+
+    def close(self) -> str:
+        """End, without what still waits; return what is not saved, in a sentence, or nothing."""
+        self._is_ending = True
+        self._queue.put(None)
+        self._worker.join()
+        steps, is_saved = len(self._steps), self._is_saved and self._numbers == self._baked
+        self._journal.close(remove=is_saved)
+        if is_saved:
+            return ""
+        what, again = ("step is", "it") if steps == 1 else ("steps are", "them")
+        return (
+            f"{steps} painted {what} not saved: the same command with --recover paints {again} again, "
+            f"from {self._journal.path}"
+        )
+
+    @property
+    def _is_saved(self) -> bool:
+        return self._painter.strokes == self._saved
+
+    def _work(self, *warmed: Any) -> None:
+        with suppress(Exception):
+            warm_up(*warmed)
+        while (command := self._queue.get()) is not None:
+            if not self._is_ending:
+                self._do(command)
+                self.shown = self._shown()
+                with suppress(Exception):  # pages ask for the change again, and are told what is wrong
+                    self.changed()
+            self._queue.task_done()
+        self._queue.task_done()
+
+    def _shown(self) -> Shown:
+        told = {
+            "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
+            "done": len(self._steps),
+            "baked": dict(self._baked),
+            "output": self._output.name,
+            "isSaved": self._is_saved,
+            "fault": self._fault,
+        }
+        return Shown(self._painter.texture(), told, self._before, self._changes)
+
+    def _do(self, command: Command) -> None:
+        """Do a command; what fails changes nothing, and is told."""
+        self._fault, self._before, self._changes = "", self._painter.texture(), ()
+        try:
+            getattr(self, f"_do_{command.kind}")(command)
+        except (OctexError, MemoryError) as error:
+            self._fault = str(error) or "out of memory"
+        except Exception as error:  # a defect must not end the session
+            self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
+        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+            self._painter.undo()  # a part of what has failed
+            self._undone.clear()
+        self._baked[command.page] = command.number
+
+    def _do_stroke(self, command: Command) -> None:
+        projection, options = stroke_of(command)
+        both = [projection]
+        if (axis := _mirror_of(command)) is not None:
+            both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
+        self._did(command, [self._painter.paint(each, **options) for each in both])
+
+    def _do_fill(self, command: Command) -> None:
+        color, opacity = _color_of(command), _opacity_of(command)
+        regions: list[Any] = [_everywhere]
+        if "at" in command.given:
+            point = _numbers(command.given, "at", (3,))
+            numbers = {self._part_at(point)}
+            if (axis := _mirror_of(command)) is not None:
+                point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
+                numbers.add(self._part_at(point))
+            regions = [self._surface.parts == number for number in sorted(numbers)]
+        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
+
+    def _middle(self, vertices: Array) -> Array:
+        used = vertices[np.unique(self._surface.triangles)]
+        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+
+    @cached_property
+    def _nearest(self) -> Triangles:
+        return Triangles.of(self._surface.rest, self._surface.triangles)
+
+    def _part_at(self, point: Array) -> int:
+        return int(self._surface.parts[self._nearest.nearest(point[None]).triangles[0]])
+
+    def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
+        self._changes = tuple(change for stroke in strokes for change in stroke)
+        if self._changes:
+            name = command.given.get("name", command.kind)
+            self._steps.append(_Step(name, sum(map(bool, strokes))))
+            self._undone.clear()
+
+    def _do_undo(self, command: Command) -> None:  # noqa: ARG002
+        if not self._steps:
+            return
+        step = self._steps.pop()
+        strokes = self._painter.strokes[-step.strokes :]
+        self._changes = tuple(change.inverted() for stroke in strokes[::-1] for change in stroke[::-1])
+        for _ in range(step.strokes):
+            self._painter.undo()
+        self._undone.append(step)
+
+    def _do_redo(self, command: Command) -> None:  # noqa: ARG002
+        if not self._undone:
+            return
+        step = self._undone.pop()
+        for _ in range(step.strokes):
+            self._painter.redo()
+        self._changes = tuple(
+            change for stroke in self._painter.strokes[-step.strokes :] for change in stroke
+        )
+        self._steps.append(step)
+
+    def _do_save(self, command: Command) -> None:  # noqa: ARG002
+        self._painter.texture().save(self._output)
+        self._saved = self._painter.strokes
+
+
+def warm_up(texture: OctreeTexture, surface: Surface) -> None:
+    """Paint a small stroke for nobody, so that the first one does not wait for code to load."""
+    camera = Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
+    image = np.zeros((64, 64, 4), np.uint8)
+    image[24:40, 24:40, 3] = 255
+    Painter(texture, surface).paint(Projection(image, camera))
+
+
+def command_of(body: bytes) -> Command:
+    """Return what a page sent: a line of JSON, and what follows. Raises ArgumentError for anything else."""
+    line, _, content = body.partition(b"\n")
+    try:
+        given = json.loads(line)
+    except (ValueError, RecursionError):
+        raise ArgumentError("the command is no line of JSON") from None
+    if not isinstance(given, dict):
+        raise ArgumentError("the command is no JSON object")
+    page, kind, name = given.get("page"), given.get("kind"), given.get("name", "")
+    if not isinstance(page, str) or not re.fullmatch(r"[0-9a-f-]{8,40}", page):
+        raise ArgumentError("page must be hexadecimal digits")
+    number = as_whole(given.get("number"), "number", 1, _MOST_NUMBER)  # type: ignore[arg-type]
+    if kind not in _KINDS:
+        raise ArgumentError(f"kind must be one of {', '.join(_KINDS)}")
+    if not isinstance(name, str) or len(name) > _LONGEST_NAME or not (name.isprintable()):
+        raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
+    command = Command(page, number, kind, given, content)
+    _mirror_of(command)
+    if kind == "stroke":
+        stroke_of(command)
+    elif content:
+        raise ArgumentError(f"a command of the kind {kind} has no content")
+    elif kind == "fill":
+        _color_of(command)
+        _opacity_of(command)
+        _numbers({"at": (0.0, 0.0, 0.0), **given}, "at", (3,))
+    return command
+
+
+def stroke_of(command: Command) -> tuple[Projection, dict[str, Any]]:
+    """Return the picture of a stroke, and the options to paint it with. Raises ArgumentError."""
+    given = command.given
+    camera = given.get("camera")
+    if not isinstance(camera, dict):
+        raise ArgumentError("camera must be an object")
+    width, height = (as_whole(camera.get(name), name, 1, MOST_PIXELS) for name in ("width", "height"))  # type: ignore[arg-type]
+    pose, K = (_numbers(camera, name, shape) for name, shape in (("pose", (4, 4)), ("K", (3, 3))))
+    seen_by = Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
+    left, top, right, bottom = box = _numbers(given, "box", (4,)).tolist()
+    if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
+        raise ArgumentError(f"box must be a part of {width}×{height} pixels")
+    left, top, right, bottom = map(int, box)
+    size = (right - left) * (bottom - top)
+    unpacker = zlib.decompressobj(-15)
+    try:
+        coverage = unpacker.decompress(command.content, size + 1)
+    except zlib.error:
+        coverage = b""
+    if len(coverage) != size or not unpacker.eof or unpacker.unused_data:
+        raise ArgumentError(f"the content is no deflated coverage of {size:,} pixels")
+    image = np.zeros((height, width, 4), np.uint8)
+    image[..., :3] = np.rint(_numbers(given, "color", (3,), 255.0))
+    image[top:bottom, left:right, 3] = np.frombuffer(coverage, np.uint8).reshape(bottom - top, right - left)
+    options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
+    PaintOptions(**options)
+    return Projection(image, seen_by, opacity=_opacity_of(command)), options
+
+
+def mirrored(projection: Projection, axis: int, middle: float) -> Projection:
+    """Return a picture as seen in a mirror across an axis, through the camera's image in that."""
+    camera = cast(Camera, projection.camera)
+    mirror = np.eye(4)
+    mirror[axis, axis], mirror[axis, 3] = -1.0, 2.0 * middle
+    K = camera.K.copy()
+    K[0, 2] = camera.width - K[0, 2]
+    K[0, 1] = -K[0, 1]
+    pose = np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera.world_to_camera @ mirror
+    seen_by = Camera.pinhole((camera.width, camera.height), pose=pose, convention="opencv", K=K)
+    return replace(projection, image=cast(Array, projection.image)[:, ::-1], camera=seen_by)
+
+
+def _mirror_of(command: Command) -> int | None:
+    """Return the axis that a command is mirrored across; None if it is not."""
+    name = command.given.get("mirror", "")
+    if name not in ("", "x", "y", "z"):
+        raise ArgumentError("mirror must be x, y, z or nothing")
+    return "xyz".index(name) if name else None
+
+
+def _opacity_of(command: Command) -> float:
+    return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
+
+
+def _color_of(command: Command) -> Array:
+    """Return a colour in linear light."""
+    codes = np.rint(_numbers(command.given, "color", (3,), 255.0)).astype(np.uint8)
+    return decode(codes, "srgb")
+
+
+def _numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:
+    found = as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]
+    if most == 255.0 and (found < 0).any():
+        raise ArgumentError(f"{name} must be codes of 0 to 255")
+    return found
+
+
+def _everywhere(points: Array) -> Array:
+    return np.ones(len(points))

@@ -1,0 +1,669 @@
+"""Sessions of painting: what pages send is painted once, in order, as calls of the library do."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import zlib
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.channels import decode
+from octex.cli.main import main
+from octex.errors import ArgumentError, ExitCode, OutputError
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer import Viewer, server
+from octex.viewer import session as sessions
+from octex.viewer.session import BusyError, OrderError, Session
+from tests.make.painted import ball
+from tests.make.same import assert_same
+
+PAGE = "01234567-89ab-cdef"
+SIZE = 48, 32
+OCTETS = "application/octet-stream"
+
+
+def canvas() -> tuple[OctreeTexture, Surface]:
+    surface = ball(12)
+    return octex.convert(surface, depth=5), surface
+
+
+def camera() -> octex.Camera:
+    return octex.Camera.fitted(ball(12).vertices, (0.3, 0.2, 1.0), size=SIZE)
+
+
+def stroke(number: int, page: str = PAGE, **given: Any) -> bytes:
+    """A round stroke on the ball, as pages send it."""
+    seen_by, coverage = camera(), disc(number)
+    command = {
+        "page": page,
+        "number": number,
+        "kind": "stroke",
+        "name": f"Brush {number}",
+        "camera": {
+            "width": SIZE[0],
+            "height": SIZE[1],
+            "K": seen_by.K.tolist(),
+            "pose": seen_by.world_to_camera.tolist(),
+        },
+        "box": [10, 4, 40, 28],
+        "color": [200, 10 * (number % 20), 30],
+        "opacity": 0.8,
+        "maxAngle": 85,
+    }
+    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    content = given.pop("content", None)
+    if content is None:
+        content = packer.compress(coverage.tobytes()) + packer.flush()
+    return json.dumps({**command, **given}).encode() + b"\n" + content
+
+
+def plain(kind: str, number: int, page: str = PAGE, **given: Any) -> bytes:
+    return json.dumps({"page": page, "number": number, "kind": kind, **given}).encode() + b"\n"
+
+
+def disc(number: int) -> npt.NDArray[np.uint8]:
+    y, x = np.mgrid[:24, :30]
+    away = np.hypot(x - 8 - 3 * (number % 4), y - 12)
+    return np.clip(255 * (6.5 - away), 0, 255).astype(np.uint8)
+
+
+def painted(painter: octex.Painter, number: int) -> None:
+    """Paint the same as a user of the library does."""
+    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+    image[..., :3] = 200, 10 * (number % 20), 30
+    image[4:28, 10:40, 3] = disc(number)
+    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    found = Session(*canvas(), tmp_path / "out.octex")
+    yield found
+    found.close()
+
+
+def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session: Session) -> None:
+    texture, surface = canvas()
+    painter = octex.Painter(texture, surface)
+    red = decode(np.array([255, 0, 10], np.uint8), "srgb")
+    moves = [
+        (stroke(1), lambda: painted(painter, 1)),
+        (stroke(2), lambda: painted(painter, 2)),
+        (plain("undo", 3), painter.undo),
+        (stroke(4), lambda: painted(painter, 4)),
+        (plain("fill", 5, color=[255, 0, 10], opacity=0.5), lambda: painter.fill(ones, red, opacity=0.5)),
+        (plain("undo", 6), painter.undo),
+        (plain("redo", 7), painter.redo),
+        (plain("undo", 8), painter.undo),
+        (plain("undo", 9), painter.undo),
+    ]
+    for number, (body, call) in enumerate(moves, 1):
+        assert session.take(body) == number
+        call()
+        session.wait()
+        assert_same(session.shown.texture, painter.texture())
+        assert session.shown.told["done"] == len(painter.strokes)
+        assert session.shown.told["baked"] == {PAGE: number}
+    session.take(plain("undo", 10))
+    session.take(plain("undo", 11))
+    session.wait()
+    assert_same(session.shown.texture, texture)
+    assert session.shown.told["fault"] == ""
+
+
+def ones(points: Any) -> Any:
+    return np.ones(len(points))
+
+
+def test_what_is_sent_again_is_painted_once(session: Session) -> None:
+    for body in (stroke(1), stroke(1), stroke(2), stroke(1)):
+        session.take(body)
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush 1", "Brush 2"]
+    with pytest.raises(OrderError, match="number is 5; the next one is 3"):
+        session.take(stroke(5))
+    session.take(stroke(1, "ffffffff-0000"))  # another page
+    session.wait()
+    assert session.shown.told["done"] == 3
+
+
+def test_steps_are_named_and_a_new_one_forgets_those_undone(session: Session) -> None:
+    for body in (stroke(1), stroke(2), plain("undo", 3)):
+        session.take(body)
+    session.wait()
+    assert (session.shown.told["steps"], session.shown.told["done"]) == (["Brush 1", "Brush 2"], 1)
+    session.take(stroke(4))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
+
+
+@pytest.mark.parametrize("name", ["out.octex", "out.octz"])
+def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name: str, tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / name)
+    session.take(stroke(1))
+    session.take(plain("save", 2))
+    session.wait()
+    assert session.shown.told["isSaved"]
+    assert_same(octex.open(tmp_path / name), session.shown.texture)
+    assert session.close() == ""
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
+def test_what_is_undone_needs_no_saving(tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octex")
+    said = []
+    for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
+        session.take(body)
+        session.wait()
+        said.append(session.shown.told["isSaved"])
+    assert said == [False, True, False, True, False]
+    session.take(plain("redo", 6))
+    session.wait()
+    assert session.close() == ""
+    assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
+
+
+def test_a_save_that_fails_is_told_and_changes_nothing(session: Session, tmp_path: Path) -> None:
+    session.take(stroke(1))
+    (tmp_path / "out.octex").mkdir()
+    session.take(plain("save", 2))
+    session.take(stroke(3))
+    session.wait()
+    assert session.shown.told["done"] == 2
+    session.take(plain("save", 4))
+    session.wait()
+    assert "out.octex" in session.shown.told["fault"]
+    assert not session.shown.told["isSaved"]
+
+
+def test_after_a_crash_the_same_session_is_painted_again(tmp_path: Path) -> None:
+    texture, surface = canvas()
+    output = tmp_path / "out.octex"
+    code = (
+        "import sys, os, signal; sys.path.insert(0, '.')\n"
+        "from pathlib import Path\n"
+        "from tests.viewer.test_session import *\n"
+        "session = Session(*canvas(), Path(sys.argv[1]))\n"
+        "for body in (stroke(1), stroke(2), plain('undo', 3), stroke(4)):\n"
+        "    session.take(body)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    root = Path(octex.__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code, str(output)], cwd=root, timeout=300)
+    assert done.returncode == -signal.SIGKILL
+    with pytest.raises(OutputError, match=r"out.octex.strokes has 4 commands .* --recover paints them again"):
+        Session(texture, surface, output)
+    with pytest.raises(OutputError, match="is of another texture or model"):
+        Session(octex.convert(surface, depth=4), surface, output, recover=True)
+    journal = output.with_name("out.octex.strokes")
+    journal.write_bytes(journal.read_bytes() + b"\x20\0\0\0half a record")
+    session = Session(texture, surface, output, recover=True)
+    assert session.repeated == 4
+    painter = octex.Painter(texture, surface)
+    painted(painter, 1)
+    painted(painter, 4)
+    assert_same(session.shown.texture, painter.texture())
+    assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
+    assert not session.shown.told["isSaved"]
+    session.take(stroke(4))  # its page has not heard that it came
+    session.take(stroke(5))
+    session.wait()
+    assert session.shown.told["done"] == 3
+    assert "--recover" in session.close()
+    again = Session(texture, surface, output, recover=True)
+    assert again.shown.told["done"] == 3
+    again.close()
+
+
+#: Paints until it is killed, and says what it has taken.
+_KILLED = """
+import sys; sys.path.insert(0, '.')
+from pathlib import Path
+from tests.viewer.test_session import *
+session = Session(*canvas(), Path(sys.argv[1]))
+for number in range(1, 10**6):
+    print(session.take(stroke(number)) if number % 4 else session.take(plain('undo', number)), flush=True)
+    if number % 8 == 0:
+        session.wait()
+"""
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_KILLS", "2"))))
+def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_path: Path) -> None:
+    random, output = np.random.default_rng(seed), tmp_path / "out.octex"
+    words = [sys.executable, "-c", _KILLED, str(output)]
+    root = Path(octex.__file__).parents[1]
+    taken = 0
+    with subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        killer = threading.Timer(60.0, process.kill)
+        for line in process.stdout:
+            if not taken:
+                killer.cancel()
+                killer = threading.Timer(random.uniform(0.0, 1.0), process.kill)
+                killer.start()
+            taken = int(line)
+        killer.join()
+    assert taken
+    texture, surface = canvas()
+    session = Session(texture, surface, output, recover=True)
+    assert session.repeated in (taken, taken + 1)  # the last one may not have been said
+    painter = octex.Painter(texture, surface)
+    for number in range(1, session.repeated + 1):
+        if number % 4:
+            painted(painter, number)
+        else:
+            painter.undo()
+    assert_same(session.shown.texture, painter.texture())
+    session.close()
+
+
+def test_a_texture_without_base_color_is_refused(tmp_path: Path) -> None:
+    surface = ball(12)
+    rough = octex.convert(surface.with_sources({"roughness": 0.5}).with_channels(["roughness"]), depth=3)
+    with pytest.raises(ArgumentError, match="base_color"):
+        Session(rough, surface, tmp_path / "out.octex")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path) -> None:
+    if os.name != "posix":
+        pytest.skip("files are locked on POSIX systems")
+    with pytest.raises(OutputError, match="another octex view paints this file"):
+        Session(*canvas(), tmp_path / "out.octex")
+    assert session.take(stroke(1)) == 1
+
+
+def test_a_stroke_that_no_disk_takes_is_refused_and_can_be_sent_again(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_file: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(OutputError, match="No space left on device"):
+            session.take(stroke(1))
+    assert session.take(stroke(1)) == 1
+    session.wait()
+    assert session.shown.told["done"] == 1
+
+
+def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sessions, "_MOST_WAITING", 2)
+    held = threading.Event()
+    do = session._do
+    monkeypatch.setattr(session, "_do", lambda command: (held.wait(20), do(command)))
+    number = 0
+    with pytest.raises(BusyError, match="too many strokes wait"):
+        for number in range(1, 10):
+            session.take(stroke(number))
+    held.set()
+    session.wait()
+    assert session.take(stroke(number)) == number
+
+
+def test_what_fails_or_hits_nothing_is_no_step(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    session.take(stroke(1, content=deflated(bytes(30 * 24))))
+    session.wait()
+    assert session.shown.told["steps"] == []
+    with monkeypatch.context() as patched:
+        patched.setattr(octex.Painter, "paint", lambda *_, **__: 1 / 0)
+        session.take(stroke(2))
+        session.wait()
+    assert "ZeroDivisionError" in session.shown.told["fault"]
+    session.take(stroke(3))
+    session.wait()
+    assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
+
+
+def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paint, calls = octex.Painter.paint, iter(range(9))
+
+    def fails(painter: octex.Painter, *given: Any, **options: Any) -> Any:
+        return paint(painter, *given, **options) if next(calls) == 0 else 1 / 0
+
+    session.take(stroke(1))
+    session.take(stroke(2))
+    session.take(plain("undo", 3))
+    session.wait()
+    before = session.shown.texture
+    with monkeypatch.context() as patched:
+        patched.setattr(octex.Painter, "paint", fails)
+        session.take(stroke(4, mirror="x"))
+        session.wait()
+    assert_same(session.shown.texture, before)
+    for number, kind in enumerate(("redo", "undo", "redo"), 5):
+        session.take(plain(kind, number))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush 1"]
+    assert_same(session.shown.texture, before)
+
+
+def deflated(content: bytes) -> bytes:
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return packer.compress(content) + packer.flush()
+
+
+NAN = float("nan")
+BAD: list[tuple[bytes, str]] = [
+    (b"", "no line of JSON"),
+    (b"\xff\xfe{}\n", "no line of JSON"),
+    (b"[" * 100_000, "no line of JSON"),
+    (b"[]\n", "no JSON object"),
+    (plain("undo", 1, page="../../etc"), "page must be"),
+    (plain("undo", 0), "number"),
+    (plain("undo", 10**30), "number"),
+    (json.dumps({"page": PAGE, "number": "1", "kind": "undo"}).encode(), "number"),
+    (plain("erase all", 1), "kind must be one of"),
+    (plain("undo", 1) + b"more", "has no content"),
+    (plain("fill", 1, color=[1, 2]), "color"),
+    (plain("fill", 1, color=[1, 2, 3], opacity=2), "opacity"),
+    (stroke(1, name="x" * 50), "name must be"),
+    (stroke(1, name="a\x1b[2J"), "name must be"),
+    (stroke(1, color=[NAN, 0, 0]), "color"),
+    (stroke(1, color=[-1, 0, 0]), "color"),
+    (stroke(1, color="red"), "color"),
+    (stroke(1, opacity=NAN), "opacity"),
+    (stroke(1, maxAngle=NAN), "max_angle"),
+    (stroke(1, backFaces="yes"), "back_faces"),
+    (stroke(1, camera=None), "camera"),
+    (stroke(1, camera={"width": 10**9, "height": 10**9}), "width"),
+    (stroke(1, camera={"width": 48, "height": 32, "K": [[NAN] * 3] * 3, "pose": np.eye(4).tolist()}), "K"),
+    (
+        stroke(1, camera={"width": 48, "height": 32, "K": np.eye(3).tolist(), "pose": [[NAN] * 4] * 4}),
+        "pose",
+    ),
+    (stroke(1, box=[0, 0, 1e9, 1e9]), "box must be a part"),
+    (stroke(1, box=[0, 0, 48.5, 32]), "box must be a part"),
+    (stroke(1, box=[10, 4, 10, 28]), "box must be a part"),
+    (stroke(1, box=[NAN, 4, 10, 28]), "box"),
+    (stroke(1, content=b"not deflated"), "no deflated coverage of 720 pixels"),
+    (stroke(1, content=deflated(bytes(719))), "no deflated coverage of 720 pixels"),
+    (stroke(1, content=deflated(bytes(10**8))), "no deflated coverage of 720 pixels"),
+    (stroke(1)[:-5], "no deflated coverage of 720 pixels"),
+]
+
+
+@pytest.mark.parametrize(("body", "why"), BAD)
+def test_what_is_no_command_is_refused(body: bytes, why: str, session: Session) -> None:
+    with pytest.raises(ArgumentError, match=why):
+        session.take(body)
+    assert session.take(stroke(1)) == 1
+
+
+class Served:
+    """A viewer that paints."""
+
+    def __init__(self, folder: Path) -> None:
+        texture, surface = canvas()
+        self.session = Session(texture, surface, folder / "out.octex")
+        self.lines: list[str] = []
+        path = folder / "ball.octex"
+        self.viewer = Viewer(lambda: texture, path, surface, session=self.session, log=self.lines.append)
+        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.5})
+        self.thread.start()
+
+    def post(
+        self, body: bytes, token: str | None = None, path: str = "session", **headers: str
+    ) -> tuple[int, bytes]:
+        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=20)
+        named = {"Content-Type": OCTETS, **{name.replace("_", "-"): text for name, text in headers.items()}}
+        connection.request(
+            "POST", f"/{self.viewer.token if token is None else token}/{path}", body, headers=named
+        )
+        answer = connection.getresponse()
+        found = answer.status, answer.read()
+        connection.close()
+        return found
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setattr(server, "_FIRST", 40)
+    found = Served(tmp_path)
+    yield found
+    monkeypatch.setattr(server, "_FIRST", 0)
+    found.thread.join(20)
+    assert not found.thread.is_alive()
+    found.session.close()
+
+
+def test_a_command_is_posted_and_the_change_is_there_for_pages(served: Served) -> None:
+    before = served.viewer.version()[0]
+    status, body = served.post(stroke(1), Origin=f"http://127.0.0.1:{served.viewer.port}")
+    assert (status, json.loads(body)) == (200, {"number": 1})
+    served.session.wait()
+    assert served.viewer.version()[0] != before
+    change = served.viewer.of_version(before)[1]
+    assert change.header["session"]["steps"] == ["Brush 1"]
+    assert change.header["session"]["baked"] == {PAGE: 1}
+    assert served.viewer.packed().header["session"]["done"] == 1
+    assert served.lines == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "line"),
+    [
+        ({"token": "a" * 22}, 403, "the token is missing or wrong"),
+        ({"token": ""}, 403, "the token is missing or wrong"),
+        ({"Host": "rebound.example"}, 403, "the host is 'rebound.example'"),
+        ({"Origin": "https://evil.example"}, 403, "the origin is 'https://evil.example'"),
+        ({"Origin": "null"}, 403, "the origin is 'null'"),
+        ({"Sec_Fetch_Site": "cross-site"}, 403, "another site asks"),
+        ({"Transfer_Encoding": "chunked"}, 413, "it has a body"),
+        ({"path": "data/header"}, 404, "commands are sent to session"),
+        ({"Content_Type": "text/plain"}, 415, "a command is application/octet-stream"),
+        ({"Content_Length": "-5"}, 411, "its length is missing"),
+        ({"Content_Length": "1e9"}, 411, "its length is missing"),
+        ({"Content_Length": str(10**9)}, 413, "1,000,000,000 bytes; at most 33,554,432"),
+    ],
+)
+def test_commands_from_elsewhere_are_refused_in_one_line(
+    served: Served, asked: dict[str, str], status: int, line: str
+) -> None:
+    assert served.post(stroke(1), **asked)[0] == status
+    assert len(served.lines) == 1
+    assert served.lines[0].startswith("refused: POST /")
+    assert served.lines[0].endswith(line)
+    assert served.post(stroke(1))[0] == 200
+
+
+def test_bad_commands_are_refused_and_the_server_goes_on(served: Served) -> None:
+    for body, _ in BAD:
+        assert served.post(body)[0] == 400
+    assert served.post(stroke(7))[0] == 409
+    assert served.post(stroke(1))[0] == 200
+
+
+def test_half_a_command_changes_nothing(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    body, address = stroke(1), ("127.0.0.1", served.viewer.port)
+    head = (
+        f"POST /{served.viewer.token}/session HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n"
+        f"Content-Type: {OCTETS}\r\nContent-Length: {len(body)}\r\n\r\n"
+    ).encode()
+    with socket.create_connection(address, timeout=5) as ends, socket.create_connection(address) as waits:
+        ends.sendall(head + body[:50])
+        ends.shutdown(socket.SHUT_WR)
+        assert b" 400 " in ends.recv(4096)
+        waits.sendall(head + body[:50])
+        assert waits.recv(4096) == b""
+    assert len(served.lines) == 2
+    assert f"50 bytes of {len(body):,} have come" in served.lines[0]
+    assert "timed out" in served.lines[1]
+    assert served.post(body)[0] == 200
+
+
+def test_a_flood_of_strokes_is_held_up_and_loses_none(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sessions, "_MOST_WAITING", 3)
+    statuses = []
+    for number in range(1, 41):
+        while (status := served.post(stroke(number))[0]) == 429:
+            statuses.append(status)
+            served.session.wait()
+        assert status == 200
+    assert 429 in statuses
+    served.session.wait()
+    assert served.session.shown.told["done"] == 40
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.octex", "--paint", "b.octex"], "--paint needs a MODEL"),
+        (["a.octex", "a.glb", "--recover"], "--recover needs --paint"),
+        (["a.octex", "a.glb", "--paint", "a.octex"], "--paint is also an input"),
+        (["a.octex", "a.glb", "--paint", "b.png"], "--paint has the ending '.png'"),
+        (
+            ["a.octex", "a.glb", "a.html", "--paint", "b.octex"],
+            "--paint cannot be used when a page is written",
+        ),
+        (
+            ["a.octex", "a.glb", "--paint", "there.octex"],
+            "there.octex: exists already; --force overwrites it",
+        ),
+    ],
+)
+def test_words_that_make_no_sense_are_refused(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.octex", "a.glb", "there.octex"):
+        Path(name).touch()
+    assert main(["view", *words]) == ExitCode.REFUSED
+    assert message in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_leaves_no_journal(served: Served, tmp_path: Path) -> None:
+    canvas()[0].save(tmp_path / "a.octex")
+    octex.write_model(canvas()[1], tmp_path / "a.ply")
+    words = [str(tmp_path / "a.octex"), str(tmp_path / "a.ply"), "--paint", str(tmp_path / "b.octex")]
+    assert main(["view", *words, "--port", str(served.viewer.port)]) == ExitCode.REFUSED
+    assert not [*tmp_path.glob("b.*")]
+
+
+def test_the_command_says_what_is_not_saved_and_recovers_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "ball.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in ball(12).vertices)
+        + "".join(f"f {a} {b} {c}\n" for a, b, c in ball(12).triangles + 1)
+    )
+    words = ["view", str(tmp_path / "ball.obj"), "--depth", "4", "--paint", str(tmp_path / "out.octex")]
+
+    def paints(*bodies: bytes) -> None:
+        def run(viewer: Viewer) -> None:
+            viewer._server.server_close()
+            assert viewer.session is not None
+            for body in bodies:
+                viewer.session.take(body)
+            viewer.session.wait()
+
+        monkeypatch.setattr(Viewer, "run", run)
+
+    paints(stroke(1))
+    assert main([*words, "--no-browser"]) == ExitCode.DONE
+    assert "1 painted step are not saved" not in (out := capfd.readouterr().out)
+    assert "1 painted step is not saved: the same command with --recover" in out
+    assert main([*words, "--no-browser"]) == ExitCode.REFUSED
+    assert "out.octex.strokes has 1 command that was not saved; --recover" in capfd.readouterr().err
+    paints(plain("save", 2))
+    assert main([*words, "--no-browser", "--recover"]) == ExitCode.DONE
+    captured = capfd.readouterr()
+    assert "1 command is painted again" in captured.err
+    assert captured.out.count("\n") == 1
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["ball.obj", "out.octex"]
+
+
+def two_balls() -> tuple[OctreeTexture, Surface]:
+    balls = [ball(8), ball(8)]
+    surface = Surface.from_arrays(
+        np.concatenate([each.vertices + np.array([3.0 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
+        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
+        factor=(0.5, 0.5, 0.5),
+    )
+    return octex.convert(surface, depth=6), surface
+
+
+def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path: Path) -> None:
+    texture, surface = two_balls()
+    session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
+    color = decode(np.array([250, 0, 10], np.uint8), "srgb")
+    given = {"color": [250, 0, 10], "at": [0.0, 1.0, 0.0]}
+    session.take(plain("fill", 1, **given))
+    painter.fill(surface.parts == 0, color)
+    session.wait()
+    assert_same(session.shown.texture, painter.texture())
+    session.take(plain("undo", 2))
+    session.take(plain("fill", 3, **given, mirror="x"))
+    session.wait()
+    painter.fill(surface.parts == 1, color)
+    step = session.shown.texture
+    assert_same(step, painter.texture())
+    assert session.shown.told["done"] == 1
+    session.take(plain("undo", 4))
+    session.wait()
+    assert_same(session.shown.texture, texture)
+    session.take(plain("redo", 5))
+    session.wait()
+    assert_same(session.shown.texture, step)
+    session.close()
+
+
+def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session: Session) -> None:
+    texture, _ = canvas()
+    session.take(stroke(1, mirror="x", name="Brush"))
+    session.wait()
+    assert session.shown.told["steps"] == ["Brush"]
+    random = np.random.default_rng(0)
+    points = random.normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+
+    def is_painted(points: Any) -> Any:
+        apart = session.shown.texture.sample(points) - texture.sample(points)
+        return np.abs(apart).max(axis=1) > 0.1
+
+    here, there = is_painted(points), is_painted(points * [-1, 1, 1])
+    assert 50 < here.sum() < 2000
+    assert (here != there).sum() < 0.15 * here.sum()  # cells are not where a mirror has them
+    assert here[points[:, 0] > 0.3].any()
+    assert here[points[:, 0] < -0.3].any()
+    session.take(plain("undo", 2))
+    session.wait()
+    assert_same(session.shown.texture, texture)
+    with pytest.raises(ArgumentError, match="mirror must be x, y, z"):
+        session.take(stroke(3, mirror="w"))
+
+
+def test_back_faces_and_angles_are_painted_as_the_library_does(session: Session) -> None:
+    texture, surface = canvas()
+    painter = octex.Painter(texture, surface)
+    session.take(stroke(1, backFaces=True, maxAngle=40))
+    session.wait()
+    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+    image[..., :3] = 200, 10, 30
+    image[4:28, 10:40, 3] = disc(1)
+    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=40, back_faces=True)
+    assert_same(session.shown.texture, painter.texture())
