@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC, quadratic_weights
 from octex.field.weights import View, face_cell
-from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, cell_at, follow, place_of
+from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
 from octex.jit import chosen, inlined, kernel, popcount, put, spline_box, trailing_zeros
 from octex.jit.vectors import four, four_at
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
@@ -69,7 +69,7 @@ def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int,
     Those of each second field from ``which`` on belong to the walk.
     """
     walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
-    level = follow(field.arrays, NO_KEPT, walk, i, j, k, QUADRATIC, 2)
+    level = follow(Way(field.arrays, NO_KEPT, walk, QUADRATIC, 2, 1, False), i, j, k)
     for changed in range(walk.previous[5] + 1, level + 1):
         for each in range(which, windows.known.shape[0], 2):
             windows.known[each, changed] = False

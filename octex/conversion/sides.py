@@ -21,7 +21,7 @@ from octex.conversion.samples import UNIT, Samples, sample_points
 from octex.editing.split import split_in_vain, with_split, without_split
 from octex.field.field import Field
 from octex.field.splines import QUADRATIC
-from octex.field.windows import BEGIN, INSIDE, cell_at, follow, new_walk
+from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
 from octex.jit import kernel, trailing_zeros
 from octex.parallel import ordered_map, sharing
 from octex.texture import OctreeTexture
@@ -105,12 +105,13 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor
 def _kinds_around(arrays: TreeArrays, codes: Int64s, depth: int) -> Uint64s:
     """Return the kinds of all leaves that lookups in some cells of a level (n,), which ascend, may read."""
     walk, kinds = new_walk(), np.empty(codes.size, np.uint64)
+    way = Way(arrays, NO_KEPT, walk, QUADRATIC, 2, 1, False)
     of_levels = np.zeros(MAX_DEPTH + 1, np.uint64)
     shift = MAX_DEPTH - depth
     for n in range(codes.size):
         i, j, k = decode(codes[n])
         walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the cell before
-        last = follow(arrays, NO_KEPT, walk, i << shift, j << shift, k << shift, QUADRATIC, 2)
+        last = follow(way, i << shift, j << shift, k << shift)
         for level in range(walk.previous[5] + 1, last + 1):
             found = of_levels[level - 1] if is_refined(walk, level) else np.uint64(0)
             inside = INSIDE[0, walk.levels[level, BEGIN], 0]

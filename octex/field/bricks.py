@@ -22,41 +22,25 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Int32s, Int64s, Uint32s
-from octex.field.neighborhood import Way, taps_around
+from octex.field.neighborhood import taps_around
 from octex.field.splines import QUADRATIC
 from octex.field.taps import LEAST, Taps, new_taps
 from octex.field.tiles import Integer
 from octex.field.values import Codes, Flat, flat_of, put_value, value_of
-from octex.field.windows import MOST_TAPS, Walk
+from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
 from octex.jit import fused_kernel, inlined, popcount, prefetch, refine_rows, trailing_zeros, weighted_cube
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
-from octex.tree.octree import Octree
 from octex.tree.order import AHEAD, Order, end_of_cell, sort_by_digit
 
 # Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
-AT_SIX = 64 * (MAX_DEPTH + 2)
-AT_TEN = AT_SIX + 216
-_AT_WIDE = AT_TEN + 1000  # refined along x
+_AT_SIX = 64 * (MAX_DEPTH + 2)
+_AT_TEN = _AT_SIX + 216
+_AT_WIDE = _AT_TEN + 1000  # refined along x
 _AT_FLAT = _AT_WIDE + 360  # refined along x and y
-CELLS = _AT_FLAT + 600
-
-
-class Tree(NamedTuple):
-    """A tree, and which row of the kept table each node has that keeps something."""
-
-    arrays: TreeArrays
-    kept_cells: Uint32s  # (kept nodes,)
-    kept_rows: Uint32s  # (cells,), or (0,) if none keeps anything
-
-    @classmethod
-    def of(cls, tree: Octree) -> Tree:
-        """Index the kept nodes: only where they are is the index written to, the rest takes no memory."""
-        cells = tree.kept.cells
-        rows = np.zeros(tree.n_cells if cells.size else 0, np.uint32)
-        there = np.flatnonzero(cells < tree.n_cells)
-        rows[cells[there]] = there
-        return cls(tree.arrays, cells, rows)
+_CELLS = _AT_FLAT + 600
+#: How many cells along an edge the block has that each step decodes from.
+_SIDES = 0, 3, 4, 6
 
 
 class Values(NamedTuple):
@@ -73,7 +57,7 @@ class Bricks(NamedTuple):
     A coefficient is two fours: four components, and the weight and another.
     """
 
-    rows: Float32s  # (2 · CELLS · 4,)
+    rows: Float32s  # (2 · _CELLS · 4,)
     nodes: Int64s  # ((MAX_DEPTH + 2) · 64,)   of the 4³ of each level, node numbers, or −1
     keeps: Bools  # (same,)   whether such a node has a kept coefficient
     has: Bools  # (MAX_DEPTH + 5,)   whether the block of a level has any coefficients
@@ -93,7 +77,7 @@ def new_bricks() -> Bricks:
     """Return room for bricks."""
     levels = MAX_DEPTH + 2
     return Bricks(
-        np.zeros(2 * CELLS * 4, np.float32),
+        np.zeros(2 * _CELLS * 4, np.float32),
         np.full(levels * 64, -1, np.int64),
         np.zeros(levels * 64, np.bool_),
         np.zeros(levels + 3, np.bool_),
@@ -138,16 +122,10 @@ def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int,
     if planes == 1:
         d = covered
     else:
-        second = first + np.uint64(4 * CELLS)
+        second = first + np.uint64(4 * _CELLS)
         rows[second], rows[second + one] = weight * covered, weight
     rows[first], rows[first + one] = weight * a, weight * b
     rows[first + np.uint64(2)], rows[first + np.uint64(3)] = weight * c, weight * d
-
-
-@inlined
-def kept_row(tree: Tree, cell: int) -> int:
-    """Return the row of what a node keeps: after all cells, those of the kept table."""
-    return tree.arrays.flags.size + min(int(tree.kept_rows[np.uint64(cell)]), tree.kept_cells.size - 1)
 
 
 @inlined
@@ -167,13 +145,12 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 
 
 @inlined
-def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int) -> bool:
+def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -> bool:
     """List the coefficients below the nodes of a block, and which children of these are nodes.
 
     Returns False if there is any such after the last step.
     """
-    arrays, over, inner, stop = tree.arrays, bricks.over, bricks.inner, step == 3
-    groups, side = arrays.groups, (0, 3, 4, 6)[step]
+    arrays, over, inner, side = way.arrays, bricks.over, bricks.inner, _SIDES[step]
     n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
     to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
     below, n_cells = 2 * side - 2, arrays.flags.size
@@ -184,34 +161,31 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int) 
         keeps, node = listed & 1, listed >> 16
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
         inside = _inside(x, y, z, side - 1)
-        nodes, stored, first_node, first_cell = children(groups, node)
+        nodes, stored, first_node, first_cell = children(arrays.groups, node)
         nodes_inside = nodes & inside
-        if stop and nodes_inside != 0:
+        if step == 3 and nodes_inside != 0:
             return False
         prefetch(values, first_cell)
         left = stored & ~nodes & inside
         while left != 0:
-            octant = trailing_zeros(left)
-            row = first_cell + popcount(stored & ((left & (~left + one)) - one))
+            octant, lower = trailing_zeros(left), (left & (~left + one)) - one
             left &= left - one
+            row = min(first_cell + popcount(stored & lower), n_cells - 1)
             at = _child_place(x, y, z, octant, below)
-            over[to_over] = keeps | at << 1 | min(row, n_cells - 1) + 1 << 16
+            over[to_over] = keeps | at << 1 | row + 1 << 16
             to_over += one
-        if nodes_inside == 0:
-            continue
         left = nodes_inside
         while left != 0:
-            octant = trailing_zeros(left)
-            lower = (left & (~left + one)) - one
+            octant, lower = trailing_zeros(left), (left & (~left + one)) - one
             left &= left - one
             number, is_kept = first_node + popcount(nodes & lower), 0
             a, b, c = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
-            if tree.kept_cells.size > 0:
+            if way.kept_cells.size > 0:
                 row = min(first_cell + popcount(stored & lower), n_cells - 1)
                 at = a + below * (b + below * c)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
                     is_kept = 1
-                    over[to_over] = keeps | at << 1 | kept_row(tree, row) + 1 << 16
+                    over[to_over] = keeps | at << 1 | kept_row(way, row) + 1 << 16
                     to_over += one
                 elif keeps:  # else zeros are there
                     over[to_over] = at << 1
@@ -224,7 +198,7 @@ def list_children(tree: Tree, values: ChannelValues, bricks: Bricks, step: int) 
 
 
 @inlined
-def list_blocks(tree: Tree, values: ChannelValues, bricks: Bricks, corner: int) -> int:
+def _list_blocks(way: Way, values: ChannelValues, bricks: Bricks, corner: int) -> int:
     """List what is in the blocks of the brick whose 3³ cells are those from one of a 4³ on.
 
     Returns the first block without nodes, or −1 if there is none.
@@ -241,13 +215,13 @@ def list_blocks(tree: Tree, values: ChannelValues, bricks: Bricks, corner: int) 
     for step in range(1, 4):
         if bricks.n_inner[step - 1] == 0:
             return step - 1
-        if not list_children(tree, values, bricks, step):
+        if not _list_children(way, values, bricks, step):
             return -1
     return 3
 
 
 @inlined
-def note_nodes(bricks: Bricks, level: int) -> None:
+def _note_nodes(bricks: Bricks, level: int) -> None:
     """Note the nodes of the 4³ of a level, which are listed."""
     nodes, first = bricks.nodes, 64 * level
     nodes[first : first + 64] = -1
@@ -291,13 +265,13 @@ def _clear(bricks: Bricks, planes: int, step: int, side: int, target: int) -> No
             at = target + _child_place(x, y, z, trailing_zeros(left), 2 * side - 2)
             left &= left - one
             for plane in range(planes):
-                first = np.uint64(4 * (at + plane * CELLS))
+                first = np.uint64(4 * (at + plane * _CELLS))
                 rows[first] = rows[first + one] = zero
                 rows[first + np.uint64(2)] = rows[first + np.uint64(3)] = zero
 
 
 @inlined
-def decode(
+def _decode(
     values: Values,
     bricks: Bricks,
     planes: int,
@@ -312,7 +286,7 @@ def decode(
     rows, over = bricks.rows, bricks.over
     below = 2 * side - 2
     for plane in range(planes):
-        shift = plane * CELLS
+        shift = plane * _CELLS
         if has:
             _refine_block(rows, source + shift, stride, side, target + shift)
         else:
@@ -320,7 +294,7 @@ def decode(
     if has:
         _clear(bricks, planes, step, side, target)
     one = np.float32(1.0)
-    weight_at = 4 * CELLS + 1 if planes > 1 else 3
+    weight_at = 4 * _CELLS + 1 if planes > 1 else 3
     for n in range(bricks.n_over[step]):
         listed = over[np.uint64(1000 * step + n)]
         at = target + (listed >> 1 & 1023)
@@ -330,13 +304,13 @@ def decode(
 
 
 @inlined
-def enter(tree: Tree, values: Values, bricks: Bricks, planes: int) -> None:
+def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
     """Write the root's block: it is the second cell along each axis, the others have nothing."""
     middle, row = 1 + 4 * (1 + 4), 0
-    if tree.arrays.groups.shape[0] > 0:
+    if way.arrays.groups.shape[0] > 0:
         bricks.nodes[middle] = 0
-        bricks.keeps[middle] = tree.kept_cells.size > 0 and tree.arrays.flags[0] & KEPT != 0
-        row = kept_row(tree, 0) if bricks.keeps[middle] else -1
+        bricks.keeps[middle] = way.kept_cells.size > 0 and way.arrays.flags[0] & KEPT != 0
+        row = kept_row(way, 0) if bricks.keeps[middle] else -1
     bricks.has[0] = row >= 0
     if row >= 0:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))
@@ -377,7 +351,7 @@ def _answer(
 def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int, n_missed: int) -> int:
     """Answer a point by the walk, see `neighborhood`; return how many are missed then."""
     x, y, z = asked.places[n, 0], asked.places[n, 1], asked.places[n, 2]
-    end, _ = taps_around(way, x, y, z, True, found.rows, found.weights, found.slopes, 0)
+    end, _ = taps_around(way, x, y, z, True, found, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
     for tap in range(end):
         share = np.float64(found.weights[np.uint64(tap)])
@@ -428,28 +402,29 @@ def _blend_brick(
         a, b, c, d = weighted_cube(rows, at, side, of_x, of_y, of_z)
         total = d
         if planes > 1:
-            total, _, _, _ = weighted_cube(rows, at + CELLS, side, of_x, of_y, of_z)
+            total, _, _, _ = weighted_cube(rows, at + _CELLS, side, of_x, of_y, of_z)
         n_missed = _answer(asked, n, n_missed, a, b, c, d, total)
     return n_missed
 
 
 @fused_kernel
-def look_up_crowded(tree: Tree, codes: Codes, alpha: Codes, asked: Asked, bricks: Bricks, walk: Walk) -> int:
+def look_up_crowded(
+    arrays: TreeArrays, kept_cells: Uint32s, codes: Codes, alpha: Codes, asked: Asked, bricks: Bricks
+) -> int:
     """Look up a channel, which weighs by alpha unless that has no rows; return how many points are missed.
 
-    These lie off the surface, or nearly, or where alpha is zero. ``bricks`` and ``walk`` are new.
+    These lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
     """
     ends, split, order = bricks.ends, bricks.split, asked.order
     places, numbers = order.codes, order.numbers
     values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])
-    planes, few = 1, _FEW_KEPT if tree.kept_cells.size > 0 else _FEW
-    if values.components > 3 or (values.alpha.values.size > 0 and tree.kept_cells.size > 0):
+    planes, few = 1, _FEW_KEPT if kept_cells.size > 0 else _FEW
+    if values.components > 3 or (values.alpha.values.size > 0 and kept_cells.size > 0):
         planes = 2
-    enter(tree, values, bricks, planes)
+    way, found = Way(arrays, kept_cells, new_walk(), QUADRATIC, 2, 1, False), new_taps(1, MOST_TAPS, False)
+    _enter(way, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
     ends[0], split[0] = places.size, False
-    way = Way(tree.arrays, tree.kept_cells, walk, QUADRATIC, 2, 1, False)
-    found = new_taps(1, MOST_TAPS, False)
     path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
     while begin < places.size:
         while begin >= ends[level]:
@@ -460,15 +435,13 @@ def look_up_crowded(tree: Tree, codes: Codes, alpha: Codes, asked: Asked, bricks
             is_done = end - begin <= few
             if not is_done:
                 corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
-                last = list_blocks(tree, codes.values, bricks, corner)
+                last = _list_blocks(way, codes.values, bricks, corner)
                 has, source, stride = bricks.has[level], corner, 4
                 first = 64 * (level + 1)
-                for step in range(1, max(last, 1) + 1):
-                    if step > last >= 0:
-                        break
-                    target = AT_TEN if step == 3 else AT_SIX if step == 2 else first
-                    side = (0, 3, 4, 6)[step]
-                    has = decode(values, bricks, planes, step, source, stride, side, target, has)
+                for step in range(1, (last if last >= 0 else 1) + 1):
+                    target = _AT_TEN if step == 3 else _AT_SIX if step == 2 else first
+                    side = _SIDES[step]
+                    has = _decode(values, bricks, planes, step, source, stride, side, target, has)
                     if step == 1:
                         bricks.has[level + 1] = has
                     source, stride = target, 2 * side - 2
@@ -484,7 +457,7 @@ def look_up_crowded(tree: Tree, codes: Codes, alpha: Codes, asked: Asked, bricks
                     n_missed = _answer_by_walk(values, way, found, asked, int(numbers[m]), n_missed)
                 begin = end
                 continue
-            note_nodes(bricks, level + 1)
+            _note_nodes(bricks, level + 1)
             if level % 3 == 0:
                 sort_by_digit(order, begin, end, 3 * (MAX_DEPTH - level - 3), bricks.counts)
             split[level] = True

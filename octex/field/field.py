@@ -12,9 +12,8 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
 from octex.field.blend import Listed, joined, listed
-from octex.field.bricks import Tree
 from octex.field.neighborhood import walked_taps
-from octex.field.sources import find_taps
+from octex.field.sources import FINDERS
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
@@ -38,10 +37,14 @@ from octex.tree.search import Positions, nearest_cells
 
 #: Taps of a point that a walk is given room for at first.
 _WALKED = 24
-_NONE = np.empty(0, np.uint8)
-_NOTHING: Uint8s = np.empty((1, 1), np.uint8)
-_NO_LEFT = np.empty(0, np.float32), np.empty((0, 3), np.float32)
-_NO_FACINGS = Facings(_NONE, np.empty(0, np.uint32), np.empty(0, np.uint32))
+NO_BYTES = np.empty(0, np.uint8)
+NO_VECTORS = np.empty((0, 3), np.float32)
+_NO_DOUBLES = np.empty((0, 3))
+_NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
+#: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
+Left = tuple[Float32s, Float32s]
+NO_LEFT: Left = np.empty(0, np.float32), NO_VECTORS
+_NO_FACINGS = Facings(NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 class NotFiniteError(ValueError):
@@ -50,6 +53,12 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
+
+
+def positions(points: Floats) -> Positions:
+    """Return rest positions (n, 3) as kernels take them, like `Positions.of`."""
+    points = unlocked(points)
+    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -114,11 +123,6 @@ class Field:
                 found.append(tiles)
         return tuple(found) or None
 
-    @built_once
-    def mixed(self) -> Tree:
-        """Return the tree as bricks are decoded from it, indexed on first use."""
-        return Tree.of(self.tree)
-
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that serve a filter: all of the points, or the most of them."""
         tiles: Tiles | None = self.tiles
@@ -149,11 +153,6 @@ class Field:
                     f"level {level}: its nodes and leaves are not those that the groups count"
                 )
             yield above
-
-    def prepare(self, filter_code: int) -> None:
-        """Build what lookups of the leaves read, before threads share it."""
-        self.tiles_for(filter_code)
-        self.mixed  # noqa: B018
 
     def taps(
         self, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
@@ -191,42 +190,18 @@ class Field:
         With ``normals`` (n, 3) it is what faces these; after the kept rows come those of the split table.
         Raises NotFiniteError.
         """
-        finder = Finder(self, filter, gradient=gradient)
-        places = np.empty((min(len(points), BLOCK), 3))
-        for begin in range(0, len(points), BLOCK):
-            some = points[begin : begin + BLOCK]
-            here = places[: len(some)]
-            fault = place_points(Positions.of(some), *placement, here)
-            if fault >= 0:
-                raise NotFiniteError(begin + fault)
-            taps = finder.find(here)
-            if normals is not None:
-                taps = weighed(taps, self.weighing(self, True), normals[begin : begin + BLOCK])
+        finder = Finder(self, placement, filter, gradient=gradient)
+        for _, taps in finder.blocks(points, self.weighing(self, normals is not None), normals):
             yield taps
 
-    def weighing(self, whole: Field, faces: bool, mixed: Uint8s = _NONE) -> Weighing:
+    def weighing(self, whole: Field, faces: bool, mixed: Uint8s = NO_BYTES) -> Weighing:
         """Return what weighs the taps of this field, toward normals or not.
 
         ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
         """
-        areas = _NONE if self is whole else unlocked(whole.areas_of_averages(self.depth)[: self.n_cells])
+        areas = NO_BYTES if self is whole else unlocked(whole.areas_of_averages(self.depth)[: self.n_cells])
         facings, first_kept = self.facings if faces else _NO_FACINGS, whole.n_cells
         return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
-
-
-def weighed(
-    taps: Taps,
-    by: Weighing,
-    normals: Float32s | None,
-    left: Float32s = _NO_LEFT[0],
-    left_slopes: Float32s = _NO_LEFT[1],
-) -> Taps:
-    """Return taps weighed, which change: see `weights.weigh_taps`."""
-    end = int(taps.ends.max(initial=0))
-    if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
-        taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
-    weigh_taps(taps, by, _NO_LEFT[1] if normals is None else normals, _NOTHING, left, left_slopes)
-    return taps
 
 
 def _with_room(taps: Taps, used: int, room: int) -> Taps:
@@ -238,7 +213,7 @@ def _with_room(taps: Taps, used: int, room: int) -> Taps:
 
 
 class Finder:
-    """Finds the taps of points of texture space, a block after another, in one field.
+    """Finds the taps of rest positions, a block after another, in one field.
 
     ``whole`` is the field that it is a level of, by default itself. With ``adds`` the taps of several levels
     are added up.
@@ -247,6 +222,7 @@ class Finder:
     def __init__(
         self,
         field: Field,
+        placement: Placement,
         filter: str,
         *,
         gradient: bool = False,
@@ -254,6 +230,7 @@ class Finder:
         adds: bool = False,
     ) -> None:
         self.field = field
+        self._placement = placement
         self._whole = whole or field
         self.filter = FILTERS.index(filter)
         self._gradient = gradient
@@ -261,8 +238,39 @@ class Finder:
         self._walk: Walk | None = None
         self._taps: Taps | None = None
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
+        self.places = np.empty((0, 3))  # of the latest block, in texture space
 
-    def find(self, places: Float64s, rows: Uint8s = _NOTHING) -> Taps:
+    def blocks(
+        self,
+        points: Floats,
+        by: Weighing,
+        normals: Float32s | None = None,
+        left: Left = NO_LEFT,
+        rows: Uint8s = _NO_ROWS,
+    ) -> Iterator[tuple[slice, Taps]]:
+        """Yield the taps of blocks of rest positions (n, 3), weighed: valid until the next.
+
+        With ``normals`` (n, 3) it is what faces these. ``left`` takes what mixes opposite facings, and its
+        derivatives: see `weights.weigh_taps`. Raises NotFiniteError.
+        """
+        memory = np.empty((min(len(points), BLOCK), 3))
+        for begin in range(0, len(points), BLOCK):
+            block = slice(begin, begin + BLOCK)
+            some = points[block]
+            self.places = memory[: len(some)]
+            fault = place_points(positions(some), *self._placement, self.places)
+            if fault >= 0:
+                raise NotFiniteError(begin + fault)
+            taps = self.find(self.places, rows)
+            if by.faces or by.areas.size:
+                end = int(taps.ends.max(initial=0))
+                if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+                    taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
+                facing = NO_VECTORS if normals is None else normals[block]
+                weigh_taps(taps, by, facing, _NO_ROWS, left[0][block], left[1][block])
+            yield block, taps
+
+    def find(self, places: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
         """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
 
         ``rows`` are what will be read of the cells next: they are asked for.
@@ -291,7 +299,7 @@ class Finder:
 
     def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
         """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
-        ahead = Ahead(rows, _NOTHING[:0], _NONE, _NONE)
+        ahead = Ahead(rows, _NO_ROWS[:0], NO_BYTES, NO_BYTES)
         end = n_rim = 0
         last = self.field.n_cells - 1
         for number, above in enumerate(self.field.searched(self.filter)):
@@ -300,7 +308,7 @@ class Finder:
                 taps = _with_room(taps, end, room)
             here = places if number == 0 else places[which]
             batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
-            end, n_empty, more = find_taps(above, self.filter, number > 0, batch, taps, end)
+            end, n_empty, more = FINDERS[self.filter](above, number > 0, batch, taps, end)
             n_rim += more
             which = self._empty[:n_empty].copy()
             if not n_empty:
@@ -325,7 +333,7 @@ class Finder:
     def _nearest(self, places: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(places)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, places, (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, positions(places), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

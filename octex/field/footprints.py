@@ -64,6 +64,11 @@ class Probes(NamedTuple):
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
     slopes: Float32s = NO_SLOPES  # (m, 3)   derivatives of the shares in texture space; (0, 3) if not wanted
 
+    def of(self, rows: Int64s | slice) -> Probes:
+        """Return some of them."""
+        slopes = self.slopes[rows] if self.slopes.size else self.slopes
+        return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
+
 
 #: What all footprints that are as wide as long have in common.
 ROUND = Footprints(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), 0.0)

@@ -139,7 +139,7 @@ class _Listing(Lookup):
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return what the taps of the latest block of points read, and which cells hold these."""
-        places = self._places[: taps.starts.size]
+        places = self.finder(self._field.level(level)).places
         return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
 
     def _weigh_all(self, taps: Taps, *, always: bool) -> None:

@@ -13,18 +13,16 @@ from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import Asked, look_up_crowded, new_bricks
-from octex.field.field import Field, Finder, NotFiniteError, weighed
-from octex.field.footprints import NO_SLOPES, Footprints, Probes, passed_on, spread
+from octex.field.field import NO_BYTES, NO_LEFT, NO_VECTORS, Field, Finder, NotFiniteError, positions
+from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import BLOCK, Taps, place_points
+from octex.field.taps import Taps, place_points
 from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.values import Codes
 from octex.field.weights import Weighing
-from octex.field.windows import new_walk
 from octex.jit import direct, unlocked
 from octex.tree.order import order_of, put_rows
 from octex.tree.placement import Placement
-from octex.tree.search import Positions
 
 #: Points for which it is worth while to sort them.
 _LEAST_SORTED = 64
@@ -32,25 +30,14 @@ _LEAST_SORTED = 64
 _ROUNDED = np.float32(1e-6)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
-_NO_VECTORS = np.empty((0, 3), np.float32)
-_NO_BYTES = np.empty(0, np.uint8)
-_NO_DOUBLES = np.empty((0, 3))
-_NO_SHARES = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
-    np.empty(0, np.int32),
-    _NO_SHARES,
-    _NO_SHARES,
+    *(np.empty(0, np.int32), NO_LEFT[0], NO_LEFT[0]),
     Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
 )
 #: What `look_up_tiled` returns where tiles have all points.
 _ALL_FOUND = 0, 0, -1
 #: What searches and channels hold is unlocked where they are made.
 _look_up_tiled = direct(look_up_tiled)
-
-
-#: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
-Left = tuple[Float32s, Float32s]
-_NO_LEFT: Left = _NO_SHARES, NO_SLOPES
 
 
 class Query(NamedTuple):
@@ -110,17 +97,11 @@ def look_up(
     return -1
 
 
-def _positions(points: Floats) -> Positions:
-    """Return rest positions (n, 3) as kernels take them, like `Positions.of`."""
-    points = unlocked(points)
-    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(_NO_VECTORS, points)
-
-
 class PlainLookup:
     """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
 
     def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
-        self._before = placement.origin, placement.size, _NO_VECTORS, channel
+        self._before = placement.origin, placement.size, NO_VECTORS, channel
         self._search = search
         self._components = channel.codes.values.shape[1]
 
@@ -132,7 +113,7 @@ class PlainLookup:
         n = len(points)
         answer = np.empty((n, self._components), np.float32)
         lost = np.empty((2, n), np.int64)
-        given = *_positions(points), *self._before, answer, _NO_GRADIENTS
+        given = *positions(points), *self._before, answer, _NO_GRADIENTS
         found = _look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
         return answer if found == _ALL_FOUND else None
 
@@ -172,7 +153,6 @@ class Lookup:
         self._answers = answers
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
-        self._places = np.empty((0, 3))
         #: The numbers of channels; alpha itself comes first: then it weighs all others.
         is_alpha = list(map(attrgetter("is_alpha"), channels))
         self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
@@ -205,7 +185,7 @@ class Lookup:
         if not self.is_tiled:
             self.untiled(points)
             return
-        rim = self._by_tiles(self._field, points, NO_ADDITIONS)
+        rim = self._by_tiles(self._field, points, NO_ADDITIONS, self._query.normals)
         if rim.size:
             self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
@@ -223,63 +203,62 @@ class Lookup:
         if self._alpha is not None and not channel.is_alpha:
             alpha = self._alpha.codes
         places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = place_points(_positions(points), *self._placement, places)
+        fault = place_points(positions(points), *self._placement, places)
         if fault >= 0:
             raise NotFiniteError(fault)
         asked = Asked(places, order_of(places), results.reshape(-1), results.shape[1], missed)
-        task = self._field.mixed, channel.codes, alpha, asked, new_bricks(), new_walk()
-        n_missed = look_up_crowded(*task)
+        tree = self._field.tree
+        n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, asked, new_bricks())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
 
     def _by_tiles(
-        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None = None
+        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None
     ) -> Int64s:
         """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
 
-        ``normals`` are those of the looks' owners, by default the query's.
+        ``normals`` are those of the looks' owners.
         """
-        if normals is None:
-            normals = self._query.normals
-        code, by = FILTERS.index(self._query.filter), self.weighing(here)
-        which: Int64s | None = None
+        code, by, given = FILTERS.index(self._query.filter), self.weighing(here), (points, additions, normals)
+        empty: Int64s | None = None
         rims: list[Int64s] = []
         for number, tiles in enumerate(here.searched(code)):
             search = Search(code, tiles, here.n_cells - 1, number > 0, by)
-            which, rim = self._search(search, points, which, additions, normals)
+            empty, rim = self._search(search, empty, *given)
             rims.append(rim)
-            if not which.size:
+            if not empty.size:
                 break
         rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
             search = Search(code, tiles, here.n_cells - 1, False, by)
-            rim = np.concatenate(self._search(search, points, rim, additions, normals))
+            rim = np.concatenate(self._search(search, rim, *given))
         return rim
 
     def _search(
         self,
         search: Search,
-        points: Floats,
         which: Int64s | None,
+        points: Floats,
         additions: Additions,
         normals: Float32s | None,
     ) -> tuple[Int64s, Int64s]:
         """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
         assert self._channel is not None
-        answers, gradients = self._answers[0], self._gradients[0] if self._gradients else _NO_GRADIENTS
-        some, own, facing = additions, answers, _NO_VECTORS if normals is None else unlocked(normals)
+        adds, answers = additions is not NO_ADDITIONS, self._answers[0]
+        some, own, facing = additions, answers, NO_VECTORS if normals is None else normals
+        slopes = self._gradients[0] if self._gradients else _NO_GRADIENTS
         if which is not None:
             points = np.take(points, which, axis=0)
-            if additions is not NO_ADDITIONS:
+            if adds:
                 left = np.zeros(which.size if additions.left.size else 0, np.float32)
                 some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
             else:
                 own = np.empty((which.size, answers.shape[1]), np.float32)
-                gradients = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
+                slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
                 facing = facing if normals is None else np.take(normals, which, axis=0)
         lost = np.empty((2, len(points)), np.int64)
-        given = *_positions(points), *self._placement, facing, self._channel, own, gradients
+        given = *positions(points), *self._placement, unlocked(facing), self._channel, own, slopes
         n_empty, n_rim, fault = _look_up_tiled(search, *given, some, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
@@ -288,15 +267,15 @@ class Lookup:
             return empty, rim
         if additions.left.size:
             additions.left[which] = some.left
-        if additions is NO_ADDITIONS:
+        if not adds:
             put_rows(own, which, answers)
             if self._gradients:
-                self._gradients[0][which] = gradients
+                self._gradients[0][which] = slopes
         return which[empty], which[rim]
 
     def weighing(self, here: Field) -> Weighing:
         """Return what weighs the taps of a level."""
-        query, mixed = self._query, _NO_BYTES
+        query, mixed = self._query, NO_BYTES
         faces = query.normals is not None
         if not (here is self._field or query.mixed is None or faces) and here.tree.split.cells.size:
             mixed = query.mixed(here.depth)
@@ -314,15 +293,18 @@ class Lookup:
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
 
+    def finder(self, here: Field) -> Finder:
+        """Return what finds the taps of a level."""
+        if here.depth not in self._finders:
+            options = {"gradient": bool(self._gradients), "adds": self._query.footprints is not None}
+            finder = Finder(here, self._placement, self._query.filter, whole=self._field, **options)
+            self._finders[here.depth] = finder
+        return self._finders[here.depth]
+
     def each_block(self, points: Floats) -> Iterator[tuple[slice, Taps]]:
         """Yield the taps of the leaves, weighed, a block of points after another."""
-        for begin in range(0, len(points), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            normals = None if self._query.normals is None else self._query.normals[rows]
-            taps, fault = self.weighed_taps(self._field, points[rows], normals)
-            if fault >= 0:
-                raise NotFiniteError(begin + fault)
-            yield rows, taps
+        here = self._field
+        return self.finder(here).blocks(points, self.weighing(here), self._query.normals, rows=self._rows)
 
     def each_run(self, points: Floats) -> Iterator[tuple[slice, dict[int, Probes]]]:
         """Yield the looks of footprints: see `footprints.spread`."""
@@ -371,24 +353,22 @@ class Lookup:
             if level not in by_level:
                 continue
             here, looks = self._field.level(level), by_level[level]
-            count = len(looks.points) if self.weighing(here).mixed.size else 0
+            by = self.weighing(here)
+            rows: slice | Int64s = slice(None)  # those that tiles leave over
+            count = len(looks.points) if by.mixed.size else 0
             left = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
-            rim: Int64s | None = None
             if sums is not None and here.tiles_for(QUADRATIC) is not None:
                 own = Additions(looks.owners, looks.shares, left[0], sums)
-                rim = self._by_tiles(here, looks.points, own, normals)
-            for begin in range(0, len(looks.points) if rim is None else rim.size, BLOCK):
-                block = slice(begin, begin + BLOCK)
-                rows = block if rim is None else rim[block]
-                slopes = looks.slopes[rows] if looks.slopes.size else looks.slopes
-                some = Probes(looks.points[rows], looks.owners[rows], looks.shares[rows], slopes)
-                facing = None if normals is None else normals[some.owners]
-                parts = left[0][rows] if count else left[0], left[1][rows] if left[1].size else left[1]
-                taps, _ = self.weighed_taps(here, some.points, facing, parts)
-                if rim is not None and count:
-                    left[0][rows] = parts[0]
-                yield level, some, taps
-            pass_on(by_level, level, looks, *left)
+                rows = self._by_tiles(here, looks.points, own, normals)
+            some, parts = looks.of(rows), (left[0][rows] if count else left[0], left[1])
+            facing = None if normals is None else normals[some.owners]
+            for block, taps in self.finder(here).blocks(some.points, by, facing, parts, self._rows):
+                yield level, some.of(block), taps
+            if count:  # the next level is looked at for what was not seen at this
+                left[0][rows] = parts[0]
+                more = passed_on(looks, *left, _ROUNDED, by_level.get(level + 1, looks.of(slice(0))))
+                if more.shares.size:
+                    by_level[level + 1] = more
 
     def _look_again(
         self,
@@ -409,33 +389,6 @@ class Lookup:
             self._answers[number][rows] = answers[at]
             if self._gradients:
                 self._gradients[number][rows] = gradients[at]
-
-    def weighed_taps(
-        self,
-        here: Field,
-        points: Floats,
-        normals: Float32s | None,
-        left: Left = _NO_LEFT,
-    ) -> tuple[Taps, int]:
-        """Return the taps of a block of points in a level's field, weighed; and the first that is not finite.
-
-        ``left`` takes what mixes opposite facings, and its derivatives: see `weights.weigh_taps`.
-        """
-        if len(self._places) < len(points):
-            self._places = np.empty((len(points), 3))
-        places = self._places[: len(points)]
-        fault = place_points(_positions(points), *self._placement, places)
-        if here.depth not in self._finders:
-            self._finders[here.depth] = Finder(
-                *(here, self._query.filter),
-                gradient=bool(self._gradients),
-                whole=self._field,
-                adds=self._query.footprints is not None,
-            )
-        taps = self._finders[here.depth].find(places, self._rows)
-        if normals is not None or here is not self._field:
-            taps = weighed(taps, self.weighing(here), normals, *left)
-        return taps, fault
 
     def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:
         """Yield the channels by number, and their taps and codes; alpha weighs those that are not alpha."""
@@ -463,14 +416,3 @@ def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
     found[beyond] = np.concatenate([kept_values, split_values])[rows[beyond] - len(values)]
     decoded, none = decode(found, channel.space), found[:0]
     return taps._replace(rows=np.arange(end, dtype=np.uint32)), Codes(decoded, none, none, _NO_TABLE)
-
-
-def pass_on(
-    by_level: dict[int, Probes], level: int, looks: Probes, left: Float32s, slopes: Float32s = NO_SLOPES
-) -> None:
-    """Look at the next level for what was not seen at this, and how that changes: see `passed_on`."""
-    if left.size:
-        none = Probes(looks.points[:0], looks.owners[:0], looks.shares[:0], looks.slopes[:0])
-        more = passed_on(looks, left, slopes, _ROUNDED, by_level.get(level + 1, none))
-        if more.shares.size:
-            by_level[level + 1] = more

@@ -9,8 +9,6 @@ the field refines to it (paper 4.2).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint32s
@@ -25,7 +23,7 @@ from octex.field.splines import (
     quartic_slopes,
     quartic_weights,
 )
-from octex.field.taps import OFF, Taps
+from octex.field.taps import OFF, Taps, new_taps
 from octex.field.windows import (
     BEGIN,
     CONTENT,
@@ -37,14 +35,17 @@ from octex.field.windows import (
     SHARES,
     UPPER,
     Walk,
+    Way,
     bit_at,
     cell_at,
     change_level,
     follow,
+    kept_row,
     leave_refined,
     new_walk,
     place_of,
     weigh_windows,
+    words_of,
 )
 from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
@@ -58,36 +59,16 @@ _CELLS_AT_ONCE = 1 << 14
 _MIDDLE = 13
 
 
-class Way(NamedTuple):
-    """A walk through a tree for a filter: what its steps share."""
-
-    arrays: TreeArrays
-    kept_cells: Uint32s  # (kept nodes,)   ascending, the nodes flagged KEPT
-    walk: Walk
-    filter_code: int  # LINEAR, QUADRATIC or QUARTIC
-    parents: int  # along an edge of a block: 3 for QUARTIC, else 2
-    columns: int  # 4 with slopes, else 1
-    is_truncated: bool  # nodes of the last level count as leaves
-
-
 @inlined
 def taps_around(
-    way: Way,
-    x: float,
-    y: float,
-    z: float,
-    is_constant: bool,
-    rows: Uint32s,
-    weights: Float32s,
-    slopes: Float32s,
-    first: int,
+    way: Way, x: float, y: float, z: float, is_constant: bool, taps: Taps, first: int
 ) -> tuple[int, float]:
     """Write the taps of a point of texture space from index ``first`` on; return the end, and the cover.
 
-    ``rows``, ``weights`` (m,) and ``slopes`` (m, 3), or (0, 3) if they are not wanted, must have room for
-    MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of the kept nodes. Weights sum
-    to the cover, or to OFF if that is more; slopes are their derivatives by x, y and z, if ``is_constant``
-    those of weights with a constant sum. The point is first clamped into the root; it must be finite.
+    ``taps`` must have room for MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of
+    the kept nodes. Weights sum to the cover, or to OFF if that is more; slopes are their derivatives by x, y
+    and z, if ``is_constant`` those of weights with a constant sum. The point is first clamped into the root;
+    it must be finite.
 
     The cover is how much of the spline's weight falls on leaves, 0 … 1. Where it is zero, the taps are those
     of the tree truncated at the deepest level that has any there.
@@ -95,12 +76,12 @@ def taps_around(
     walk = way.walk
     x, y, z = _rounded(x), _rounded(y), _rounded(z)
     i, j, k = cell_of(x, UNITS), cell_of(y, UNITS), cell_of(z, UNITS)
-    level = follow(way.arrays, way.kept_cells, walk, i, j, k, way.filter_code, way.parents)
+    level = follow(way, i, j, k)
     is_cut = way.is_truncated and walk.levels[level, NODES] != 0
     is_off = False
     while True:
         _fill_window(way, x, y, z, i, j, k, level)
-        n_taps, total = _collect(way, level, is_cut, rows, first)
+        n_taps, total = _collect(way, level, is_cut, taps.rows, first)
         if total > 0.0 or (level == 0 and is_cut):
             break
         # Off the surface: next is the level above, or this one if it is the last and yet holds nodes.
@@ -109,7 +90,7 @@ def taps_around(
         is_cut = is_off = True
     cover = 0.0 if is_off else total
     wanted = max(cover, np.float64(OFF))
-    _write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, weights, slopes, first)
+    _write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, taps, first)
     return first + n_taps, cover
 
 
@@ -170,7 +151,7 @@ def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -
         n_taps, total = _settle(way, level, truncated, rows, first, n_taps, total)
         if level == 0 or walk.levels[level - 1, CONTENT] == 0:
             break
-        if not leave_refined(walk, level, way.filter_code, way.parents, way.columns):
+        if not leave_refined(way, level):
             break
         for column in range(way.columns):
             change_level(walk, SHARES + column, level, way.parents, False)
@@ -184,28 +165,28 @@ def _settle(
     way: Way, level: int, truncated: bool, rows: Uint32s, first: int, n_taps: int, total: float
 ) -> tuple[int, float]:
     """Write taps for what falls on the leaves and kept nodes of a window; return number and weight of all."""
-    arrays, kept_cells, walk, parents = way.arrays, way.kept_cells, way.walk, way.parents
+    walk, parents, has_kept = way.walk, way.parents, way.kept_cells.size > 0
     windows = walk.windows
     begin = walk.levels[level, BEGIN]
     keeping = way.filter_code != LINEAR and walk.levels[level, KEEPING] != 0
     if keeping:
-        weigh_windows(walk, level, parents)
-    for word in range(1 if parents == 2 else 4):
+        weigh_windows(way, level)
+    for word in range(words_of(way)):
         nodes, stored, kept = walk.nodes[level, word], walk.cells[level, word], np.uint64(0)
-        if kept_cells.size > 0 and not truncated:
+        if has_kept and not truncated:
             kept = walk.kept[level, word]
         bits = (stored if truncated else stored ^ nodes | kept) & INSIDE[parents - 2, begin, word]
         while bits != 0:
             place = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
-            cell = cell_at(arrays, walk, level, word, place)
+            cell = cell_at(way.arrays, walk, level, word, place)
             at = place_of(parents, begin, 64 * word + place)
             factor = 1.0
-            if kept_cells.size > 0:
+            if has_kept:
                 if keeping and walk.below_kept[level, word] & bit_at(place) != 0:
                     factor = windows[REFINED + level, at]
                 if kept & bit_at(place) != 0:
-                    cell = _find_kept_row(kept_cells, cell, arrays.flags.size)
+                    cell = kept_row(way, cell)
             share = windows[SHARES, at] * factor
             walk.taps[0, n_taps] = share
             rows[first + n_taps] = max(cell, 0)
@@ -221,28 +202,8 @@ def _settle(
 
 
 @inlined
-def _find_kept_row(kept_cells: Uint32s, cell: int, n_cells: int) -> int:
-    """Row of a cell's kept coefficient, or −1 if it is not listed."""
-    low, high = 0, kept_cells.size
-    while low < high:
-        middle = low + high >> 1
-        if np.int64(kept_cells[middle]) < cell:
-            low = middle + 1
-        else:
-            high = middle
-    return n_cells + low if low < kept_cells.size and np.int64(kept_cells[low]) == cell else -1
-
-
-@inlined
 def _write_taps(
-    walk: Walk,
-    n_taps: int,
-    total: float,
-    wanted: float,
-    is_constant: bool,
-    weights: Float32s,
-    slopes: Float32s,
-    first: int,
+    walk: Walk, n_taps: int, total: float, wanted: float, is_constant: bool, to: Taps, first: int
 ) -> None:
     """Write the weights of taps of weight ``total``, scaled to the sum ``wanted``, and their slopes.
 
@@ -251,17 +212,15 @@ def _write_taps(
     taps = walk.taps
     scale = wanted / total
     for n in range(n_taps):
-        weights[first + n] = taps[0, n] * scale
-    if slopes.shape[0] == 0:
-        return
-    for axis in range(3):
+        to.weights[first + n] = taps[0, n] * scale
+    for axis in range(3 if to.slopes.shape[0] > 0 else 0):
         drift = 0.0
         if is_constant:
             for n in range(n_taps):
                 drift += taps[axis + 1, n]
             drift /= total
         for n in range(n_taps):
-            slopes[first + n, axis] = (taps[axis + 1, n] - taps[0, n] * drift) * scale
+            to.slopes[first + n, axis] = (taps[axis + 1, n] - taps[0, n] * drift) * scale
 
 
 @kernel
@@ -293,7 +252,7 @@ def walked_taps(
         n = which[m]
         start = end
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
-        found = x, y, z, is_constant, taps.rows, taps.weights, taps.slopes, start
+        found = x, y, z, is_constant, taps, start
         if filter_code == QUARTIC:
             end, cover = taps_around(Way(arrays, kept_cells, walk, QUARTIC, 3, columns, False), *found)
         else:
@@ -312,21 +271,15 @@ def refined_taps(tree: Octree, codes: Int64s, level: int) -> tuple[Int64s, Uint3
     nothing is refined to has no taps.
     """
     walk = new_walk()
-    starts = np.zeros(codes.size + 1, np.int64)
+    counts = np.zeros(codes.size, np.int64)
     rows, weights = [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-    room = 27 * _CELLS_AT_ONCE + MOST_TAPS
-    some_rows, some_weights = np.empty(room, np.uint32), np.empty(room, np.float32)
+    some = new_taps(0, 27 * _CELLS_AT_ONCE + MOST_TAPS, False)
     begin = 0
     while begin < codes.size:
-        done = _refine_cells(
-            tree.arrays, tree.kept.cells, codes, begin, level, walk, starts[begin:], some_rows, some_weights
-        )
-        end = int(starts[begin + done])
-        rows.append(some_rows[:end].copy())
-        weights.append(some_weights[:end].copy())
-        starts[begin : begin + done + 1] += sum(map(len, rows[:-1]))
-        begin += done
-    return starts, np.concatenate(rows), np.concatenate(weights)
+        begin, end = _refine_cells(tree.arrays, tree.kept.cells, codes, begin, level, walk, counts, some)
+        rows.append(some.rows[:end].copy())
+        weights.append(some.weights[:end].copy())
+    return np.cumsum(np.append(0, counts)), np.concatenate(rows), np.concatenate(weights)
 
 
 @kernel
@@ -337,33 +290,28 @@ def _refine_cells(
     begin: int,
     level: int,
     walk: Walk,
-    starts: Int64s,
-    rows: Uint32s,
-    weights: Float32s,
-) -> int:
-    """Write the taps of cells from ``begin`` on, as many as fit; return how many are done."""
-    way, no_slopes = Way(arrays, kept_cells, walk, QUADRATIC, 2, 1, False), np.empty((0, 3), np.float32)
+    counts: Int64s,
+    taps: Taps,
+) -> tuple[int, int]:
+    """Write the taps of cells from ``begin`` on, as many as fit; return the ends of these cells and taps."""
+    way = Way(arrays, kept_cells, walk, QUADRATIC, 2, 1, False)
     shift = MAX_DEPTH - level
     end = 0
-    starts[0] = 0
-    done = 0
     for n in range(begin, codes.size):
-        if end + MOST_TAPS > rows.size:
-            break
+        if end + MOST_TAPS > taps.rows.size:
+            return n, end
         i, j, k = decode(codes[n])
         i, j, k = i << shift, j << shift, k << shift
-        deepest = follow(arrays, kept_cells, walk, i, j, k, QUADRATIC, 2)
+        deepest = follow(way, i, j, k)
         walk.windows[SHARES, :27] = 0.0
         walk.windows[SHARES, _MIDDLE] = 1.0
         for each in range(level, deepest, -1):  # windows without stored cells
             half = MAX_DEPTH - each
             walk.levels[each, UPPER] = i >> half & 1 | (j >> half & 1) << 1 | (k >> half & 1) << 2
             change_level(walk, SHARES, each, 2, False)
-        first = min(level, deepest)
-        count, total = _collect(way, first, False, rows, end)
+        count, total = _collect(way, min(level, deepest), False, taps.rows, end)
         if total > 0.0:
-            _write_taps(walk, count, total, 1.0, True, weights, no_slopes, end)
+            _write_taps(walk, count, total, 1.0, True, taps, end)
+            counts[n] = count
             end += count
-        done += 1
-        starts[done] = end
-    return done
+    return codes.size, end

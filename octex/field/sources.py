@@ -3,6 +3,9 @@
 `nearest` has the cell that holds the point, `linear` the 2×2×2 cells with centres around it. `quadratic` and
 `quartic` have the 3×3×3 or 5×5×5 around that of the point, under a spline: they lie in a *window*, the
 children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
+
+Each filter's kernel writes taps from index ``end`` on; ``is_off`` says that the points are off the surface.
+It returns the end of the taps, and how many points are listed as without cells and for the walk.
 """
 
 from __future__ import annotations
@@ -12,14 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
-from octex.field.splines import (
-    LINEAR,
-    NEAREST,
-    QUADRATIC,
-    quartic_slopes,
-    quartic_weights,
-    single_quadratic_weights,
-)
+from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
 from octex.field.taps import OFF, Ahead, Batch, Taps, ask_for, finish, scale_off
 from octex.field.tiles import (
     GROUP,
@@ -35,7 +31,7 @@ from octex.field.tiles import (
     tile_key,
 )
 from octex.field.windows import INSIDE, PLACES
-from octex.jit import fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import by_constants, fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS, nearer_box
 
@@ -94,8 +90,8 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
 
 
 @fused_kernel
-def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
-    """Find the taps of trilinear interpolation. See `find_taps`."""
+def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the taps of trilinear interpolation."""
     places, which, ahead, last = batch.places, batch.which, batch.ahead, batch.last
     near = new_near()
     steps, octants, bits = (
@@ -141,6 +137,8 @@ def _linear_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int,
                 taps.ends[at] = taps.starts[at]
                 batch.rim[n_rim] = at
                 n_rim += 1
+    if is_off:
+        scale_off(taps, which)
     return end, n_empty, n_rim
 
 
@@ -198,6 +196,7 @@ def new_group(gradient: bool) -> Group:
     )
 
 
+@by_constants
 @inlined
 def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
     """Find the tile and the window whose lowest cell is (i, j, k)."""
@@ -307,6 +306,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
 
 
+@by_constants
 @inlined
 def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
     """Know the window of point n, and ask for the rows of its cells."""
@@ -334,6 +334,7 @@ def _is_window_marked(tiles: Tiles, group: Group) -> bool:
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
 
 
+@by_constants
 @inlined
 def _take_word(
     group: Group,
@@ -375,11 +376,12 @@ def _take_word(
     return end, total
 
 
+@by_constants
 @inlined
 def _spline_taps(
-    tiles: Tiles, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
+    tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
 ) -> tuple[int, int, int]:
-    """Find the taps of a spline over (2 · reach + 1)³ cells. See `find_taps`."""
+    """Find the taps of a spline over (2 · reach + 1)³ cells."""
     flat = batch.places.reshape(-1)
     n_empty = n_rim = 0
     for begin in range(0, batch.places.shape[0], GROUP):
@@ -400,25 +402,28 @@ def _spline_taps(
                 for word in range(1 if reach == 1 else 4):
                     end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
             end, n_empty, n_rim = finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
+    if is_off:
+        scale_off(taps, batch.which)
     return end, n_empty, n_rim
 
 
 @kernel
-def _quadratic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUADRATIC, 1)
+def quadratic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the taps of the quadratic spline."""
+    group = new_group(taps.slopes.shape[0] > 0)
+    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUADRATIC, 1)
 
 
 @kernel
-def _quartic_taps(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
-    return _spline_taps(tiles, batch, taps, end, new_group(taps.slopes.shape[0] > 0), _QUARTIC, 2)
+def quartic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the taps of the quartic spline."""
+    group = new_group(taps.slopes.shape[0] > 0)
+    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUARTIC, 2)
 
 
-@kernel
-def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int]:
-    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first.
-
-    Else as `find_taps`.
-    """
+@part
+def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first."""
     places, which = batch.places, batch.which
     group = new_group(False)
     shift, one = MAX_DEPTH - tiles.depth, np.int32(1)
@@ -456,36 +461,22 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
             taps.rows[end], taps.weights[end] = min(int(nearest), batch.last), OFF
             taps.starts[point], taps.ends[point], taps.covers[point] = end, end + 1, np.float32(0.0)
             end += 1
-    return end, n_empty
+    return end, n_empty, 0
 
 
 @kernel
-def find_taps(
-    tiles: Tiles, filter_code: int, is_off: bool, batch: Batch, taps: Taps, end: int
-) -> tuple[int, int, int]:
-    """Find the taps of points by tiles, from index ``end`` on.
-
-    ``is_off`` says that they are off the surface. Returns the end of the taps, and how many points are listed
-    as without cells and for the walk.
-    """
-    if filter_code == NEAREST:
-        if is_off:
-            end, n_empty = _nearest_around(tiles, batch, taps, end)
-            return end, n_empty, 0
-        n_empty = nearest_rows(tiles, batch, taps.rows)
-        for n in range(batch.places.shape[0]):
-            taps.starts[n], taps.ends[n] = n, n + 1
-            taps.weights[n] = taps.covers[n] = np.float32(1.0)
-        for m in range(n_empty):
-            taps.ends[batch.empty[m]] = taps.starts[batch.empty[m]]
-        return batch.places.shape[0], n_empty, 0
-    if filter_code == LINEAR:
-        end, n_empty, n_rim = _linear_taps(tiles, batch, taps, end)
-    elif filter_code == QUADRATIC:
-        end, n_empty, n_rim = _quadratic_taps(tiles, batch, taps, end)
-    else:
-        end, n_empty, n_rim = _quartic_taps(tiles, batch, taps, end)
+def nearest_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
+    """Find the cells that hold points, or those nearest to points off the surface."""
     if is_off:
-        for n in batch.which:
-            scale_off(taps, n)
-    return end, n_empty, n_rim
+        return _nearest_around(tiles, batch, taps, end)
+    n_empty = nearest_rows(tiles, batch, taps.rows)
+    for n in range(batch.places.shape[0]):
+        taps.starts[n], taps.ends[n] = n, n + 1
+        taps.weights[n] = taps.covers[n] = np.float32(1.0)
+    for m in range(n_empty):
+        taps.ends[batch.empty[m]] = taps.starts[batch.empty[m]]
+    return batch.places.shape[0], n_empty, 0
+
+
+#: By the number of the filter.
+FINDERS = nearest_taps, linear_taps, quadratic_taps, quartic_taps

@@ -142,16 +142,17 @@ def let_sum_to_off(
 
 
 @inlined
-def scale_off(taps: Taps, n: int) -> None:
-    """Scale the taps of a point off the surface, whose cover is what they weigh, to the sum OFF."""
-    start, end, total = int(taps.starts[n]), int(taps.ends[n]), taps.covers[n]
-    if start == end:
-        return
-    x = y = z = np.float32(0.0)
-    for tap in range(start, end if taps.slopes.shape[0] > 0 else start):
-        x, y, z = x + taps.slopes[tap, 0], y + taps.slopes[tap, 1], z + taps.slopes[tap, 2]
-    let_sum_to_off(taps, start, end, total, x, y, z)
-    taps.covers[n] = np.float32(0.0)
+def scale_off(taps: Taps, which: Int64s) -> None:
+    """Scale the taps of some points off the surface, whose covers are what they weigh, to the sum OFF."""
+    for n in which:
+        start, end, total = int(taps.starts[n]), int(taps.ends[n]), taps.covers[n]
+        if start == end:
+            continue
+        x = y = z = np.float32(0.0)
+        for tap in range(start, end if taps.slopes.shape[0] > 0 else start):
+            x, y, z = x + taps.slopes[tap, 0], y + taps.slopes[tap, 1], z + taps.slopes[tap, 2]
+        let_sum_to_off(taps, start, end, total, x, y, z)
+        taps.covers[n] = np.float32(0.0)
 
 
 @kernel

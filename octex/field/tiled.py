@@ -21,8 +21,8 @@ from octex.field.blend import (
     take,
     weigh_by_alpha,
 )
-from octex.field.sources import find_taps
-from octex.field.splines import NEAREST
+from octex.field.sources import linear_taps, nearest_taps, quadratic_taps
+from octex.field.splines import LINEAR, NEAREST
 from octex.field.taps import (
     MOST_TILED,
     Ahead,
@@ -121,7 +121,6 @@ def look_up_tiled(
     flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
     ahead = Ahead(bytes_of(channel.codes.values), bytes_of(alpha), flags, search.by.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
-    first = int(np.int64(0))  # a constant would have numba compile `find_taps` again for it
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
         end = min(begin + step, all_points)
@@ -139,7 +138,12 @@ def look_up_tiled(
         else:
             starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
             taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)
-            _, more, rest = find_taps(search.tiles, search.filter_code, search.is_off, batch, taps, first)
+            if search.filter_code == NEAREST:
+                _, more, rest = nearest_taps(search.tiles, search.is_off, batch, taps, 0)
+            elif search.filter_code == LINEAR:
+                _, more, rest = linear_taps(search.tiles, search.is_off, batch, taps, 0)
+            else:
+                _, more, rest = quadratic_taps(search.tiles, search.is_off, batch, taps, 0)
             if gradient:
                 hold_outside(taps, here)
             if adds or sees:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Floats
-from octex.jit import decoded, inlined, part
+from octex.jit import by_constants, decoded, inlined, part
 
 Four = tuple[float, float, float, float]
 #: Four components under weights, and the sum of the weights.
@@ -50,6 +50,7 @@ def flat_of(codes: Codes) -> Flat:
     )
 
 
+@by_constants
 @inlined
 def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: int) -> Four:
     """Return the decoded components from a place of some values on, and zeros after them."""
@@ -76,6 +77,7 @@ def put_value(results: Float32s, at: int, components: int, a: float, b: float, c
         results[np.uint64(at + 3)] = d
 
 
+@by_constants
 @inlined
 def value_of(flat: Flat, row: int, components: int) -> Four:
     """Return the decoded components of a row: by branches, as most rows are cells."""
@@ -87,6 +89,7 @@ def value_of(flat: Flat, row: int, components: int) -> Four:
     return value_at(flat.split, flat.table, np.uint64(row * components), components)
 
 
+@by_constants
 @inlined
 def with_row(five: Five, flat: Flat, row: int, weight: np.float32, components: int) -> Five:
     """Add a row times a weight to four components, and the weight to the fifth."""

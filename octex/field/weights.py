@@ -19,6 +19,7 @@ from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, traili
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
+from octex.tree.split import counts_of
 
 #: What averages weigh by the codes of their cells' areas: the root of the area, in cell faces; 1 if that is
 #: not known. By the area itself, cells that the surface hardly touches count for as little as they hold, but
@@ -56,18 +57,10 @@ def facings_of(tree: Octree) -> Facings:
     Only where they are is the index written to: the rest of it takes no memory.
     """
     cells, facings, areas = tree.split
-    rows = np.zeros(tree.n_cells if areas.size else 0, np.uint32)
-    _index_split(cells, facings, rows)
+    rows, counts = np.zeros(tree.n_cells if areas.size else 0, np.uint32), counts_of(facings)
+    there = cells < rows.size
+    rows[cells[there]] = (np.cumsum(counts) - counts)[there]
     return Facings(tree.arrays.flags, rows, tree.kept.cells)
-
-
-@kernel
-def _index_split(cells: Uint32s, facings: Uint8s, rows: Uint32s) -> None:
-    row = 0
-    for n in range(cells.size):
-        if np.int64(cells[n]) < rows.size:
-            rows[cells[n]] = row
-        row += popcount(np.uint64(facings[n] & np.uint8(FACING_FLAGS)))
 
 
 def _directions() -> Uint8s:

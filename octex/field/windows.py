@@ -69,6 +69,18 @@ class Walk(NamedTuple):
     taps: Float64s  # (4, MOST_TAPS)   weights and slopes before they are normalized
 
 
+class Way(NamedTuple):
+    """A walk through a tree for a filter: what its steps share."""
+
+    arrays: TreeArrays
+    kept_cells: Uint32s  # (kept nodes,)   ascending, the nodes flagged KEPT
+    walk: Walk
+    filter_code: int  # LINEAR, QUADRATIC or QUARTIC
+    parents: int  # along an edge of a block: 3 for QUARTIC, else 2
+    columns: int  # 4 with slopes, else 1
+    is_truncated: bool  # nodes of the last level count as leaves
+
+
 def _tabulate_blocks() -> tuple[Uint8s, Uint64s, Uint8s, Uint64s]:
     """Tabulate what is where in blocks of 2³ and of 3³ parents."""
     slot_at, parents_of = np.zeros((2, 27, 216), np.uint8), np.zeros((2, 27, 4), np.uint64)
@@ -124,44 +136,43 @@ def new_walk() -> Walk:
 
 
 @inlined
-def follow(
-    arrays: TreeArrays,
-    kept_cells: Uint32s,
-    walk: Walk,
-    i: int,
-    j: int,
-    k: int,
-    filter_code: int,
-    parents: int,
-) -> int:
+def words_of(way: Way) -> int:
+    """Return how many words the children of a block take."""
+    return 1 if way.parents == 2 else 4
+
+
+@inlined
+def follow(way: Way, i: int, j: int, k: int) -> int:
     """Go down to the first level whose window holds no node, and return it."""
+    walk = way.walk
     previous = walk.previous
     difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
     level = int(previous[3])
-    if level < 0 or previous[4] != filter_code:
-        _write_root(arrays, kept_cells, walk, parents)
-        previous[4], previous[5] = filter_code, -1
+    if level < 0 or previous[4] != way.filter_code:
+        _write_root(way)
+        previous[4], previous[5] = way.filter_code, -1
         level = 0
     while level > 0 and difference >> (MAX_DEPTH - level) != 0:
         level -= 1
     previous[5] = min(previous[5], level)
-    deepest = min(arrays.level_cells.size - 2, MAX_DEPTH)
+    deepest = min(way.arrays.level_cells.size - 2, MAX_DEPTH)
     while walk.levels[level, NODES] and level < deepest:
         level += 1
-        _go_down(arrays, walk, i, j, k, level, parents)
-        if filter_code == LINEAR:
+        _go_down(way, i, j, k, level)
+        if way.filter_code == LINEAR:
             _find_below_leaves(walk, level)
-        if kept_cells.size > 0:
-            _find_kept(arrays, kept_cells, walk, level, parents)
+        if way.kept_cells.size > 0:
+            _find_kept(way, level)
     previous[0], previous[1], previous[2], previous[3] = i, j, k, level
     return level
 
 
 @inlined
-def _write_root(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, parents: int) -> None:
+def _write_root(way: Way) -> None:
     """Write the root's window: it is the first child of the slot in the middle, the others have none."""
-    is_node = arrays.groups.shape[0] > 0
-    keeps = is_node and kept_cells.size > 0 and arrays.flags[0] & KEPT != 0
+    walk, parents = way.walk, way.parents
+    is_node = way.arrays.groups.shape[0] > 0
+    keeps = is_node and way.kept_cells.size > 0 and way.arrays.flags[0] & KEPT != 0
     middle = 1 + parents + parents * parents
     for word in range(4):
         root = bit_at(8 * (middle & 7)) if word == middle >> 3 else np.uint64(0)
@@ -179,11 +190,10 @@ def _write_root(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, parents: in
 
 
 @inlined
-def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int, parents: int) -> None:
+def _go_down(way: Way, i: int, j: int, k: int, level: int) -> None:
     """Find the window of a level from that of the level above."""
+    walk, parents = way.walk, way.parents
     levels, real, nodes, cells = walk.levels, walk.real, walk.nodes, walk.cells
-    groups = arrays.groups
-    words = 1 if parents == 2 else 4
     # the first cells of this window and of that above
     shift = MAX_DEPTH - level
     reach = parents - 1
@@ -191,11 +201,10 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
     u, v, w = (i >> shift + 1) - reach, (j >> shift + 1) - reach, (k >> shift + 1) - reach
     above = (a >> 1) - (u & ~1) + 3 * ((b >> 1) - (v & ~1)) + 9 * ((c >> 1) - (w & ~1))
     begin = a & 1 | (b & 1) << 1 | (c & 1) << 2
-    upper = i >> shift & 1 | (j >> shift & 1) << 1 | (k >> shift & 1) << 2
-    for word in range(words):
+    for word in range(words_of(way)):
         real[level, word] = nodes[level, word] = cells[level, word] = 0
     all_real = all_nodes = all_cells = np.uint64(0)  # of the only word that blocks of 2³ parents have
-    for word in range(words):
+    for word in range(words_of(way)):
         above_nodes = nodes[level - 1, word]
         bits = above_nodes & PARENTS[parents - 2, above, word]
         while bits != 0:
@@ -203,22 +212,22 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
             bits &= bits - np.uint64(1)
             slot = _slot(parents, above, 64 * word + place)
             node = walk.first_nodes[level - 1, 8 * word + (place >> 3)] + _rank(above_nodes, place)
-            child_nodes, child_cells, first_node, first_cell = children(groups, int(node))
+            child_nodes, child_cells, first_node, first_cell = children(way.arrays.groups, int(node))
             walk.first_nodes[level, slot], walk.first_cells[level, slot] = first_node, first_cell
-            at = np.uint64(8 * (slot & 7))
+            to, at = slot >> 3, np.uint64(8 * (slot & 7))
             child_nodes, child_cells = child_nodes << at, child_cells << at
             if parents == 2:
                 all_real |= BYTE << at
                 all_nodes |= child_nodes
                 all_cells |= child_cells
             else:
-                real[level, slot >> 3] |= BYTE << at
-                nodes[level, slot >> 3] |= child_nodes
-                cells[level, slot >> 3] |= child_cells
+                real[level, to] |= BYTE << at
+                nodes[level, to] |= child_nodes
+                cells[level, to] |= child_cells
     if parents == 2:
         real[level, 0], nodes[level, 0], cells[level, 0] = all_real, all_nodes, all_cells
     has_nodes = has_leaves = np.uint64(0)
-    for word in range(words):
+    for word in range(words_of(way)):
         has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]
         has_leaves |= (nodes[level, word] ^ cells[level, word]) & INSIDE[parents - 2, begin, word]
     levels[level, NODES] = has_nodes != 0
@@ -226,7 +235,7 @@ def _go_down(arrays: TreeArrays, walk: Walk, i: int, j: int, k: int, level: int,
     levels[level, KEEPING] = 0
     levels[level, ABOVE] = above
     levels[level, BEGIN] = begin
-    levels[level, UPPER] = upper
+    levels[level, UPPER] = i >> shift & 1 | (j >> shift & 1) << 1 | (k >> shift & 1) << 2
 
 
 @inlined
@@ -243,16 +252,17 @@ def _find_below_leaves(walk: Walk, level: int) -> None:
 
 
 @inlined
-def _find_kept(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, level: int, parents: int) -> None:
+def _find_kept(way: Way, level: int) -> None:
     """Find which nodes of a window, and which parents of its block, have kept coefficients."""
+    arrays, kept_cells, walk, parents = way.arrays, way.kept_cells, way.walk, way.parents
     levels, below_kept = walk.levels, walk.below_kept
-    words = 1 if parents == 2 else 4
-    for word in range(words):
+    above, begin = levels[level, ABOVE], levels[level, BEGIN]
+    for word in range(words_of(way)):
         below_kept[level, word] = 0
-    for word in range(words):
-        bits = walk.kept[level - 1, word] & PARENTS[parents - 2, levels[level, ABOVE], word]
+    for word in range(words_of(way)):
+        bits = walk.kept[level - 1, word] & PARENTS[parents - 2, above, word]
         while bits != 0:
-            slot = _slot(parents, levels[level, ABOVE], 64 * word + trailing_zeros(bits))
+            slot = _slot(parents, above, 64 * word + trailing_zeros(bits))
             bits &= bits - np.uint64(1)
             below_kept[level, slot >> 3] |= BYTE << np.uint64(8 * (slot & 7))
             levels[level, KEEPING] = 1
@@ -260,7 +270,7 @@ def _find_kept(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, level: int, 
         if kept_cells[kept_cells.size - 1] >= arrays.level_cells[level] and (
             kept_cells[0] < arrays.level_cells[level + 1]
         ):
-            bits = walk.nodes[level, word] & INSIDE[parents - 2, levels[level, BEGIN], word]
+            bits = walk.nodes[level, word] & INSIDE[parents - 2, begin, word]
         while bits != 0:
             place = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
@@ -269,6 +279,20 @@ def _find_kept(arrays: TreeArrays, kept_cells: Uint32s, walk: Walk, level: int, 
         walk.kept[level, word] = kept
         if kept != 0:
             levels[level, CONTENT] = 1
+
+
+@inlined
+def kept_row(way: Way, cell: int) -> int:
+    """Return the row of what a node keeps, those of the kept table counted after all cells; −1 for none."""
+    low, high = 0, way.kept_cells.size
+    while low < high:
+        middle = low + high >> 1
+        if np.int64(way.kept_cells[middle]) < cell:
+            low = middle + 1
+        else:
+            high = middle
+    is_listed = low < way.kept_cells.size and np.int64(way.kept_cells[low]) == cell
+    return way.arrays.flags.size + low if is_listed else -1
 
 
 @inlined
@@ -308,33 +332,34 @@ def _below(place: int) -> np.uint64:
 
 
 @inlined
-def leave_refined(walk: Walk, level: int, filter_code: int, parents: int, columns: int) -> bool:
+def leave_refined(way: Way, level: int) -> bool:
     """Leave in a window what falls on cells that are refined, and nothing else; say whether there is any."""
+    walk, is_linear = way.walk, way.filter_code == LINEAR
     windows, levels = walk.windows, walk.levels
     begin = levels[level, BEGIN]
-    if filter_code == LINEAR:
-        find_colors(walk, level)
+    if is_linear:
+        _find_colors(walk, level)
     found = False
-    for word in range(1 if parents == 2 else 4):
-        inside = INSIDE[parents - 2, begin, word]
+    for word in range(words_of(way)):
         refined = ~walk.real[level, word]
-        if filter_code == LINEAR:
+        if is_linear:
             refined = walk.below_leaves[level, word]
         elif levels[level, KEEPING]:
             refined |= walk.below_kept[level, word] & ~walk.cells[level, word]
+        inside = INSIDE[way.parents - 2, begin, word]
         bits = inside & ~refined
         while bits != 0:
-            at = place_of(parents, begin, 64 * word + trailing_zeros(bits))
+            at = place_of(way.parents, begin, 64 * word + trailing_zeros(bits))
             bits &= bits - np.uint64(1)
-            for column in range(columns):
+            for column in range(way.columns):
                 windows[SHARES + column, at] = 0.0
         bits = inside & refined
         while bits != 0:
-            at = place_of(parents, begin, 64 * word + trailing_zeros(bits))
+            at = place_of(way.parents, begin, 64 * word + trailing_zeros(bits))
             bits &= bits - np.uint64(1)
-            for column in range(columns):
+            for column in range(way.columns):
                 found |= windows[SHARES + column, at] != 0.0
-                if filter_code == LINEAR:
+                if is_linear:
                     windows[SHARES + column, at] /= windows[COLOR, at]
     return found
 
@@ -368,7 +393,7 @@ def change_level(walk: Walk, row: int, level: int, parents: int, down: bool) -> 
 
 
 @inlined
-def find_colors(walk: Walk, level: int) -> None:
+def _find_colors(walk: Walk, level: int) -> None:
     """Find how much of the refined cells of a window comes from cells with a colour, as ``linear`` has it."""
     windows = walk.windows
     begin = walk.levels[level - 1, BEGIN]
@@ -382,8 +407,9 @@ def find_colors(walk: Walk, level: int) -> None:
 
 
 @inlined
-def weigh_windows(walk: Walk, level: int, parents: int) -> None:
+def weigh_windows(way: Way, level: int) -> None:
     """Find the weights of the coefficients in the windows down to a level."""
+    walk, parents = way.walk, way.parents
     windows, levels = walk.windows, walk.levels
     places = 125 if parents == 3 else 27
     if walk.previous[5] < 0 or levels[walk.previous[5], CONTENT] == 0:
@@ -400,7 +426,7 @@ def weigh_windows(walk: Walk, level: int, parents: int) -> None:
         for at in range(places):
             windows[REFINED + below, at] = windows[COVER + below - 1, at]
         change_level(walk, REFINED + below, below, parents, True)
-        for word in range(1 if parents == 2 else 4):
+        for word in range(words_of(way)):
             real, below_kept = walk.real[below, word], walk.below_kept[below, word]
             nodes, cells, kept = walk.nodes[below, word], walk.cells[below, word], walk.kept[below, word]
             refined = ~real | below_kept & ~(nodes & ~kept)

@@ -3,7 +3,8 @@
 With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins.
 
 No class or function of numba is changed. Of what it does not document, `decorators` passes the option
-``_nrt``, and `instructions` and `vectors` use what its own extensions generate code with.
+``_nrt`` and derives the type of what kernels call, and `instructions` and `vectors` use what its own
+extensions generate code with.
 
 decorators    kernel, part …: what compiles functions
 cache         where compiled kernels lie on disk, and whether they are still what the source says
@@ -13,6 +14,7 @@ vectors       numbers side by side; sums of rows of four, boxes eight at a time
 """
 
 from octex.jit.decorators import DISABLED as DISABLED
+from octex.jit.decorators import by_constants as by_constants
 from octex.jit.decorators import direct as direct
 from octex.jit.decorators import fused_inlined as fused_inlined
 from octex.jit.decorators import fused_kernel as fused_kernel

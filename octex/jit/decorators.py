@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numba.extending import typeof_impl
+from numba.extending import models, register_model, typeof_impl
 
 from octex.arrays import Array
 
@@ -21,6 +21,9 @@ DISABLED: bool = bool(numba.config.DISABLE_JIT)
 
 class Part:
     """A compiled function that kernels call."""
+
+    #: Whether numba compiles it anew for each constant that it is called with.
+    by_constants = False
 
     def __init__(self, compiled: Any) -> None:
         self.compiled, self.py_func = compiled, compiled.py_func
@@ -42,10 +45,22 @@ class Kernel(Part):
         return self.compiled(*map(unlocked, arguments))
 
 
+class _Callee(numba.types.Dispatcher):  # type: ignore[misc]
+    """A compiled function that a kernel calls: once for all constants that it is called with."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Tell numba which version is called."""
+        kws = {name: numba.types.unliteral(kind) for name, kind in dict(kws).items()}
+        return super().get_call_type(context, tuple(map(numba.types.unliteral, args)), kws)
+
+
+register_model(_Callee)(models.OpaqueModel)
+
+
 @typeof_impl.register(Part)  # type: ignore[untyped-decorator]
 def _type_of(part: Part, _purpose: Any) -> Any:
     """Tell numba that a kernel calls the compiled function."""
-    return numba.types.Dispatcher(part.compiled)
+    return (numba.types.Dispatcher if part.by_constants else _Callee)(part.compiled)
 
 
 class _Memory:
@@ -110,6 +125,13 @@ def step(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Compile like ``step``, into each kernel that calls it: for the small steps of a hot loop."""
     return _compiled(function, _nrt=False, forceinline=True)
+
+
+def by_constants(function: Function) -> Function:
+    """Have what is compiled be so anew for each constant that kernels call it with: some loops gain 3 %."""
+    if isinstance(function, Part):
+        function.by_constants = True
+    return function
 
 
 def fused_inlined(function: Function) -> Function:

@@ -8,13 +8,13 @@ import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.footprints import ROUND_FINER, WIDEST, level_of
-from octex.field.neighborhood import Way, taps_around
+from octex.field.neighborhood import taps_around
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, Taps, new_taps
 from octex.field.tiles import Tiles, code_in_tile, look_in, tile_row
 from octex.field.values import Flat, value_of
 from octex.field.weights import MOST_ROWS, Facings, Sight, Weighing, new_sight, view_along, weigh
-from octex.field.windows import MOST_TAPS, Walk, new_walk
+from octex.field.windows import MOST_TAPS, Walk, Way, new_walk
 from octex.jit import inlined, kernel, step
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.search import Scratch as Search
@@ -194,10 +194,10 @@ def _walked(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
     """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
-    tree, walk, taps = _tree_of(arrays, arrays.level_cells[: level + 2]), scratch.walk, scratch.taps
+    tree, walk = _tree_of(arrays, arrays.level_cells[: level + 2]), scratch.walk
     walk.previous[3] = min(walk.previous[3], level)
     way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
-    return taps_around(way, x, y, z, True, taps.rows, taps.weights, taps.slopes, 0)
+    return taps_around(way, x, y, z, True, scratch.taps, 0)
 
 
 @inlined

@@ -7,7 +7,7 @@ that they are measured in vectors.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -149,9 +149,23 @@ def _fill(low: Float64s, high: Float64s, origin: Float64s, firsts: Int64s, bound
                 bounds[node, axis + 3, n % 8] = bounds[child, axis + 3].max()
 
 
+#: A point relative to the origin, and how much farther from it boxes may seem than they are.
+Local: TypeAlias = tuple[float, float, float, float]
+
+
+class Sought(NamedTuple):
+    """A point that something is sought near to."""
+
+    point: tuple[float, float, float]
+    local: Local
+    directions: Float64s  # (points, 3) or (0, 3)
+    n: int  # its row of them
+    least_cosine: float
+
+
 @inlined
-def local(boxes: Boxes, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return a point relative to the origin, and what boxes may seem farther from it than they are."""
+def local(boxes: Boxes, x: float, y: float, z: float) -> Local:
+    """Place a point among boxes."""
     x, y, z = x - boxes.origin[0], y - boxes.origin[1], z - boxes.origin[2]
     return x, y, z, _ROUNDING * (boxes.extent + max(abs(x), max(abs(y), abs(z))))
 
@@ -164,13 +178,14 @@ def reach(square: float, slack: float) -> np.float32:
 
 
 @inlined
-def agrees(normals: Float32s, row: int, directions: Float64s, n: int, least_cosine: float) -> bool:
-    """Say whether a thing faces as is wanted at a place (of none: any way); one without a normal does."""
+def agrees(normals: Float32s, row: int, sought: Sought) -> bool:
+    """Say whether a thing faces as is wanted (without directions, any way); one without a normal does."""
+    directions, n = sought.directions, sought.n
     if directions.shape[0] == 0:
         return True
     x, y, z = normals[row, 0], normals[row, 1], normals[row, 2]
     cosine = directions[n, 0] * x + directions[n, 1] * y + directions[n, 2] * z
-    return bool(cosine >= least_cosine or x * x + y * y + z * z == 0.0)
+    return bool(cosine >= sought.least_cosine or x * x + y * y + z * z == 0.0)
 
 
 @inlined
@@ -183,20 +198,14 @@ def begin(boxes: Boxes, search: Search) -> int:
 
 @inlined
 def next_node(
-    boxes: Boxes,
-    search: Search,
-    waiting: int,
-    lowest: int,
-    x: np.float32,
-    y: np.float32,
-    z: np.float32,
-    bound: np.float32,
+    boxes: Boxes, search: Search, waiting: int, lowest: int, at: Local, bound: np.float32
 ) -> tuple[int, np.uint64, int]:
     """Go down to the next node of a level, the ``lowest`` or above, that may hold something near.
 
     Returns its number, −1 at the end, a bit for each of its children whose box is no farther than ``bound``,
     squared, and how many nodes wait; ``search.children`` holds how far these boxes are.
     """
+    x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
     while waiting > 0:
         waiting -= 1
         if search.squares[waiting] > bound:
@@ -211,33 +220,33 @@ def next_node(
             child = trailing_zeros(near)
             near &= near - np.uint64(1)
             square = search.children[child]
-            at = waiting  # the nearest comes last, and is next
-            while at > bottom and search.squares[at - 1] < square:
-                search.squares[at] = search.squares[at - 1]
-                search.nodes[at, 0], search.nodes[at, 1] = search.nodes[at - 1, 0], search.nodes[at - 1, 1]
-                at -= 1
-            search.squares[at] = square
-            search.nodes[at, 0], search.nodes[at, 1] = level - 1, number * 8 + child
+            to = waiting  # the nearest comes last, and is next
+            while to > bottom and search.squares[to - 1] < square:
+                search.squares[to] = search.squares[to - 1]
+                search.nodes[to, 0], search.nodes[to, 1] = search.nodes[to - 1, 0], search.nodes[to - 1, 1]
+                to -= 1
+            search.squares[to] = square
+            search.nodes[to, 0], search.nodes[to, 1] = level - 1, number * 8 + child
             waiting += 1
     return -1, np.uint64(0), 0
 
 
 @inlined
-def _holds(ball: Float64s, x: float, y: float, z: float, radius: float) -> bool:
-    dx, dy, dz = x - ball[0], y - ball[1], z - ball[2]
+def _holds(ball: Float64s, at: Local, radius: float) -> bool:
+    dx, dy, dz = at[0] - ball[0], at[1] - ball[1], at[2] - ball[2]
     return bool(np.sqrt(dx * dx + dy * dy + dz * dz) + radius <= ball[3])
 
 
 @inlined
-def is_around(kept: Kept, x: float, y: float, z: float, radius: float) -> bool:
-    """Say whether a ball about a point relative to the origin lies in the one whose nodes are kept."""
-    return _holds(kept.ball, x, y, z, radius)
+def is_around(kept: Kept, at: Local, radius: float) -> bool:
+    """Say whether a ball about a point lies in the one whose nodes are kept."""
+    return _holds(kept.ball, at, radius)
 
 
 @inlined
-def _move(ball: Float64s, x: float, y: float, z: float, radius: float) -> float:
+def _move(ball: Float64s, at: Local, radius: float) -> float:
     """Put a ball around a point, wider than asked for; return its radius."""
-    ball[0], ball[1], ball[2], ball[3] = x, y, z, radius + ball[4]
+    ball[0], ball[1], ball[2], ball[3] = at[0], at[1], at[2], radius + ball[4]
     return float(ball[3])
 
 
@@ -259,23 +268,20 @@ def _give_up(ball: Float64s, kept: Kept) -> bool:
 
 
 @inlined
-def keep_around(
-    boxes: Boxes, search: Search, kept: Kept, x: float, y: float, z: float, radius: float, slack: float
-) -> bool:
-    """Keep all nodes of the lowest level that reach into a ball about a point relative to the origin.
+def keep_around(boxes: Boxes, search: Search, kept: Kept, at: Local, radius: float) -> bool:
+    """Keep all nodes of the lowest level that reach into a ball about a point.
 
     It is wider than asked for, so that points that follow share it. Says no if there are too many nodes.
     """
-    i, j, k = np.float32(x), np.float32(y), np.float32(z)
     above = min(1, boxes.firsts.size - 2)
-    wide = _move(kept.ball, x, y, z, radius)
-    if not _holds(kept.outer_ball, x, y, z, wide):
-        outer = _move(kept.outer_ball, x, y, z, wide)
-        bound = reach(outer * outer, slack)
+    wide = _move(kept.ball, at, radius)
+    if not _holds(kept.outer_ball, at, wide):
+        outer = _move(kept.outer_ball, at, wide)
+        bound = reach(outer * outer, at[3])
         count = 0
         waiting = begin(boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(boxes, search, waiting, above, i, j, k, bound)
+            node, near, waiting = next_node(boxes, search, waiting, above, at, bound)
             if near == np.uint64(0):
                 continue
             if count == kept.outer.size:
@@ -284,7 +290,8 @@ def keep_around(
             count += 1
         kept.filled[1] = count
         _adapt(kept.outer_ball, count, _OUTER)
-    bound = reach(wide * wide, slack)
+    bound = reach(wide * wide, at[3])
+    x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
     count = 0
     for row in range(kept.filled[1]):
         node = kept.outer[row]
@@ -292,7 +299,7 @@ def keep_around(
             kept.nodes[count] = node
             count += 1
             continue
-        near = squares_to_boxes(boxes.bounds, boxes.firsts[1] + node, i, j, k, bound, search.children)
+        near = squares_to_boxes(boxes.bounds, boxes.firsts[1] + node, x, y, z, bound, search.children)
         while near != np.uint64(0):
             if count == kept.nodes.size:
                 return _give_up(kept.ball, kept)

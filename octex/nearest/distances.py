@@ -45,13 +45,11 @@ def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
         # Boxes are asked for around the ball that holds the triangle.
         (x0, x1), (y0, y1), (z0, z1) = _extent(few, i, 0), _extent(few, i, 1), _extent(few, i, 2)
         radius = 0.5 * np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
-        x, y, z, slack = local(many.boxes, 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
-        bound = reach(best, slack + radius)
+        at = local(many.boxes, 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
+        bound = reach(best, at[3] + radius)
         waiting = begin(many.boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(
-                many.boxes, search, waiting, 0, np.float32(x), np.float32(y), np.float32(z), bound
-            )
+            node, near, waiting = next_node(many.boxes, search, waiting, 0, at, bound)
             while near != np.uint64(0):
                 j = node * 8 + trailing_zeros(near)
                 near &= near - np.uint64(1)
@@ -62,7 +60,7 @@ def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
                     best, found = distance, True
                     if best == 0.0:
                         return 0.0
-                    bound = reach(best, slack + radius)
+                    bound = reach(best, at[3] + radius)
     return np.sqrt(best) if found else np.inf
 
 

@@ -12,6 +12,7 @@ from octex.nearest.boxes import (
     WIDTH,
     Boxes,
     Search,
+    Sought,
     agrees,
     begin,
     boxes_of,
@@ -85,21 +86,12 @@ def _square(positions: Float64s, row: int, point: tuple[float, float, float]) ->
 
 
 @inlined
-def _add_group(
-    cloud: Points,
-    group: int,
-    point: tuple[float, float, float],
-    square: float,
-    directions: Float64s,
-    n: int,
-    least_cosine: float,
-    sums: Float64s,
-) -> float:
+def _add_group(cloud: Points, group: int, sought: Sought, square: float, sums: Float64s) -> float:
     """Add the values of a group's points within a squared radius; return the sum of their weights."""
     total = 0.0
     for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
-        part = 1.0 - _square(cloud.positions, row, point) / square
-        if part > 0.0 and agrees(cloud.normals, row, directions, n, least_cosine):
+        part = 1.0 - _square(cloud.positions, row, sought.point) / square
+        if part > 0.0 and agrees(cloud.normals, row, sought):
             total += part * part
             for k in range(sums.size):
                 sums[k] += part * part * cloud.values[row, k]
@@ -124,34 +116,34 @@ def _around(
     last = -1
     for n in range(len(places)):
         point = places[n, 0], places[n, 1], places[n, 2]
-        x, y, z, slack = local(boxes, *point)
-        i, j, k = np.float32(x), np.float32(y), np.float32(z)
+        sought = Sought(point, local(boxes, *point), directions, n, least_cosine)
+        at = sought.local
+        x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
         radius, total = radii[n], 0.0
         if radius > 0.0:
             square = radius * radius
-            bound = reach(square, slack)
+            bound = reach(square, at[3])
             sums[:] = 0.0
-            is_kept = is_around(kept, x, y, z, radius + slack) or keep_around(
-                boxes, search, kept, x, y, z, radius + slack, slack
-            )
+            wide = radius + at[3]
+            is_kept = is_around(kept, at, wide) or keep_around(boxes, search, kept, at, wide)
             waiting = kept.filled[0] if is_kept else begin(boxes, search)
             while waiting > 0:
                 if is_kept:
                     waiting -= 1
                     node = kept.nodes[waiting]
-                    near = squares_to_boxes(boxes.bounds, node, i, j, k, bound, search.children)
+                    near = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
                 else:
-                    node, near, waiting = next_node(boxes, search, waiting, 0, i, j, k, bound)
+                    node, near, waiting = next_node(boxes, search, waiting, 0, at, bound)
                 while near != np.uint64(0):
                     group = node * 8 + trailing_zeros(near)
                     near &= near - np.uint64(1)
-                    total += _add_group(cloud, group, point, square, directions, n, least_cosine, sums)
+                    total += _add_group(cloud, group, sought, square, sums)
         if total > 0.0:
             found[n] = True
             for component in range(sums.size):
                 means[n, component] = sums[component] / total
         elif farthest >= 0.0:
-            last = _nearest(cloud, search, point, farthest, directions, n, least_cosine, last, -1)
+            last = _nearest(cloud, search, sought, farthest, last, -1)
             if last >= 0:
                 found[n] = True
                 for component in range(sums.size):
@@ -159,33 +151,21 @@ def _around(
 
 
 @inlined
-def _nearest(
-    cloud: Points,
-    search: Search,
-    point: tuple[float, float, float],
-    farthest: float,
-    directions: Float64s,
-    n: int,
-    least_cosine: float,
-    guess: int,
-    without: int,
-) -> int:
+def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, guess: int, without: int) -> int:
     """Return the row of the nearest point, no farther than ``farthest``, or −1; a guess speeds it up.
 
     Row ``without`` does not count.
     """
-    boxes = cloud.boxes
+    boxes, point, slack = cloud.boxes, sought.point, sought.local[3]
     best, chosen = farthest * farthest, -1
-    if guess >= 0 and agrees(cloud.normals, guess, directions, n, least_cosine):
+    if guess >= 0 and agrees(cloud.normals, guess, sought):
         square = _square(cloud.positions, guess, point)
         if square <= best:
             best, chosen = square, guess
-    x, y, z, slack = local(boxes, *point)
-    i, j, k = np.float32(x), np.float32(y), np.float32(z)
     bound = reach(best, slack)
     waiting = begin(boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, 0, i, j, k, bound)
+        node, near, waiting = next_node(boxes, search, waiting, 0, sought.local, bound)
         while near != np.uint64(0):
             child = trailing_zeros(near)
             near &= near - np.uint64(1)
@@ -196,7 +176,7 @@ def _nearest(
                 square = _square(cloud.positions, row, point)
                 if square > best or row in (chosen, without):
                     continue
-                if not agrees(cloud.normals, row, directions, n, least_cosine):
+                if not agrees(cloud.normals, row, sought):
                     continue
                 if square < best or chosen < 0 or cloud.order[row] < cloud.order[chosen]:
                     best, chosen = square, row
@@ -212,6 +192,7 @@ def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
     for n in range(chosen.size):
         own = int(chosen[n])
         point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]
-        other = _nearest(cloud, search, point, np.inf, no_directions, n, -1.0, -1, own)
+        sought = Sought(point, local(cloud.boxes, *point), no_directions, n, -1.0)
+        other = _nearest(cloud, search, sought, np.inf, -1, own)
         squares[n] = _square(cloud.positions, other, point) if other >= 0 else np.inf
     return squares

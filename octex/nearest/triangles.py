@@ -13,6 +13,7 @@ from octex.nearest.boxes import (
     Boxes,
     Kept,
     Search,
+    Sought,
     agrees,
     begin,
     boxes_of,
@@ -125,16 +126,6 @@ def _on_triangle(corners: Float64s, row: int, x: float, y: float, z: float) -> t
 Best = tuple[float, int, float, float]
 
 
-class Sought(NamedTuple):
-    """A point that something is sought near to."""
-
-    point: tuple[float, float, float]
-    local: tuple[float, float, float, float]  # see `boxes.local`
-    directions: Float64s  # (points, 3) or (0, 3)
-    n: int  # its row of them
-    least_cosine: float
-
-
 @inlined
 def _best_in(mesh: Triangles, node: int, near: np.uint64, sought: Sought, best: Best) -> Best:
     """Return the best of some triangles in a node, and of what was best: its square, row and weights."""
@@ -143,7 +134,7 @@ def _best_in(mesh: Triangles, node: int, near: np.uint64, sought: Sought, best: 
         child = trailing_zeros(near)
         near &= near - np.uint64(1)
         row = node * 8 + child
-        if row == chosen or not agrees(mesh.normals, row, sought.directions, sought.n, sought.least_cosine):
+        if row == chosen or not agrees(mesh.normals, row, sought):
             continue
         far, of_b, of_c = _on_triangle(mesh.corners, row, *sought.point)
         if far < square or (far == square and (chosen < 0 or mesh.order[row] < mesh.order[chosen])):
@@ -174,15 +165,13 @@ def _best_kept(mesh: Triangles, search: Search, kept: Kept, sought: Sought, best
 @inlined
 def _best_of_all(mesh: Triangles, search: Search, sought: Sought, best: Best) -> Best:
     """Return the best of all triangles, and of what was best."""
-    x, y, z, slack = sought.local
-    i, j, k = np.float32(x), np.float32(y), np.float32(z)
-    bound = reach(best[0], slack)
+    bound = reach(best[0], sought.local[3])
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(mesh.boxes, search, waiting, 0, i, j, k, bound)
+        node, near, waiting = next_node(mesh.boxes, search, waiting, 0, sought.local, bound)
         if near != np.uint64(0):
             best = _best_in(mesh, node, near, sought, best)
-            bound = reach(best[0], slack)
+            bound = reach(best[0], sought.local[3])
     return best
 
 
@@ -202,18 +191,15 @@ def _nearest(
     radius = -1.0  # what was near to the point before; −1: nothing
     for n in range(len(points)):
         point = points[n, 0], points[n, 1], points[n, 2]
-        here = local(boxes, *point)
-        x, y, z, slack = here
-        sought = Sought(point, here, directions, n, least_cosine)
+        at = local(boxes, *point)
+        sought = Sought(point, at, directions, n, least_cosine)
         best = distance * distance, -1, 0.0, 0.0
         # Points mostly come in the order of some surface, and are as near to this one as the one before.
-        if radius >= 0.0 and (
-            is_around(kept, x, y, z, radius) or keep_around(boxes, search, kept, x, y, z, radius, slack)
-        ):
+        if radius >= 0.0 and (is_around(kept, at, radius) or keep_around(boxes, search, kept, at, radius)):
             best = _best_kept(mesh, search, kept, sought, best)
-        if best[1] < 0 or not is_around(kept, x, y, z, np.sqrt(best[0]) + slack):
+        if best[1] < 0 or not is_around(kept, at, np.sqrt(best[0]) + at[3]):
             best = _best_of_all(mesh, search, sought, best)
-        radius = np.sqrt(best[0]) + slack if best[1] >= 0 else -1.0
+        radius = np.sqrt(best[0]) + at[3] if best[1] >= 0 else -1.0
         square, chosen, p, q = best
         triangles[n] = mesh.order[chosen] if chosen >= 0 else -1
         squares[n] = square if chosen >= 0 else np.inf

@@ -257,7 +257,7 @@ class OctreeTexture:
         task = given, answers.arrays, look_up, how
         is_crowded = given.keys() <= {"points", "normals"} and lookups.field.tiles is None
         if is_crowded:
-            lookups.field.prepare(FILTERS.index(filter))
+            lookups.field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             in_space(*task, self.placement, LEAST_SORTED)
         elif lookups.field.n_leaves >= _MANY_LEAVES or is_crowded:

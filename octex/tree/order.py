@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin, Positions, count_of, placed, position
+from octex.tree.search import UNITS, Origin, Positions, count_of, finite_place
 
 #: Fewer points than this are sorted one by one.
 _SORTED_SINGLY = 24
@@ -58,10 +58,9 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     nothing = np.empty(0, np.int32)
     previous, changes = -1, 0
     for m in range(n):
-        x, y, z = position(points, m)
-        if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
+        is_finite, x, y, z = finite_place(points, m, origin, inverse)
+        if not is_finite:
             return nothing
-        x, y, z = placed(x, y, z, origin, inverse)
         i = int(min(max(x * cells, 0.0), cells - 1.0))
         j = int(min(max(y * cells, 0.0), cells - 1.0))
         k = int(min(max(z * cells, 0.0), cells - 1.0))

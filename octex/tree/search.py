@@ -63,6 +63,17 @@ def placed(x: float, y: float, z: float, origin: Origin, inverse: float) -> tupl
 
 
 @inlined
+def finite_place(
+    points: Positions, n: int, origin: Origin, inverse: float
+) -> tuple[bool, float, float, float]:
+    """Say whether a rest position is finite, and where it lies in texture space."""
+    x, y, z = position(points, n)
+    is_finite = abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf
+    x, y, z = placed(x, y, z, origin, inverse)
+    return is_finite, x, y, z
+
+
+@inlined
 def fixed(coordinate: float) -> int:
     """Fixed-point position, 0 … 2²¹ − 1, of a coordinate 0 … 1 of texture space."""
     return min(int(coordinate * (1 << GRID_BITS) + 0.5) >> (GRID_BITS - MAX_DEPTH), UNITS - 1)
@@ -251,45 +262,29 @@ def nearer_box(
 
 @kernel
 def nearest_cells(
-    arrays: TreeArrays,
-    points: Floats,
-    origin: Origin,
-    size: float,
-    cells: Int64s,
-    held: Bools,
+    arrays: TreeArrays, points: Positions, origin: Origin, size: float, cells: Int64s, held: Bools
 ) -> int:
-    """Write the ``nearest_cell`` of each rest position (n, 3) to ``cells`` (n,), and whether it is held.
-
-    Returns the index of the first position that is not finite, where it stopped, or −1.
-    """
-    scratch = new_scratch(arrays)
-    for n in range(points.shape[0]):
-        x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-            return n
-        x, y, z = placed(x, y, z, origin, 1.0 / size)
-        cells[n], held[n] = nearest_cell(arrays, x, y, z, scratch)
-    return -1
-
-
-@kernel
-def in_leaves(
-    arrays: TreeArrays,
-    points: Positions,
-    origin: Origin,
-    size: float,
-    inside: Bools,
-) -> int:
-    """Write to ``inside`` (n,) whether a leaf holds each point.
+    """Write the ``nearest_cell`` of each rest position to ``cells`` (n,), and whether it is held.
 
     Returns the index of the first position that is not finite, where it stopped, or −1.
     """
     scratch = new_scratch(arrays)
     for n in range(count_of(points)):
-        x, y, z = position(points, n)
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        is_finite, x, y, z = finite_place(points, n, origin, 1.0 / size)
+        if not is_finite:
             return n
-        x, y, z = placed(x, y, z, origin, 1.0 / size)
+        cells[n], held[n] = nearest_cell(arrays, x, y, z, scratch)
+    return -1
+
+
+@kernel
+def in_leaves(arrays: TreeArrays, points: Positions, origin: Origin, size: float, inside: Bools) -> int:
+    """Write to ``inside`` (n,) whether a leaf holds each point; return as `nearest_cells` does."""
+    scratch = new_scratch(arrays)
+    for n in range(count_of(points)):
+        is_finite, x, y, z = finite_place(points, n, origin, 1.0 / size)
+        if not is_finite:
+            return n
         inside[n] = False
         if 0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0:
             inside[n] = find_leaf(arrays, fixed(x), fixed(y), fixed(z), scratch) >= 0

@@ -189,7 +189,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
         decoded = [table[codes] for codes in values]
     places, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
     assert place_points(Positions.of(points), *UNIT, places) == -1
-    taps = Finder(Field(tree), filter).find(places)
+    taps = Finder(Field(tree), UNIT, filter).find(places)
     blend(taps, Codes(*values, table), False, results)
     field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):

@@ -150,7 +150,7 @@ def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch: pytest.MonkeyP
     expected = texture.sample(points, **views), as_four(texture, points, "quadratic", **views)
     monkeypatch.setattr("octex.texture.lookup.BLOCK", 32)
     monkeypatch.setattr("octex.field.footprints._ROOM", 100)
-    monkeypatch.setattr("octex.field.lookups.BLOCK", 50)
+    monkeypatch.setattr("octex.field.field.BLOCK", 50)
     with ThreadPoolExecutor(2) as pool:
         run = Run(executor=pool if executor else None)
         np.testing.assert_allclose(texture.sample(points, **views, run=run), expected[0], atol=1e-6)

@@ -63,7 +63,7 @@ def test_nearest_is_the_leaf_that_holds_the_point_or_the_nearest_of_27_cells(
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
     found, held = np.empty(len(points), np.int64), np.empty(len(points), np.bool_)
-    assert nearest_cells(tree.arrays, points, *UNIT, found, held) == -1
+    assert nearest_cells(tree.arrays, Positions.of(points), *UNIT, found, held) == -1
     assert found.tolist() == [naive.nearest(cells, point) for point in points.tolist()]
     numbers = [naive.find(cells, np.clip(point, 0, 1 - 2**-31).tolist()) for point in points]
     assert held.tolist() == [cells[number].is_leaf for number in numbers]
@@ -89,9 +89,9 @@ def test_lookups_do_not_depend_on_the_points_before_them(
     points = points.astype(dtype)
     together, alone = np.empty(len(points), np.int64), np.empty(1, np.int64)
     held = np.empty(len(points), np.bool_)
-    nearest_cells(tree.arrays, points, *UNIT, together, held)
+    nearest_cells(tree.arrays, Positions.of(points), *UNIT, together, held)
     for point, cell in zip(points, together, strict=True):
-        nearest_cells(tree.arrays, point[None], *UNIT, alone, held)
+        nearest_cells(tree.arrays, Positions.of(point[None]), *UNIT, alone, held)
         assert alone[0] == cell
 
 
@@ -100,7 +100,9 @@ def test_points_are_placed_in_float64_before_anything_else() -> None:
     points = np.full((1, 3), 0.6, np.float32)
     just_above = float(points[0, 0]) - 0.5 + 1e-8  # the difference is 0.5 in float32, below it in float64
     cells = np.empty(1, np.int64)
-    nearest_cells(tree.arrays, points, (just_above, 0.0, 0.0), 1.0, cells, np.empty(1, np.bool_))
+    nearest_cells(
+        tree.arrays, Positions.of(points), (just_above, 0.0, 0.0), 1.0, cells, np.empty(1, np.bool_)
+    )
     assert cells[0] == 1 + 0b110
 
 
@@ -109,7 +111,10 @@ def test_positions_that_are_not_finite_are_reported(value: float) -> None:
     tree = Octree.from_leaves(np.arange(8), 1)
     points = np.full((3, 3), 0.5)
     points[1, 2] = value
-    assert nearest_cells(tree.arrays, points, *UNIT, np.empty(3, np.int64), np.empty(3, np.bool_)) == 1
+    assert (
+        nearest_cells(tree.arrays, Positions.of(points), *UNIT, np.empty(3, np.int64), np.empty(3, np.bool_))
+        == 1
+    )
     assert in_leaves(tree.arrays, Positions.of(points), *UNIT, np.empty(3, np.bool_)) == 1
 
 
@@ -121,7 +126,7 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     arrays = TreeArrays(groups, *tree.arrays[1:])
     points = noise.random((50, 3))
     cells = np.empty(50, np.int64)
-    nearest_cells(arrays, points, *UNIT, cells, np.empty(50, np.bool_))
+    nearest_cells(arrays, Positions.of(points), *UNIT, cells, np.empty(50, np.bool_))
     assert cells.min() >= 0 and cells.max() < tree.n_cells
     in_leaves(arrays, Positions.of(points), *UNIT, np.empty(50, np.bool_))
 

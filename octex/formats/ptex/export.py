@@ -24,7 +24,7 @@ from octex.source.corners import area_vectors
 from octex.source.subdivided import subdivide
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-from octex.tree.search import nearest_cells
+from octex.tree.search import Positions, nearest_cells
 
 ENDING = ".ptx"
 #: Texels that are looked up together.
@@ -204,7 +204,7 @@ def _cell_edges(texture: OctreeTexture, rest: Float64s) -> Float64s:
     """Return the edge of the cell at or next to rest positions (n,), in rest units."""
     cells, held = np.empty(len(rest), np.int64), np.empty(len(rest), np.bool_)
     placement, arrays = texture.placement, texture.tree.arrays
-    nearest_cells(arrays, rest, placement.origin, placement.size, cells, held)
+    nearest_cells(arrays, Positions.of(rest), placement.origin, placement.size, cells, held)
     depths = np.searchsorted(arrays.level_cells, cells, side="right") - 1
     edges: Float64s = placement.size * np.exp2(-depths.astype(np.float64))
     return edges
