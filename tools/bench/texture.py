@@ -19,7 +19,7 @@ import octex
 from octex.channels import linear_to_srgb
 from octex.source.models.gltf_file import Document
 from octex.tree.layout import SPLIT
-from octex.tree.search import nearest_cells
+from octex.tree.search import Positions, nearest_cells
 
 #: A map's charts are counted on this many points along a texel's edge.
 FINE = 4
@@ -165,5 +165,6 @@ def _decibels(errors: np.ndarray) -> float:
 def _flags(texture: octex.OctreeTexture, points: np.ndarray) -> np.ndarray:
     """Return the flags of the cells that are nearest to points."""
     cells = np.empty(len(points), np.int64)
-    nearest_cells(texture.tree.arrays, points, *texture.placement, cells, np.empty(len(points), np.bool_))
+    held = np.empty(len(points), np.bool_)
+    nearest_cells(texture.tree.arrays, Positions.of(points), *texture.placement, cells, held)
     return texture.tree.arrays.flags[cells]
