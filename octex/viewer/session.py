@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Array
+from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, decode
 from octex.checks import as_number, as_reals, as_whole
@@ -286,7 +286,7 @@ def command_of(body: bytes) -> Command:
     number = as_whole(given.get("number"), "number", 1, _MOST_NUMBER)  # type: ignore[arg-type]
     if kind not in _KINDS:
         raise ArgumentError(f"kind must be one of {', '.join(_KINDS)}")
-    if not isinstance(name, str) or len(name) > _LONGEST_NAME or not (name.isprintable()):
+    if not isinstance(name, str) or len(name) > _LONGEST_NAME or not name.isprintable():
         raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
     command = Command(page, number, kind, given, content)
     _mirror_of(command)
@@ -323,7 +323,7 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any]]:
     if len(coverage) != size or not unpacker.eof or unpacker.unused_data:
         raise ArgumentError(f"the content is no deflated coverage of {size:,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
-    image[..., :3] = np.rint(_numbers(given, "color", (3,), 255.0))
+    image[..., :3] = _codes_of(command)
     image[top:bottom, left:right, 3] = np.frombuffer(coverage, np.uint8).reshape(bottom - top, right - left)
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
@@ -357,15 +357,19 @@ def _opacity_of(command: Command) -> float:
 
 def _color_of(command: Command) -> Array:
     """Return a colour in linear light."""
-    codes = np.rint(_numbers(command.given, "color", (3,), 255.0)).astype(np.uint8)
-    return decode(codes, "srgb")
+    return decode(_codes_of(command), "srgb")
+
+
+def _codes_of(command: Command) -> Uint8s:
+    """Return a colour as a page has it, in 8-bit sRGB."""
+    codes = _numbers(command.given, "color", (3,), 255.0)
+    if (codes < 0).any():
+        raise ArgumentError("color must be codes of 0 to 255")
+    return np.rint(codes).astype(np.uint8)
 
 
 def _numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:
-    found = as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]
-    if most == 255.0 and (found < 0).any():
-        raise ArgumentError(f"{name} must be codes of 0 to 255")
-    return found
+    return as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]
 
 
 def _everywhere(points: Array) -> Array:

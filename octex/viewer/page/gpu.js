@@ -199,6 +199,7 @@ export class Gpu {
     gl.activeTexture(gl.TEXTURE0);
     const { kept, split } = octree.tables, nCells = octree.cells.at(-1);
     gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
+    gl.uniform1i(program.at("u_keptLevel"), kept ? octree.cells.findLastIndex((first) => first <= octree.entries[0]) : octree.depth);
     gl.uniform3ui(program.at("u_split"), kept, split, nCells + kept);
     gl.uniform1i(program.at("u_leafRoot"), octree.nodes.at(-1) === 0 ? 1 : 0);
     gl.uniform1i(program.at("u_depth"), Math.min(look.level, octree.depth, part.deepest));

@@ -29,6 +29,7 @@ uniform bool u_leafRoot;  // the root is a leaf
 uniform usampler2D u_entries;  // a texel an entry: a cell, and the first of its rows
 uniform uvec3 u_split;  // of split cells: the first entry, how many, the row of planes that their rows begin at
 uniform uvec3 u_kept;  // of nodes with kept coefficients likewise
+uniform int u_keptLevel;  // the first level that has such
 #endif
 
 int g_fetches = 0;
@@ -304,6 +305,15 @@ Eight blockBelow(Eight first, Eight second, bvec3 other, uvec3 side) {
   );
 }
 
+// The block above the first level: the root, and seven nodes that there are not.
+Eight firstBlock(uvec3 parity) {
+  uint root = (1u - parity.x) + 2u * (1u - parity.y);
+  uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
+  uvec4 none = uvec4(0u);
+  if (parity.z == 1u) return Eight(at, none);
+  return Eight(none, at);
+}
+
 // Add the looks at two levels: `shares` of them, `levels` of which the second is not coarser.
 void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   uvec3 fixedPoint = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
@@ -315,11 +325,7 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   uvec3 parity = fixedPoint >> 22u & 1u;
   // The parents of the cells that the first look takes; above them only what they descend from is read.
   ivec3 low = (ivec3(fixedPoint >> uint(23 - levels.x)) - 1) >> 1;
-  Eight block = Eight(uvec4(0u), uvec4(0u));
-  uint root = (1u - parity.x) + 2u * (1u - parity.y);
-  uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(root)));
-  if (parity.z == 1u) block.low = at;
-  else block.high = at;
+  Eight block = firstBlock(parity);
   for (int level = 1; level <= levels.y; level++) {
     bool looks = level == levels.x || level == levels.y;
     uvec3 side = level < 23 ? fixedPoint >> uint(22 - level) & 1u : uvec3(0u);
@@ -562,6 +568,38 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 }
 #endif
 
+#ifdef MIXED
+// Add what is around a point if all of that is of one level, as it is far from changes of depth; else say that it is not.
+bool addAlike(vec3 point, int last, float share, bool averages) {
+  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  uvec3 parity = place >> 22u & 1u;
+  Eight block = firstBlock(parity);
+  for (int level = 1; level <= last; level++) {
+    Eight first, second;
+    readBlock(block, 255u, first, second);
+    // Which children of each node of the block are among the 27 cells.
+    uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
+    plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
+    uvec4 low = plane & (parity.z == 1u ? 0xFFu : 0xF0u), high = plane & (parity.z == 1u ? 0x0Fu : 0xFFu);
+    bool hasNodes = (first.low & low | first.high & high) != uvec4(0u);
+    bool hasLeaves = (second.low & low | second.high & high) != uvec4(0u);
+    if (hasNodes && hasLeaves) return false;
+    if (!hasNodes || level == last) {
+      vec3 inside = point * float(1 << level) - vec3(place >> uint(23 - level));
+      gather(first, second, inside, parity, share, averages && hasNodes);
+      return true;
+    }
+#ifdef KEPT
+    if (level >= u_keptLevel) return false;
+#endif
+    uvec3 side = place >> uint(22 - level) & 1u;
+    block = blockBelow(first, second, notEqual(side, parity), side);
+    parity = side;
+  }
+  return false;
+}
+#endif
+
 // Add the looks at two levels, in any tree.
 void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
 #ifdef MIXED
@@ -571,7 +609,7 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     if (u_filter == NEAREST) {
       uvec3 cell = leafAt(point, levels[look]);
       tap(cell.x, shares[look], averages && cell.z == 1u);
-    } else {
+    } else if (!addAlike(point, levels[look], shares[look], averages)) {
       addMixed(point, levels[look], shares[look], averages);
     }
   }
