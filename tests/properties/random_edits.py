@@ -624,6 +624,35 @@ def draw_fill_all(random: Random, run: Run) -> Step:
     return Step((line,), claim, is_exact=True)
 
 
+def draw_session(random: Random, run: Run) -> Step:
+    """Paint in a session, forth and back: textures that it gives stay; it ends as a single call does."""
+    step, other = one_of(random, (draw_paint, draw_fill))(random, run), draw_fill(random, run).lines[-1]
+    *first, single = (line.replace(", run=octex.Run(memory=1)", "") for line in step.lines)
+    painted, passing = (
+        re.sub(r"^texture = octex\.(\w+)\(texture, surface, ", r"painter.\1(", line)
+        for line in (single, other)
+    )
+    passing += " and painter.undo()"  # what paints nothing is no stroke
+    lines = (
+        *first,
+        "painter = octex.Painter(texture, surface)",
+        *(passing, f"changes = {painted}", "held = painter.texture()", passing),
+        *("changes and painter.undo()", "undone = painter.texture()", "changes and painter.redo()"),
+        *(passing, "texture = painter.texture()"),
+    )
+
+    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        names = {**run.names, "texture": before}
+        exec(single, names)
+        for texture in after, run.names["held"]:
+            assert claims.digest(texture) == claims.digest(names["texture"]), "a session ends otherwise"
+        assert claims.digest(run.names["undone"]) == claims.digest(before), "a session undoes otherwise"
+        if step.claim is not None:
+            step.claim(run, before, after)
+
+    return step._replace(lines=lines, claim=claim)
+
+
 def draw_map(random: Random, run: Run) -> Step:
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     scale, shift = one_of(random, ((0.5, 0.25), (-1.0, 1.0), (1.0, 0.0), (0.25, 0.0)))
@@ -829,6 +858,7 @@ STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_fill, 6),
     (draw_fill_all, 1),
     (draw_paint, 4),
+    (draw_session, 2),
     (draw_layer, 2),
     (draw_again, 1),
     (draw_map, 2),
@@ -843,7 +873,7 @@ STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_curves, 1),
     (draw_reopened, 1),
 )
-LARGE = (draw_paint, draw_layer, draw_again, draw_mix, draw_combine, draw_curves, draw_reopened)
+LARGE = (draw_paint, draw_session, draw_layer, draw_again, draw_mix, draw_combine, draw_curves, draw_reopened)
 SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)
 
 
