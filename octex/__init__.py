@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from octex.formats.models import write_model as write_model
     from octex.formats.ptex.export import write_ptex as write_ptex
     from octex.formats.ptex.source import Ptex as Ptex
+    from octex.painting.layers import Layers as Layers
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
@@ -131,6 +132,7 @@ _EXPORTS = {
     "formats.models": "write_model",
     "formats.ptex.export": "write_ptex",
     "formats.ptex.source": "Ptex",
+    "painting.layers": "Layers",
     "painting.merge": "merge",
     "painting.paint": "paint project",
     "painting.painter": "Painter",

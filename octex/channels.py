@@ -61,6 +61,26 @@ CHANNELS = {
 }
 
 
+#: Stands between a channel's name and that of the layer of a stack that it is in.
+_IN = "\0in "
+
+
+def channel_in(layer: str, name: str) -> str:
+    """Return the name under which a texture stores a channel of a layer."""
+    return name + _IN + layer
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a channel without that of its layer."""
+    return name.partition(_IN)[0]
+
+
+def alpha_of(name: str) -> str | None:
+    """Return the name of the channel by which averages of a channel weigh; None for alpha itself."""
+    plain, mark, layer = name.partition(_IN)
+    return None if plain == ALPHA.name else ALPHA.name + mark + layer
+
+
 def srgb_to_linear(encoded: npt.ArrayLike) -> Float64s:
     """Decode sRGB values in 0 … 1 to linear light (IEC 61966-2-1)."""
     encoded = np.asarray(encoded, np.float64)

@@ -17,14 +17,15 @@ import numpy as np
 
 from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s
 from octex.channels import (
-    ALPHA,
     CHANNELS,
     LEAST_COVERAGE,
     ChannelFormat,
     ColorSpace,
+    alpha_of,
     code_table,
     decode,
     encode,
+    plain_name,
 )
 from octex.editing.nodes import Nodes, all_children, all_nodes, by_level, rows_by_level
 from octex.editing.split import rows_facing
@@ -66,8 +67,14 @@ class Residuals(NamedTuple):
 
 def _alpha_beside(texture: OctreeTexture, name: str) -> Array | None:
     """Return alpha, as stored (cells, 1), if averages of a channel weigh by it."""
-    channels = texture.channels
-    return channels[ALPHA.name].values if ALPHA.name in channels and name != ALPHA.name else None
+    alpha = _alpha_channel(texture, name)
+    return None if alpha is None else alpha.values
+
+
+def _alpha_channel(texture: OctreeTexture, name: str) -> Channel | None:
+    """Return the channel by which averages of a channel weigh, if the texture has it."""
+    alpha = alpha_of(name)
+    return None if alpha is None else texture.channels.get(alpha)
 
 
 def coverage(alpha: Array) -> Float32s:
@@ -130,26 +137,37 @@ def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64
 
 
 def average(
-    texture: OctreeTexture, channel: Channel, left: Residuals | None = None, nodes: Nodes | None = None
+    texture: OctreeTexture,
+    channel: Channel,
+    left: Residuals | None = None,
+    nodes: Nodes | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> None:
     """Make the values of nodes, of all if none are given, and their rows anew, in place.
 
     They become the means of their children, and the residuals that are ``left``; None stands for zeros. A row
     that no child shows the same way as stays. ``texture`` has the tree, and the alpha that is weighed by.
+    ``limits`` are those of `limits_of` if none are given.
     """
-    tree, form, limits = texture.tree, channel.format, limits_of(channel)
+    tree, form, limits = texture.tree, channel.format, limits or limits_of(channel)
     nodes = all_nodes(tree) if nodes is None else nodes
     alpha = _alpha_beside(texture, form.name)
     for here in reversed(by_level(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
         made = means if left is None else with_residuals(limits, means, left.nodes[here])
         channel.values[nodes.cells[here]] = encode(made, form.dtype, form.space)
-    average_rows(texture, channel, None if left is None else left.rows, nodes)
+    average_rows(texture, channel, None if left is None else left.rows, nodes, limits)
 
 
-def average_rows(texture: OctreeTexture, channel: Channel, left: Floats | None, nodes: Nodes) -> None:
+def average_rows(
+    texture: OctreeTexture,
+    channel: Channel,
+    left: Floats | None,
+    nodes: Nodes,
+    limits: tuple[float, float] | None = None,
+) -> None:
     """Make the rows of nodes anew, in place; ``left`` (rows, components) of residuals. See `average`."""
-    form, limits = channel.format, limits_of(channel)
+    form, limits = channel.format, limits or limits_of(channel)
     for here, rows, owners in reversed(list(rows_by_level(texture.tree, nodes))):
         means, has = _row_means(texture, channel, rows, owners)
         made = means[has] if left is None else with_residuals(limits, means[has], left[here][has])
@@ -167,7 +185,7 @@ def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -
 def limits_of(channel: Channel) -> tuple[float, float]:
     """Return what values of a channel may be, decoded: light no more than the most that is stored, or 1."""
     form = channel.format
-    if form.space == "data" and form.name in CHANNELS:
+    if form.space == "data" and plain_name(form.name) in CHANNELS:
         return 0.0, 1.0
     low, high = _LIMITS[form.space]
     if form.space in ("srgb", "linear"):
@@ -266,8 +284,8 @@ def _row_means(
     """Return the means (n, components) of what children show as rows do, and for which rows some do."""
     tree = texture.tree
     children, bits, starts, shares = _row_shares(tree, tree.split.areas, rows, owners)
-    alpha = texture.channels.get(ALPHA.name)
-    if alpha is not None and channel.format.name != ALPHA.name:
+    alpha = _alpha_channel(texture, channel.format.name)
+    if alpha is not None:
         shares *= np.maximum(rows_facing(texture, alpha, children, bits)[:, 0], LEAST_COVERAGE)
     values = rows_facing(texture, channel, children, bits) * shares[:, None]
     totals = np.add.reduceat(shares, starts)

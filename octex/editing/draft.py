@@ -83,7 +83,7 @@ class Change(NamedTuple):
         """
         if self.tiles is None:
             return self.after
-        if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
+        if has_same_cells(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
             return _overwritten(texture, self.tiles, self.before, self.after, shared)
         return put_back(texture, self.tiles, self.after)
 
@@ -232,7 +232,7 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     return put_together(draft, texture, [(tiles, draft)])
 
 
-def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
+def has_same_cells(before: OctreeTexture, after: OctreeTexture) -> bool:
     """Say whether an edit has left all cells, split cells and kept nodes where they were."""
     arrays: list[list[Array]] = [
         [*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree)

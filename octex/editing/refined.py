@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
-from octex.channels import ALPHA, decode, encode
+from octex.channels import alpha_of, decode, encode
 from octex.editing.averages import weighted_means
 from octex.editing.split import differ, with_split
 from octex.field.neighborhood import refined_taps
@@ -140,13 +140,17 @@ def _blended(
         return stored
 
     found = {}
-    alpha = channels.get(ALPHA.name)
-    weights = taps.weights
-    if alpha is not None:
-        weights = weights * np.maximum(decode(shown(alpha), alpha.format.space)[:, 0], _FAINT)
+    weights: dict[str | None, Float32s] = {}
     for name, channel in channels.items():
-        own_weights = taps.weights if name == ALPHA.name else weights
-        found[name] = weighted_means(taps.starts, own_weights, shown(channel), channel.format.space)
+        alpha = alpha_of(name)
+        if alpha not in channels:
+            alpha = None
+        if alpha not in weights:
+            weights[alpha] = taps.weights
+            if alpha is not None:
+                part = decode(shown(channels[alpha]), channels[alpha].format.space)[:, 0]
+                weights[alpha] = taps.weights * np.maximum(part, _FAINT)
+        found[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
     return found
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat, alpha_of
 from octex.editing.averages import Residuals, average, average_rows, residuals_at
 from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
@@ -48,7 +48,7 @@ class Merge(NamedTuple):
     @property
     def is_all_painted(self) -> bool:
         """Whether the texture has no other channels than those that are painted."""
-        painted = {self.target, ALPHA.name} if self.blend == "over" else {self.target}
+        painted = {self.target, alpha_of(self.target)} if self.blend == "over" else {self.target}
         return painted >= self.texture.channels.keys()
 
     @property
@@ -125,19 +125,22 @@ def mixed(
 ) -> dict[str, tuple[Float32s, Float32s]]:
     """Return what paint makes of channels' ``old`` values (n, components), and its part of each (n,)."""
     ones = np.ones((len(paint), 1), np.float32)
+    alpha = alpha_of(target)
     if blend == "erase":
         paint = 0 * ones
+    elif alpha is None:
+        paint = ones
     found = {target: (paint, (coverage > 0).astype(np.float32) if blend == "replace" else coverage)}
-    if blend == "over" and target != ALPHA.name and ALPHA.name in old:
+    if blend == "over" and alpha is not None and alpha in old:
         # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
-        there = np.where(is_fresh, np.float32(0), old[ALPHA.name][:, 0])
+        there = np.where(is_fresh, np.float32(0), old[alpha][:, 0])
         united = coverage + there * (1 - coverage)
         part = np.where(united > 0, coverage / np.maximum(united, np.float32(1e-9)), np.float32(0))
-        found = {target: (paint, part), ALPHA.name: (ones, coverage)}
-    elif ALPHA.name in old and target != ALPHA.name and is_fresh.any():
-        found[ALPHA.name] = ones, np.zeros_like(coverage)
+        found = {target: (paint, part), alpha: (ones, coverage)}
+    elif alpha is not None and alpha in old and is_fresh.any():
+        found[alpha] = ones, np.zeros_like(coverage)
     for name, (own, part) in found.items():
-        new = blended(old[name], own, part, "over" if name == ALPHA.name and blend != "erase" else blend)
+        new = blended(old[name], own, part, "over" if name == alpha else blend)
         new[is_fresh] = own[is_fresh] if name == target else coverage[is_fresh, None]
         found[name] = new, np.where(is_fresh, np.float32(1), part)
     return found
@@ -218,13 +221,15 @@ def averaged(
     base, channels, parts, above, may_split, averages_rows = made
     is_new, is_fresh = raised.old < 0, raised.is_fresh
     after = base.with_cells(base.tree, channels)
-    names = channels if ALPHA.name in parts or is_new.any() else parts
+    names = channels if is_new.any() else averaged_with(channels, parts)
     rows = rows_of(base.tree.split, above.nodes.cells)
     left = {}
     for name in sorted(names, key=_after_alpha):
         left[name] = _residuals_before(draft, raised, name, above, rows)
         if name in parts:
-            takes_on = name == task.target and task.blend in ("over", "replace")
+            takes_on = (
+                name == task.target and task.blend in ("over", "replace") and alpha_of(name) is not None
+            )
             layer = task.layer if takes_on else None
             left[name] = _with_paint(
                 after, channels[name].format, parts[name], above, rows, left[name], layer
@@ -252,8 +257,13 @@ def averaged(
     return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
 
 
+def averaged_with(channels: Iterable[str], changed: Collection[str]) -> list[str]:
+    """Return those of channels that have changed, or that weigh by an alpha that has."""
+    return [name for name in channels if name in changed or alpha_of(name) in changed]
+
+
 def _after_alpha(name: str) -> bool:
-    return name != ALPHA.name  # whose averages weigh the others
+    return alpha_of(name) is not None  # averages of alpha weigh the others
 
 
 def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Int64s
-from octex.channels import ALPHA
+from octex.channels import ALPHA, alpha_of
 from octex.checks import as_choice, as_number
 from octex.conversion import large
 from octex.editing.averages import with_summed_areas
@@ -111,12 +111,18 @@ def merged(
     blend: Blend,
     executor: Executor,
     progress: Progress,
+    into: str | None = None,
 ) -> Change | None:
-    """Return the change that merging a layer makes, or None for none; see `merge`."""
+    """Return the change that merging a layer makes, or None for none; see `merge`.
+
+    ``into`` is the channel of the texture that is painted, if not that of the layer's name.
+    """
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
     form = channel_of(layer)
-    target = ALPHA.name if blend == "erase" else form.name
+    target = form.name if into is None else into
+    if blend == "erase":
+        target = alpha_of(target) or target
     if layer.placement != texture.placement:
         raise ArgumentError(
             f"the layer's root cell, {layer.placement}, is not the texture's, {texture.placement}; "
@@ -129,7 +135,7 @@ def merged(
         texture = with_alpha(texture)
     as_choice(target, texture.channels, "channel to paint")
     stored = texture.channels[target].format
-    if stored.components != form.components and blend != "erase":
+    if stored.components != form.components and alpha_of(target) is not None:
         raise ArgumentError(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import astuple
 from itertools import groupby
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from octex.painting.holes import begun, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
-from octex.painting.picture import Projection, check_projections, content_of, room_for
+from octex.painting.picture import Blend, Projection, check_projections, content_of, room_for
 from octex.painting.reading import terms_of
 from octex.painting.resume import Stages, stages_in
 from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
@@ -36,6 +36,12 @@ _DEEPEST = 14
 _REACH = 4
 
 
+#: Merges a layer into a texture, as `merged` does.
+Merging: TypeAlias = Callable[
+    [OctreeTexture, OctreeTexture, PaintedSurface, float, Blend, Executor, Progress], Change | None
+]
+
+
 class Job(NamedTuple):
     """What painting a call's pictures needs throughout."""
 
@@ -44,6 +50,7 @@ class Job(NamedTuple):
     executor: Executor
     progress: Progress
     stages: Stages
+    merge: Merging | None = None  # None: `merged`
 
 
 def paint(
@@ -135,7 +142,8 @@ def painted(
         if layers is not None:
             layers.append(layer)
         opacity = max(picture.opacity for picture in pictures)
-        change = merged(texture, layer, surface, opacity, blend, job.executor, job.progress)
+        merge = job.merge or merged
+        change = merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
         texture = texture if change is None else put(change, texture)
         yield texture, change
 
@@ -194,7 +202,7 @@ def _layer_of(
     job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
 ) -> OctreeTexture:
     """Project pictures; ``stages`` are those of what was made from all of them."""
-    (painted, options, executor, progress, _), surface = job, job.surface.surface
+    (painted, options, executor, progress, *_), surface = job, job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
     shots = _look(job, form, pictures, around)

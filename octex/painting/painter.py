@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.painting.options import Balance, PaintOptions, Pictures
-from octex.painting.paint import Job, painted
+from octex.painting.paint import Job, Merging, painted
 from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Fill, Region, filled
 from octex.painting.resume import NOT_STORED
@@ -34,14 +35,16 @@ class Painter:
     Raises ArgumentError for a texture or surface that ``paint`` does not accept.
     """
 
+    _merging: Merging | None = None
+
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
         as_surface(surface)
         self._texture = as_texture(texture)
         self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
-        self._done: list[Stroke] = []
-        self._undone: list[Stroke] = []
+        self._done: list[Any] = []  # strokes; `Layers` has changes of its stack among them
+        self._undone: list[Any] = []
 
     def texture(self) -> OctreeTexture:
         """Return the texture as it is now. Textures are immutable: later strokes do not change it."""
@@ -81,7 +84,7 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._painted, options, pool, run.report, NOT_STORED)
+            job = Job(self._painted, options, pool, run.report, NOT_STORED, self._merging)
             given = check_projections(projections)
             try:
                 for texture, change in painted(job, self._texture, given, put=self._put):
@@ -110,7 +113,8 @@ class Painter:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
         wanted, run = Fill(region, color, channel, opacity, blend, max_depth), as_run(run, threads, progress)
         with workers(run) as pool:
-            _, change = filled(self._texture, self._painted, self._surface, wanted, pool, run.report)
+            model = self._painted, self._surface
+            _, change = filled(self._texture, *model, wanted, pool, run.report, self._merging)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])

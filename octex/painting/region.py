@@ -19,7 +19,7 @@ from octex.functions import answer
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import merged
 from octex.painting.options import format_of
-from octex.painting.paint import check_inside
+from octex.painting.paint import Merging, check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import rasterize_surface
 from octex.painting.surface import PaintedSurface
@@ -157,6 +157,7 @@ def filled(
     wanted: Fill,
     executor: Executor,
     progress: Progress,
+    merge: Merging | None = None,
 ) -> tuple[OctreeTexture, Change | None]:
     """Return the texture, a new one for None, and the change of a fill of a region of ``surface``."""
     opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
@@ -174,7 +175,8 @@ def filled(
         painted, source, placement, Depths(depth, depth), fit=False, executor=executor, progress=progress
     )
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
-    return base, merged(base, layer, painted, opacity, wanted.blend, executor, progress)
+    merge = merge or merged
+    return base, merge(base, layer, painted, opacity, wanted.blend, executor, progress)
 
 
 def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from octex.channels import ALPHA, decode, encode
+from octex.channels import ALPHA, alpha_of, decode, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.fit import Fitter
 from octex.conversion.gaps import without_gaps
@@ -34,6 +34,7 @@ from octex.painting.blend import (
     Merged,
     Raised,
     averaged,
+    averaged_with,
     facings_of_paint,
     may_differ,
     mixed,
@@ -363,7 +364,11 @@ def raise_texture(
     others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
     if draft.tree.n_leaves and others.size:
         points = draft.placement.to_rest(centres)
-        found.append((others, task.texture.sample(points, list(draft.channels), normalize=False)))
+        sampled = task.texture.sample(points, list(draft.channels), normalize=False)
+        for name in sampled.keys() - {task.target, alpha_of(task.target)}:
+            if alpha_of(name) is None:
+                sampled[name][:] = 0.0  # no other layer has paint there
+        found.append((others, sampled))
     for name, channel in draft.channels.items():
         for chosen, own in found:
             values[name][chosen] = encode(own[name], channel.format.dtype, channel.format.space)
@@ -428,10 +433,11 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
     may_split = may_differ(tree, cells, on_leaves.flags, above)
     base = with_split_cells(raised.texture, may_split)
-    met = {name: own for name, own in base.channels.items() if name in (task.target, ALPHA.name)}
+    alpha = alpha_of(task.target)
+    met = {name: own for name, own in base.channels.items() if name in (task.target, alpha)}
     names = [name for name in met if name == task.target or task.blend == "over" or is_fresh[cells].any()]
     parts = no_parts(base.tree, names)
-    channels = writable(base, base.channels if ALPHA.name in names or is_new.any() else names)
+    channels = writable(base, base.channels if is_new.any() else averaged_with(base.channels, names))
 
     def blend(
         kind: str,
@@ -445,7 +451,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         old = {name: decode(getattr(own, kind)[rows], own.format.space) for name, own in met.items()}
         for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
             form = channels[name].format
-            if bare is not None and name != ALPHA.name:
+            if bare is not None and alpha_of(name) is not None:
                 some_bare = fresh & (coverage == 0)
                 new[some_bare] = decode(channels[name].values[bare[some_bare]], form.space)
             getattr(channels[name], kind)[rows] = encode(new, form.dtype, form.space)

@@ -1,0 +1,291 @@
+"""Layers: a Painter whose strokes go into layers above a texture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+from octex.channels import ALPHA, alpha_of
+from octex.checks import as_choice, as_flag, as_number, as_whole
+from octex.editing.draft import Change, has_same_cells, with_alpha
+from octex.errors import ArgumentError
+from octex.painting.cells import painted_channel
+from octex.painting.merge import merged
+from octex.painting.painter import Painter, Stroke
+from octex.painting.picture import Blend
+from octex.painting.stack import (
+    LAYER_BLENDS,
+    Layer,
+    LayerBlend,
+    Stack,
+    bottom_names,
+    composite_name,
+    composited,
+    shown,
+    shown_names,
+    with_composite,
+    with_layer_channels,
+)
+from octex.painting.surface import PaintedSurface
+from octex.parallel import Progress
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+
+_LONGEST_NAME = 40
+
+
+class Restacked(NamedTuple):
+    """A change of the stack itself."""
+
+    before: Stack
+    after: Stack
+    removed: dict[str, Channel]  # what deleted layers had
+
+
+class Layers(Painter):
+    """A painting session with layers above the texture, each with a name, opacity, blend mode and mask.
+
+    Strokes and fills go into the layer that is chosen; ``None`` is the texture itself, the bottom. With
+    ``blend="erase"`` they take the coverage of the layer away. ``texture()`` is the composite. Undo and redo
+    cover strokes and changes of the stack. Only the tiles that a stroke touches are composited anew, so it
+    takes the same time in all layers.
+
+    All layers have the cells of one tree: fine paint in one makes all of them finer there, without changing
+    what they look like.
+    """
+
+    def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
+        super().__init__(texture, surface)
+        self._stack: Stack = ()
+        self._last = 0  # number of a layer
+        self._chosen: int | None = None
+        self._in_mask = False
+        self._merging = self._merged
+        self.changes: tuple[Change, ...] = ()
+
+    def texture(self) -> OctreeTexture:
+        """Return the composite as it is now. Textures are immutable: later strokes do not change it."""
+        texture = super().texture()
+        return shown(texture, shown_names(texture)) if self._stack else texture
+
+    @property
+    def layers(self) -> Stack:
+        """The layers above the texture, from the lowest to the highest."""
+        return self._stack
+
+    @property
+    def chosen(self) -> int | None:
+        """The number of the layer that is painted; None is the texture itself."""
+        return self._chosen
+
+    def choose(self, layer: int | None, *, mask: bool = False) -> None:
+        """Choose the layer that is painted next, or its mask: paint of any colour shows, "erase" hides.
+
+        Raises ArgumentError for a layer that is not there, and for the mask of the bottom.
+        """
+        as_flag(mask, "mask")
+        if layer is not None:
+            self.layer(layer)
+        elif mask:
+            raise ArgumentError("the texture itself has no mask; choose a layer")
+        self._chosen, self._in_mask = layer, mask
+
+    def layer(self, number: int) -> Layer:
+        """Return the layer of a number, or raise ArgumentError."""
+        return self._stack[self._place_of(number)]
+
+    def add_layer(
+        self, name: str | None = None, *, opacity: float = 1.0, blend: LayerBlend = "over"
+    ) -> Layer:
+        """Add an empty layer above the chosen one, on top if none is chosen; choose and return it."""
+        self._last += 1
+        layer = _checked(Layer(self._last, f"Layer {self._last}" if name is None else name, opacity, blend))
+        place = len(self._stack) if self._chosen is None else self._place_of(self._chosen) + 1
+        self._restack((*self._stack[:place], layer, *self._stack[place:]))
+        self.choose(layer.number)
+        return layer
+
+    def change_layer(
+        self,
+        number: int,
+        *,
+        name: str | None = None,
+        opacity: float | None = None,
+        blend: LayerBlend | None = None,
+        is_visible: bool | None = None,
+        has_mask: bool | None = None,
+    ) -> Layer:
+        """Change what is given of a layer, and return it."""
+        given = {
+            "name": name,
+            "opacity": opacity,
+            "blend": blend,
+            "is_visible": is_visible,
+            "has_mask": has_mask,
+        }
+        wanted = {key: value for key, value in given.items() if value is not None}
+        place = self._place_of(number)
+        layer = _checked(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
+        self._restack((*self._stack[:place], layer, *self._stack[place + 1 :]))
+        return layer
+
+    def move_layer(self, number: int, place: int) -> None:
+        """Move a layer to a place in the stack; 0 is the lowest."""
+        as_whole(place, "place", 0, len(self._stack) - 1)
+        own = self.layer(number)
+        others = [each for each in self._stack if each is not own]
+        self._restack((*others[:place], own, *others[place:]))
+
+    def delete_layer(self, number: int) -> None:
+        """Delete a layer with its paint. If it was chosen, the one below it is."""
+        place = self._place_of(number)
+        self._restack(self._stack[:place] + self._stack[place + 1 :])
+
+    def _place_of(self, number: int) -> int:
+        for place, layer in enumerate(self._stack):
+            if layer.number == number and not isinstance(number, bool):
+                return place
+        raise ArgumentError(f"there is no layer {number!r}")
+
+    def _restack(self, stack: Stack) -> None:
+        if stack == self._stack:
+            self.changes = ()
+            return
+        gone = _without(self._stack, stack)
+        removed = {name: own for name, own in self._texture.channels.items() if _is_of(gone, name)}
+        step = Restacked(self._stack, stack, removed)
+        self._apply(step)
+        self._done.append(step)
+        self._undone.clear()
+
+    def _apply(self, step: Restacked) -> None:
+        """Take the stack and its texture from before a step to after it."""
+        seen, gone = self.texture(), _without(step.before, step.after)
+        channels = {name: own for name, own in self._texture.channels.items() if not _is_of(gone, name)}
+        come = _without(step.after, step.before)
+        channels |= {name: own for name, own in step.removed.items() if _is_of(come, name)}
+        if self._chosen in {layer.number for layer in gone}:
+            below = step.before[: step.before.index(gone[0])]
+            self._chosen, self._in_mask = below[-1].number if below else None, False
+        self._stack = step.after
+        self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
+        self.changes = (Change(None, seen, self.texture()),)
+
+    def _merged(
+        self,
+        texture: OctreeTexture,
+        paint: OctreeTexture,
+        surface: PaintedSurface,
+        opacity: float,
+        blend: Blend,
+        executor: Executor,
+        progress: Progress,
+    ) -> Change | None:
+        """Merge paint into the chosen layer; return the change, with the composite and all else it needs."""
+        into = None
+        if self._chosen is not None:
+            layer = self.layer(self._chosen)
+            into = layer.paints(painted_channel(paint))
+            if self._in_mask:
+                into, blend = layer.mask, "over" if blend == "erase" else "erase"
+            texture = with_layer_channels(texture, [into, alpha_of(into) or into])
+            names = composited(texture, self._stack)
+            texture = with_layer_channels(texture, map(composite_name, names))
+        change = merged(texture, paint, surface, opacity, blend, executor, progress, into)
+        if change is None:
+            return None
+        tiles, before, after = change
+        first = 0 if tiles is None else int(after.tree.arrays.level_cells[tiles.level + 1])
+        after = with_composite(after, self._stack, first)
+        if not self._stack or not has_same_cells(before, after):
+            return Change(tiles, before, after)
+        names = [*shown_names(after).values()]
+        names += [
+            name
+            for name, own in after.channels.items()
+            if name not in names
+            and any(was is not now for was, now in zip(before.channels[name][1:], own[1:], strict=True))
+        ]
+        drafts = (
+            each.with_cells(each.tree, {name: each.channels[name] for name in names})
+            for each in (before, after)
+        )
+        return Change(tiles, *drafts)
+
+    def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
+        own = change.after.channels
+        if ALPHA.name in own and ALPHA.name not in texture.channels:
+            texture = with_alpha(texture)
+        texture = with_layer_channels(texture, own)
+        if not has_same_cells(change.before, change.after):
+            return super()._put(change, texture)
+        part = texture.with_cells(texture.tree, {name: texture.channels[name] for name in own})
+        made = super()._put(change, part)
+        made = made.with_cells(made.tree, {**texture.channels, **made.channels})
+        if change.tiles is None:
+            self._shared = made
+        return made
+
+    def _did(self, changes: Sequence[Change | None]) -> Stroke:
+        return self._told(super()._did(changes))
+
+    def _told(self, changes: Sequence[Change]) -> Stroke:
+        """Keep and return changes as those of the composite."""
+        names = dict.fromkeys((*bottom_names(self._texture), ALPHA.name))  # undone, alpha may be gone
+
+        def seen(draft: OctreeTexture) -> OctreeTexture:
+            stored = {
+                name: [own for own in (composite_name(name), name) if own in draft.channels] for name in names
+            }
+            return shown(draft, {name: own[0] for name, own in stored.items() if own})
+
+        self.changes = tuple(Change(tiles, *map(seen, drafts)) for tiles, *drafts in changes)
+        return self.changes
+
+    def undo(self) -> bool:
+        """Undo the last stroke or change of the stack; return whether there was one."""
+        self.changes = ()
+        if not self._done or not isinstance(step := self._done[-1], Restacked):
+            stroke = self._done[-1] if self._done else ()
+            was_done = super().undo()
+            self._told([change.inverted() for change in reversed(stroke)])
+            return was_done
+        self._apply(Restacked(step.after, step.before, step.removed))
+        self._undone.append(self._done.pop())
+        return True
+
+    def redo(self) -> bool:
+        """Redo the last undone stroke or change of the stack; return whether there was one."""
+        self.changes = ()
+        if not self._undone or not isinstance(step := self._undone[-1], Restacked):
+            stroke = self._undone[-1] if self._undone else ()
+            was_undone = super().redo()
+            self._told(stroke)
+            return was_undone
+        self._apply(step)
+        self._done.append(self._undone.pop())
+        return True
+
+
+def _without(stack: Stack, other: Stack) -> list[Layer]:
+    """Return the layers of a stack that another one does not have."""
+    numbers = {layer.number for layer in other}
+    return [layer for layer in stack if layer.number not in numbers]
+
+
+def _is_of(layers: Sequence[Layer], name: str) -> bool:
+    return any(layer.owns(name) for layer in layers)
+
+
+def _checked(layer: Layer) -> Layer:
+    """Return a layer, or raise ArgumentError for what it cannot be."""
+    name = layer.name
+    if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise ArgumentError(f"name must be a line of 1 to {_LONGEST_NAME} characters, not {name!r}")
+    as_choice(layer.blend, LAYER_BLENDS, "blend")
+    return layer._replace(
+        opacity=as_number(layer.opacity, "opacity", 0.0, 1.0),
+        is_visible=as_flag(layer.is_visible, "is_visible"),
+        has_mask=as_flag(layer.has_mask, "has_mask"),
+    )

@@ -1,0 +1,274 @@
+"""A stack of layers in one texture, and its composite.
+
+All layers have the cells of one tree. The bottom's channels have their own names. For each channel that a
+layer paints it has that channel, and its coverage as alpha. The composite is stored too, where it may differ
+from the bottom, so that an edit composites only the tiles that it touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Float32s, Floats, Int64s
+from octex.channels import ALPHA, alpha_of, channel_in, decode, encode, plain_name
+from octex.editing.averages import Residuals, average, residuals
+from octex.editing.nodes import Nodes
+from octex.painting.blend import mixed
+from octex.painting.layer import COVERAGE
+from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
+from octex.tree.children import children_of, node_cells
+from octex.tree.split import rows_of
+
+#: How layers combine with what is below them.
+LayerBlend = Literal["over", "multiply", "screen", "add"]
+LAYER_BLENDS: tuple[LayerBlend, ...] = get_args(LayerBlend)
+
+#: The layer that stands for all: its channels are the composite's.
+_ALL = "all"
+#: Cells that are blended at once.
+_BLOCK = 1 << 16
+#: The kinds of rows that a channel has.
+_KINDS = "values", "split_values", "kept_values"
+
+
+class Layer(NamedTuple):
+    """A layer of a stack.
+
+    opacity     0 … 1, multiplies its coverage
+    blend       how it combines with what is below, in linear light: over, multiply, screen or add
+    has_mask    whether its mask, coverage that can be painted for itself, counts
+    """
+
+    number: int
+    name: str
+    opacity: float = 1.0
+    blend: LayerBlend = "over"
+    is_visible: bool = True
+    has_mask: bool = False
+
+    def paints(self, channel: str) -> str:
+        """Return the name of the layer's own values of a channel."""
+        return channel_in(f"{self.number} {channel}", channel)
+
+    @property
+    def mask(self) -> str:
+        """The name of the layer's mask: how much of it is hidden."""
+        return channel_in(f"{self.number} mask", ALPHA.name)
+
+    def painted(self, names: Sequence[str] | Mapping[str, Channel]) -> list[str]:
+        """Return the channels, of some, that the layer paints."""
+        return [name for name in names if self.paints(name) in names]
+
+    def owns(self, name: str) -> bool:
+        """Say whether a channel of a texture is this layer's."""
+        return name.startswith(channel_in(f"{self.number} ", plain_name(name)))
+
+
+Stack = tuple[Layer, ...]  # from the lowest to the highest
+
+
+def composite_name(channel: str) -> str:
+    """Return the name under which a texture stores the composite of a channel."""
+    return channel_in(_ALL, channel)
+
+
+def bottom_names(texture: OctreeTexture) -> list[str]:
+    """Return the names of the channels of a stack's bottom."""
+    return [name for name in texture.channels if name == plain_name(name)]
+
+
+def composited(texture: OctreeTexture, stack: Stack) -> list[str]:
+    """Return the channels whose composite may differ from the bottom: all, where alpha weighs them."""
+    names = bottom_names(texture)
+    painted = [name for name in names if any(layer.paints(name) in texture.channels for layer in stack)]
+    return names if painted and ALPHA.name in names else painted
+
+
+def shown_names(texture: OctreeTexture) -> dict[str, str]:
+    """Return under which name the composite of each of the bottom's channels is stored."""
+    names = {name: composite_name(name) for name in bottom_names(texture)}
+    return {name: own if own in texture.channels else name for name, own in names.items()}
+
+
+def shown(texture: OctreeTexture, names: Mapping[str, str]) -> OctreeTexture:
+    """Return the composite of a stack's texture as a texture of its own; it shares the arrays."""
+    channels = {name: _named(texture.channels[own], name) for name, own in names.items()}
+    return texture.with_cells(texture.tree, channels)
+
+
+def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeTexture:
+    """Return a stack's texture with channels of layers and of the composite, as they are without paint."""
+    channels = dict(texture.channels)
+    for name in names:
+        if name in channels:
+            continue
+        bottom = channels.get(plain_name(name))
+        if bottom is not None and name == composite_name(plain_name(name)):
+            channels[name] = _named(Channel(bottom.format, *(each.copy() for each in bottom[1:])), name)
+            continue
+        form = COVERAGE if bottom is None or alpha_of(name) is None else bottom.format
+        arrays = (np.zeros((count, form.components), form.dtype) for count in row_counts(texture.tree))
+        channels[name] = _named(Channel(form, *arrays), name)
+    return texture.with_cells(texture.tree, channels)
+
+
+def _named(channel: Channel, name: str) -> Channel:
+    return channel._replace(format=channel.format._replace(name=name))
+
+
+def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> OctreeTexture:
+    """Return a stack's texture with its composite made anew; that of leaves before cell ``first`` stays.
+
+    A node that no child of which differs from the bottom is as the bottom's. Others are the means of their
+    children, and the residuals of the bottom and of the layers, each for the part of it that is seen.
+    """
+    tree, names = texture.tree, composited(texture, stack)
+    channels = {
+        name: own for name, own in texture.channels.items() if name != composite_name(plain_name(name))
+    }
+    if not names:
+        return texture.with_cells(tree, channels)
+    layers = [each for each in stack if each.is_visible and each.opacity > 0]
+    covered = list(_covered(texture, layers)) if layers else []
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree.arrays)] = False
+    owners = rows_of(tree.split).cells
+    chosen = is_leaf.copy()
+    chosen[:first] = False
+    stays = is_leaf & ~chosen
+    made = {}
+    for name in names:
+        bottom, own = texture.channels[name], composite_name(name)
+        arrays: list[Array] = [*bottom[1:]]
+        if covered:
+            arrays = [each.copy() for each in arrays]
+            if own in texture.channels:
+                composite = texture.channels[own]
+                arrays[0][stays] = composite.values[stays]
+                arrays[1][stays[owners]] = composite.split_values[stays[owners]]
+        made[name] = Channel(bottom.format._replace(name=own), *arrays)
+    channels |= {composite_name(name): own for name, own in made.items()}
+    whole = texture.with_cells(tree, channels)
+    if not covered:
+        return whole
+    every = chosen, chosen[owners], np.ones(tree.kept.cells.size, np.bool_)
+    for kind, covers, is_own in zip(_KINDS, covered, every, strict=True):
+        rows = np.flatnonzero(covers & is_own)
+        for begin in range(0, rows.size, _BLOCK):
+            here = rows[begin : begin + _BLOCK]
+            for name, values in _folded(texture, layers, names, kind, here).items():
+                form = made[name].format
+                getattr(made[name], kind)[here] = encode(values, form.dtype, form.space)
+    _average(whole, layers, made)
+    return whole
+
+
+def _covered(texture: OctreeTexture, layers: Sequence[Layer]) -> Iterator[Bools]:
+    """Yield which rows of each kind any layer covers."""
+    for kind, count in zip(_KINDS, row_counts(texture.tree), strict=True):
+        found = np.zeros(count, np.bool_)
+        for layer in layers:
+            for name in layer.painted(texture.channels):
+                found |= getattr(_coverage_of(texture, layer, name), kind)[:, 0] > 0
+        yield found
+
+
+def _coverage_of(texture: OctreeTexture, layer: Layer, name: str) -> Channel:
+    return texture.channels[alpha_of(layer.paints(name)) or ""]
+
+
+def _folded(
+    texture: OctreeTexture,
+    layers: Sequence[Layer],
+    names: Sequence[str],
+    kind: str,
+    rows: Int64s,
+    left: dict[str, Floats] | None = None,
+    own_left: Mapping[str, Floats] | None = None,
+) -> dict[str, Float32s]:
+    """Blend rows of layers over the bottom's, decoded.
+
+    ``left`` are the residuals of the bottom in these rows, ``own_left`` those of the layers; they become
+    those of the composite.
+    """
+
+    def stored(name: str) -> Float32s:
+        channel = texture.channels[name]
+        return decode(getattr(channel, kind)[rows], channel.format.space)
+
+    found = {name: stored(name) for name in names}
+    nowhere = np.zeros(rows.size, np.bool_)
+    for layer in layers:
+        for name in layer.painted(texture.channels):
+            own = layer.paints(name)
+            part = stored(alpha_of(own) or "")[:, 0] * np.float32(layer.opacity)
+            if layer.has_mask and layer.mask in texture.channels:
+                part = part * (1 - stored(layer.mask)[:, 0])
+            old = {each: found[each] for each in (name, ALPHA.name) if each in found}
+            for each, (new, share) in mixed(layer.blend, name, old, stored(own), part, nowhere).items():
+                if not texture.channels[each].format.dtype.startswith("float"):
+                    new = np.clip(new, -1.0, 1.0)
+                found[each] = new
+                if left is not None and own_left is not None:
+                    left[each] = left[each] * (1 - share[:, None])
+                    if each == name and layer.blend == "over":
+                        left[each] += own_left[own] * share[:, None]
+    return found
+
+
+def _average(texture: OctreeTexture, layers: Sequence[Layer], made: Mapping[str, Channel]) -> None:
+    """Average the composite, in place, in nodes with children that differ from the bottom."""
+    tree = texture.tree
+    rows = rows_of(tree.split)
+    differs = np.zeros(tree.n_cells, np.bool_)
+
+    def compare(cells: slice) -> None:
+        own = slice(*np.searchsorted(rows.cells, [cells.start, cells.stop]).tolist())
+        for name, channel in made.items():
+            bottom = texture.channels[name]
+            differs[cells] |= (channel.values[cells] != bottom.values[cells]).any(axis=1)
+            apart = (channel.split_values[own] != bottom.split_values[own]).any(axis=1)
+            differs[rows.cells[own][apart]] = True
+
+    painted = [layer.paints(name) for layer in layers for name in layer.painted(texture.channels)]
+    ends = tree.arrays.level_nodes.tolist()
+    cells = node_cells(tree.arrays)
+    level_cells = tree.arrays.level_cells.tolist()
+    compare(slice(level_cells[tree.max_depth], level_cells[tree.max_depth + 1]))
+    for level in reversed(range(tree.max_depth)):
+        numbers = np.arange(ends[level], ends[level + 1])
+        if numbers.size:
+            firsts, _ = children_of(tree.arrays.groups, numbers)
+            end = level_cells[level + 2]
+            is_above = np.logical_or.reduceat(differs[:end], firsts)
+            nodes = Nodes(numbers[is_above], cells[numbers[is_above]])
+            if nodes.cells.size:
+                _average_at(texture, layers, made, painted, nodes)
+        compare(slice(level_cells[level], level_cells[level + 1]))
+
+
+def _average_at(
+    texture: OctreeTexture,
+    layers: Sequence[Layer],
+    made: Mapping[str, Channel],
+    painted: Sequence[str],
+    nodes: Nodes,
+) -> None:
+    """Average the composite, in place, in nodes of one level."""
+    own = {name: residuals(texture, name, nodes) for name in (*made, *painted)}
+    of_rows = rows_of(texture.tree.split, nodes.cells).rows
+    both: list[dict[str, Floats]] = []
+    for number, (kind, rows) in enumerate((("values", nodes.cells), ("split_values", of_rows))):
+        left = {name: own[name][number] for name in made}
+        layers_left = {name: own[name][number] for name in painted}
+        _folded(texture, layers, list(made), kind, rows, left, layers_left)
+        both.append(left)
+    for name in sorted(made, key=lambda name: alpha_of(name) is not None):
+        # How bright light may be must not depend on which part of a texture this is.
+        is_light = made[name].format.space in ("srgb", "linear")
+        apart = Residuals(both[0][name], both[1][name])
+        average(texture, made[name], apart, nodes, (0.0, np.inf) if is_light else None)

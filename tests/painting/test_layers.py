@@ -1,0 +1,251 @@
+"""Layers: the composite is what compositing all anew gives, bit for bit, and what painters expect of it."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import decode, encode
+from octex.errors import ArgumentError
+from octex.painting.layers import Layers
+from octex.painting.stack import LAYER_BLENDS, composite_name, shown_names, with_composite
+from octex.texture import OctreeTexture
+from tests.editing.test_draft import case
+from tests.make.same import assert_same
+from tests.painting.test_painter import DIRECTIONS, brush, shots
+from tests.properties import random_edits
+
+
+def anew(layers: Layers) -> OctreeTexture:
+    """The composite of the whole stack, made from the bottom without what was composited before."""
+    texture = layers._texture
+    names = {name: own for name, own in texture.channels.items() if composite_name("") not in name}
+    made = with_composite(texture.with_cells(texture.tree, names), layers.layers)
+    return octex.painting.stack.shown(made, shown_names(made))
+
+
+def naive_leaves(layers: Layers) -> dict[str, Any]:
+    """The composite of base colour in each leaf by the textbook's formulas, in float64."""
+    texture = layers._texture
+    stored = {
+        name: decode(own.values, own.format.space).astype(np.float64)
+        for name, own in texture.channels.items()
+    }
+    color, alpha = stored["base_color"], stored.get("alpha", np.ones((1, 1)))
+    for layer in layers.layers:
+        if not layer.is_visible or layer.paints("base_color") not in stored:
+            continue
+        paint = stored[layer.paints("base_color")]
+        part = layer.opacity * stored[f"alpha\0in {layer.number} base_color"]
+        if layer.has_mask:
+            part = part * (1 - stored.get(layer.mask, np.zeros((1, 1))))
+        if layer.blend == "over":
+            united = part + alpha * (1 - part)
+            share = np.divide(part, united, out=np.zeros_like(united * part), where=united > 0)
+            color, alpha = color * (1 - share) + paint * share, united
+        elif layer.blend == "add":
+            color = np.minimum(color + part * paint, 1)
+        else:
+            both = color * paint if layer.blend == "multiply" else 1 - (1 - color) * (1 - paint)
+            color = color * (1 - part) + both * part
+    return {"base_color": color, "alpha": alpha}
+
+
+def assert_is_composite(layers: Layers) -> None:
+    """The texture is the composite, in leaves by the textbook and everywhere as it is made anew."""
+    found = layers.texture()
+    found.tree.validate()
+    assert_same(found, anew(layers))
+    is_leaf = np.concatenate([~is_node for _, is_node in found.tree.walk()])
+    for name, values in naive_leaves(layers).items():
+        if name in found.channels:
+            own = found.channels[name]
+            codes = encode(
+                np.broadcast_to(values, own.values.shape)[is_leaf], own.format.dtype, own.format.space
+            )
+            apart = np.abs(codes.astype(np.float64) - own.values[is_leaf])
+            assert apart.max() <= (1 if own.format.dtype.startswith("u") else 1e-3)
+
+
+def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, depth: int) -> None:
+    """Do something at random."""
+    numbers = [layer.number for layer in layers.layers]
+    move = random.choice(["add", "paint", "fill", "change", "move", "delete", "undo", "redo"],
+                         p=[0.12, 0.25, 0.15, 0.15, 0.06, 0.05, 0.15, 0.07])  # fmt: skip
+    if move in ("paint", "fill"):
+        chosen = None if not numbers or random.random() < 0.2 else int(random.choice(numbers))
+        layers.choose(chosen, mask=chosen is not None and bool(random.random() < 0.15))
+        if move == "paint":
+            layers.paint(shots(surface, random), max_depth=int(random.integers(depth - 1, depth + 2)))
+        else:
+            middle = surface.rest[surface.triangles[random.integers(len(surface.triangles))]].mean(axis=0)
+            sphere = octex.Sphere(tuple(middle.tolist()), 0.2 * float(np.ptp(surface.rest, axis=0).max()))
+            layers.fill(sphere, random.random(3), opacity=float(random.choice([0.6, 1.0])))
+    elif move == "add" and len(numbers) < 4:
+        layers.add_layer(opacity=float(random.choice([0.5, 1.0])), blend=random.choice(LAYER_BLENDS))
+    elif move == "change" and numbers:
+        changes: list[dict[str, Any]] = [
+            {"opacity": float(random.choice([0.0, 0.3, 1.0]))},
+            {"blend": random.choice(LAYER_BLENDS)},
+            {"is_visible": bool(random.integers(2))},
+            {"has_mask": bool(random.integers(2))},
+            {"name": "another"},
+        ]
+        layers.change_layer(int(random.choice(numbers)), **changes[random.integers(5)])
+    elif move == "move" and numbers:
+        layers.move_layer(int(random.choice(numbers)), int(random.integers(len(numbers))))
+    elif move == "delete" and numbers:
+        layers.delete_layer(int(random.choice(numbers)))
+    elif move in ("undo", "redo"):
+        getattr(layers, move)()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_composite_is_what_all_layers_give_anew_forth_and_back(seed: int) -> None:
+    random, surface, texture, depth = case(seed)
+    layers = octex.Layers(texture, surface)
+    held = []
+    for _ in range(14):
+        if layers.texture().tree.n_cells > 60_000:
+            layers.undo()
+        before = layers.texture()
+        layers.changes = ()
+        a_step(layers, surface, random, depth)
+        assert_is_composite(layers)
+        after = before
+        for change in layers.changes:
+            after = change.applied(after)
+        assert_same(after, layers.texture())
+        if random.random() < 0.5:
+            held.append((layers.texture(), pickle.loads(pickle.dumps(layers.texture()))))
+    for found, copy in held:
+        assert_same(found, copy)
+    last, stack, count = layers.texture(), layers.layers, len(layers.strokes)
+    while layers.undo():
+        pass
+    assert_same(layers.texture(), texture)
+    assert layers.layers == ()
+    for _ in range(count):
+        assert layers.redo()
+    assert_same(layers.texture(), last)
+    assert layers.layers == stack
+
+
+def start(depth: int = 6) -> tuple[octex.Surface, OctreeTexture, Layers]:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, depth)
+    return surface, texture, Layers(texture, surface)
+
+
+def everywhere(points: Any) -> Any:
+    return np.ones(len(points))
+
+
+def test_without_layers_it_is_a_painter() -> None:
+    surface, texture, layers = start()
+    painter = octex.Painter(texture, surface)
+    for each in (layers, painter):
+        each.paint(brush(surface, 200), max_depth=7)
+        each.fill(octex.Sphere((0.0, 0.0, 1.0), 0.4), (0.1, 0.2, 0.3), opacity=0.5)
+    assert_same(layers.texture(), painter.texture())
+
+
+@pytest.mark.parametrize("changed", [{"opacity": 0.0}, {"is_visible": False}])
+def test_a_layer_that_is_not_seen_changes_nothing(changed: dict[str, Any]) -> None:
+    surface, texture, layers = start()
+    number = layers.add_layer().number
+    assert_same(layers.texture(), texture)
+    layers.paint(brush(surface, 200), max_depth=6)
+    assert not np.array_equal(
+        layers.texture().channels["base_color"].values, texture.channels["base_color"].values
+    )
+    layers.change_layer(number, **changed)
+    assert_same(layers.texture(), texture)
+    layers.fill(everywhere, "#ff0000")
+    assert_same(layers.texture(), texture)
+
+
+def test_paint_over_all_hides_what_is_below_and_erasing_it_brings_it_back() -> None:
+    _, texture, layers = start()
+    layers.add_layer()
+    layers.fill(everywhere, "#3264c8")
+    assert (layers.texture().channels["base_color"].values == (0x32, 0x64, 0xC8)).all()
+    layers.fill(everywhere, "#000000", blend="erase")
+    assert_same(layers.texture(), texture)
+
+
+def test_a_stroke_in_a_layer_looks_as_one_on_the_texture() -> None:
+    surface, texture, layers = start()
+    layers.add_layer()
+    layers.paint(brush(surface, 200, 30), max_depth=6)
+    painted = octex.paint(texture, surface, brush(surface, 200, 30), max_depth=6)
+    one, other = (each.channels["base_color"].values.astype(int) for each in (layers.texture(), painted))
+    assert np.abs(one - other).max() <= 1
+
+
+def test_what_a_layer_multiplies_by_black_is_black() -> None:
+    _, texture, layers = start()
+    number = layers.add_layer(blend="multiply").number
+    layers.fill(everywhere, "#000000")
+    assert not layers.texture().channels["base_color"].values.any()
+    layers.change_layer(number, blend="screen")
+    assert_same(layers.texture(), texture)
+
+
+def test_the_order_of_layers_matters_only_where_both_have_paint() -> None:
+    _, texture, layers = start()
+    for direction, color in ((DIRECTIONS[0], "#ff0000"), (tuple(-x for x in DIRECTIONS[0]), "#00ff00")):
+        layers.add_layer()
+        layers.fill(octex.Sphere(tuple(np.asarray(direction) / np.linalg.norm(direction)), 0.5), color)
+    before = layers.texture()
+    layers.move_layer(2, 0)
+    leaves = np.concatenate([~is_node for _, is_node in texture.tree.walk()])
+    one, other = (each.channels["base_color"].values for each in (before, layers.texture()))
+    assert np.array_equal(one[leaves], other[leaves])
+    layers.fill(octex.Sphere(tuple(-np.asarray(direction) / np.linalg.norm(direction)), 0.5), "#00ff00")
+    below = layers.texture().channels["base_color"].values
+    layers.move_layer(2, 1)
+    assert not np.array_equal(below, layers.texture().channels["base_color"].values)
+
+
+def test_a_mask_hides_and_shows() -> None:
+    _, texture, layers = start()
+    number = layers.add_layer().number
+    layers.fill(everywhere, "#ff0000")
+    red = layers.texture()
+    layers.change_layer(number, has_mask=True)
+    assert_same(layers.texture(), red)
+    layers.choose(number, mask=True)
+    layers.fill(everywhere, "#ffffff", blend="erase")
+    assert_same(layers.texture(), texture)
+    layers.fill(everywhere, "#ffffff")
+    assert_same(layers.texture(), red)
+
+
+def test_bad_layers_are_refused_and_nothing_changes() -> None:
+    _, texture, layers = start()
+    number = layers.add_layer("a").number
+    for given, message in (
+        ({"name": ""}, "name must be a line of 1 to 40 characters"),
+        ({"name": "x" * 41}, "name must be a line"),
+        ({"opacity": 1.5}, "opacity"),
+        ({"opacity": float("nan")}, "opacity"),
+        ({"blend": "erase"}, "unknown blend"),
+        ({"is_visible": "no"}, "is_visible"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            layers.change_layer(number, **given)  # type: ignore[arg-type]
+    for call in (
+        lambda: layers.delete_layer(7),
+        lambda: layers.move_layer(number, 1),
+        lambda: layers.choose(9),
+        lambda: layers.choose(None, mask=True),
+    ):
+        with pytest.raises(ArgumentError):
+            call()
+    assert [layer.name for layer in layers.layers] == ["a"]
+    assert_same(layers.texture(), texture)
