@@ -5,6 +5,7 @@ const FADE = 10; // and over which paint fades
 
 const cosine = (degrees) => Math.cos((degrees * Math.PI) / 180);
 export const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
+const LIGHTS = Float32Array.from({ length: 256 }, (_, code) => toLight(code));
 
 // Of matrices, column after column.
 function product(a, b) {
@@ -17,7 +18,7 @@ export class Strokes {
     this.viewer = viewer;
     this.channel = "base_color";
     this.current = null; // color, opacity, hardness, box
-    this.sent = []; // what is not painted yet: number, box, coverage, color, opacity
+    this.sent = []; // what is not painted yet: number, box, coverage, opacity, color or planes of colors
     this.size = [0, 0];
   }
 
@@ -139,12 +140,12 @@ export class Strokes {
     const { gl } = this.viewer.gpu, [width, height] = this.size, { light } = this;
     if (!this.sent.length) return;
     light.fill(0);
-    for (const { box: [left, top, right, bottom], coverage, color, opacity } of this.sent) {
-      const paint = color.map(toLight);
+    for (const { box: [left, top, right, bottom], coverage, color, colors, opacity } of this.sent) {
+      const paint = color?.map(toLight), plane = coverage.length;
       for (let row = top, n = 0; row < bottom; row++) {
-        for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4) {
-          const share = (opacity * coverage[n++]) / 255;
-          for (let k = 0; k < 3; k++) light[at + k] += share * (paint[k] - light[at + k]);
+        for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+          const share = (opacity * coverage[n]) / 255;
+          for (let k = 0; k < 3; k++) light[at + k] += share * ((paint ? paint[k] : LIGHTS[colors[k * plane + n]]) - light[at + k]);
           light[at + 3] += share * (1 - light[at + 3]);
         }
       }
