@@ -190,7 +190,7 @@ class Session:
         self._did(command, [self._painter.paint(each, **options) for each in both])
 
     def _do_fill(self, command: Command) -> None:
-        color, opacity, point, axis = fill_of(command)
+        options, point, axis = fill_of(command)
         regions: list[Any] = [_everywhere]
         if point is not None:
             parts = {self._part_at(point)}
@@ -198,7 +198,7 @@ class Session:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
                 parts.add(self._part_at(point))
             regions = [self._surface.parts == number for number in sorted(parts)]
-        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
+        self._did(command, [self._painter.fill(each, **options) for each in regions])
 
     def _middle(self, vertices: Array) -> Array:
         used = vertices[np.unique(self._surface.triangles)]
