@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat, alpha_of
+from octex.channels import ALPHA, ChannelFormat, alpha_of, plain_name
 from octex.editing.averages import Residuals, average, average_rows, residuals_at
 from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
@@ -115,6 +115,11 @@ def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -
     return (1 - part) * base + part * paint  # all of the paint where it is opaque, however bright the base is
 
 
+def covers(blend: Blend, target: str) -> bool:
+    """Say whether paint on a channel adds to its coverage: in layers in each mode, else laid over alone."""
+    return blend == "over" or (blend in ("multiply", "screen", "add") and target != plain_name(target))
+
+
 def mixed(
     blend: Blend,
     target: str,
@@ -131,6 +136,11 @@ def mixed(
     elif alpha is None:
         paint = ones
     found = {target: (paint, (coverage > 0).astype(np.float32) if blend == "replace" else coverage)}
+    if blend != "over" and alpha is not None and covers(blend, target):
+        # In a layer, paint is as it is where there was none, and covers as much in each mode.
+        there = np.where(is_fresh, np.float32(0), old[alpha][:, 0])
+        full = blended(old[target], paint, np.ones_like(coverage), blend)
+        paint, blend = blended(paint, full, there, "over"), "over"
     if blend == "over" and alpha is not None and alpha in old:
         # Over what is translucent itself, paint counts for more of the colour (Porter & Duff 1984).
         there = np.where(is_fresh, np.float32(0), old[alpha][:, 0])

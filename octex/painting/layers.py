@@ -7,19 +7,20 @@ from concurrent.futures import Executor
 from typing import NamedTuple
 
 from octex.channels import ALPHA, alpha_of
-from octex.checks import as_choice, as_flag, as_number, as_whole
+from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, has_same_cells, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
 from octex.painting.merge import merged
 from octex.painting.painter import Painter, Stroke
 from octex.painting.picture import Blend
+from octex.painting.restore import ERASED, restored, without_erased
 from octex.painting.stack import (
-    LAYER_BLENDS,
     Layer,
     LayerBlend,
     Stack,
     bottom_names,
+    check_layer,
     composite_name,
     composited,
     shown,
@@ -31,8 +32,6 @@ from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
-
-_LONGEST_NAME = 40
 
 
 class Restacked(NamedTuple):
@@ -47,7 +46,8 @@ class Layers(Painter):
     """A painting session with layers above the texture, each with a name, opacity, blend mode and mask.
 
     Strokes and fills go into the layer that is chosen; ``None`` is the texture itself, the bottom. With
-    ``blend="erase"`` they take the coverage of the layer away. ``texture()`` is the composite. Undo and redo
+    ``blend="erase"`` they take the coverage of the layer away, and bring back the bottom as it was opened.
+    ``texture()`` is the composite. Undo and redo
     cover strokes and changes of the stack. Only the tiles that a stroke touches are composited anew, so it
     takes the same time in all layers.
 
@@ -61,13 +61,16 @@ class Layers(Painter):
         self._last = 0  # number of a layer
         self._chosen: int | None = None
         self._in_mask = False
-        self._merging = self._merged
+        self._merging, self._opened = self._merged, texture
+        self._shown = self._texture, self._texture  # what it was made from, and the composite
         self.changes: tuple[Change, ...] = ()
 
     def texture(self) -> OctreeTexture:
         """Return the composite as it is now. Textures are immutable: later strokes do not change it."""
         texture = super().texture()
-        return shown(texture, shown_names(texture)) if self._stack else texture
+        if self._shown[0] is not texture:
+            self._shown = texture, shown(texture, shown_names(texture)) if self._stack else texture
+        return self._shown[1]
 
     @property
     def layers(self) -> Stack:
@@ -98,10 +101,12 @@ class Layers(Painter):
     def add_layer(
         self, name: str | None = None, *, opacity: float = 1.0, blend: LayerBlend = "over"
     ) -> Layer:
-        """Add an empty layer above the chosen one, on top if none is chosen; choose and return it."""
+        """Add an empty layer above the chosen one; choose and return it."""
         self._last += 1
-        layer = _checked(Layer(self._last, f"Layer {self._last}" if name is None else name, opacity, blend))
-        place = len(self._stack) if self._chosen is None else self._place_of(self._chosen) + 1
+        layer = check_layer(
+            Layer(self._last, f"Layer {self._last}" if name is None else name, opacity, blend)
+        )
+        place = 0 if self._chosen is None else self._place_of(self._chosen) + 1
         self._restack((*self._stack[:place], layer, *self._stack[place:]))
         self.choose(layer.number)
         return layer
@@ -126,7 +131,7 @@ class Layers(Painter):
         }
         wanted = {key: value for key, value in given.items() if value is not None}
         place = self._place_of(number)
-        layer = _checked(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
+        layer = check_layer(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
         self._restack((*self._stack[:place], layer, *self._stack[place + 1 :]))
         return layer
 
@@ -168,7 +173,10 @@ class Layers(Painter):
         if self._chosen in {layer.number for layer in gone}:
             below = step.before[: step.before.index(gone[0])]
             self._chosen, self._in_mask = below[-1].number if below else None, False
-        self._stack = step.after
+        looks = [[each._replace(name="") for each in stack] for stack in (step.before, step.after)]
+        self._stack, self.changes = step.after, ()
+        if looks[0] == looks[1]:
+            return
         self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
         self.changes = (Change(None, seen, self.texture()),)
 
@@ -184,7 +192,11 @@ class Layers(Painter):
     ) -> Change | None:
         """Merge paint into the chosen layer; return the change, with the composite and all else it needs."""
         into = None
-        if self._chosen is not None:
+        is_restoring = self._chosen is None and blend == "erase"
+        if is_restoring:
+            into, blend = ERASED, "over"
+            texture = with_layer_channels(texture, [into])
+        elif self._chosen is not None:
             layer = self.layer(self._chosen)
             into = layer.paints(painted_channel(paint))
             if self._in_mask:
@@ -196,6 +208,9 @@ class Layers(Painter):
         if change is None:
             return None
         tiles, before, after = change
+        if is_restoring:
+            erased, (before, after) = after.channels[ERASED], map(without_erased, (before, after))
+            after = restored(after, self._opened, erased)
         first = 0 if tiles is None else int(after.tree.arrays.level_cells[tiles.level + 1])
         after = with_composite(after, self._stack, first)
         if not self._stack or not has_same_cells(before, after):
@@ -276,16 +291,3 @@ def _without(stack: Stack, other: Stack) -> list[Layer]:
 
 def _is_of(layers: Sequence[Layer], name: str) -> bool:
     return any(layer.owns(name) for layer in layers)
-
-
-def _checked(layer: Layer) -> Layer:
-    """Return a layer, or raise ArgumentError for what it cannot be."""
-    name = layer.name
-    if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise ArgumentError(f"name must be a line of 1 to {_LONGEST_NAME} characters, not {name!r}")
-    as_choice(layer.blend, LAYER_BLENDS, "blend")
-    return layer._replace(
-        opacity=as_number(layer.opacity, "opacity", 0.0, 1.0),
-        is_visible=as_flag(layer.is_visible, "is_visible"),
-        has_mask=as_flag(layer.has_mask, "has_mask"),
-    )

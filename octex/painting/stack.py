@@ -14,8 +14,10 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Floats, Int64s
 from octex.channels import ALPHA, alpha_of, channel_in, decode, encode, plain_name
+from octex.checks import as_choice, as_flag, as_number
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.nodes import Nodes
+from octex.errors import ArgumentError
 from octex.painting.blend import mixed
 from octex.painting.layer import COVERAGE
 from octex.texture import Channel, OctreeTexture
@@ -29,6 +31,7 @@ LAYER_BLENDS: tuple[LayerBlend, ...] = get_args(LayerBlend)
 
 #: The layer that stands for all: its channels are the composite's.
 _ALL = "all"
+_LONGEST_NAME = 40
 #: Cells that are blended at once.
 _BLOCK = 1 << 16
 #: The kinds of rows that a channel has.
@@ -66,6 +69,19 @@ class Layer(NamedTuple):
     def owns(self, name: str) -> bool:
         """Say whether a channel of a texture is this layer's."""
         return name.startswith(channel_in(f"{self.number} ", plain_name(name)))
+
+
+def check_layer(layer: Layer) -> Layer:
+    """Return a layer, or raise ArgumentError for what it cannot be."""
+    name = layer.name
+    if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise ArgumentError(f"name must be a line of 1 to {_LONGEST_NAME} characters, not {name!r}")
+    as_choice(layer.blend, LAYER_BLENDS, "blend")
+    return layer._replace(
+        opacity=as_number(layer.opacity, "opacity", 0.0, 1.0),
+        is_visible=as_flag(layer.is_visible, "is_visible"),
+        has_mask=as_flag(layer.has_mask, "has_mask"),
+    )
 
 
 Stack = tuple[Layer, ...]  # from the lowest to the highest

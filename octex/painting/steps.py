@@ -35,6 +35,7 @@ from octex.painting.blend import (
     Raised,
     averaged,
     averaged_with,
+    covers,
     facings_of_paint,
     may_differ,
     mixed,
@@ -166,7 +167,7 @@ def _wanted(
 def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged | None:
     """Merge paint into a draft of the texture; return None if none of it is there."""
     tree = draft.tree
-    if task.blend == "erase":
+    if alpha_of(task.target) is None:  # where nothing is, coverage alone adds nothing
         found = [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
         paint = [
             some(each, (where.levels == level) | where.is_leaf)
@@ -435,7 +436,8 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     base = with_split_cells(raised.texture, may_split)
     alpha = alpha_of(task.target)
     met = {name: own for name, own in base.channels.items() if name in (task.target, alpha)}
-    names = [name for name in met if name == task.target or task.blend == "over" or is_fresh[cells].any()]
+    has_covered = covers(task.blend, task.target) or is_fresh[cells].any()
+    names = [name for name in met if name == task.target or has_covered]
     parts = no_parts(base.tree, names)
     channels = writable(base, base.channels if is_new.any() else averaged_with(base.channels, names))
 

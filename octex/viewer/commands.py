@@ -14,16 +14,26 @@ import numpy as np
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import decode
-from octex.checks import as_choice, as_number, as_reals, as_whole
+from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.picture import Blend, Projection
+from octex.painting.stack import Layer, check_layer
 
 #: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
+#: What can be done with a layer, and the fields that say how it is to be.
+_ACTIONS = "add", "set", "move", "delete"
+_FIELDS = {
+    "title": "name",
+    "opacity": "opacity",
+    "blend": "blend",
+    "isVisible": "is_visible",
+    "hasMask": "has_mask",
+}
 
 
 class Command(NamedTuple):
@@ -54,6 +64,7 @@ def command_of(body: bytes) -> Command:
     if not isinstance(name, str) or len(name) > _LONGEST_NAME or not name.isprintable():
         raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
     command = Command(page, number, kind, given, content)
+    target_of(command)
     _READERS[kind](command)
     return command
 
@@ -77,6 +88,20 @@ def fill_of(command: Command) -> tuple[dict[str, Any], Array | None, int | None]
     return options, at, mirror_of(command)
 
 
+def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
+    """Return what is to be done with the layer that is named, and how it is to be."""
+    _no_content(command)
+    given, (layer, _) = command.given, target_of(command)
+    action = str(as_choice(given.get("action", ""), _ACTIONS, "action"))
+    if layer is None and action != "add":
+        raise ArgumentError(f"name the layer to {action}")
+    if action == "move":
+        return action, {"place": as_whole(given.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
+    wanted = {own: given[name] for name, own in _FIELDS.items() if name in given}
+    check_layer(Layer(1, "Layer")._replace(**wanted))
+    return action, wanted
+
+
 def _no_content(command: Command) -> None:
     if command.content:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
@@ -86,6 +111,7 @@ def _no_content(command: Command) -> None:
 _READERS: dict[str, Callable[[Command], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
+    "layer": layer_of,
     "undo": _no_content,
     "redo": _no_content,
     "save": _no_content,
@@ -147,8 +173,19 @@ def opacity_of(command: Command) -> float:
 
 
 def blend_of(command: Command) -> Blend:
-    """Return how paint combines with what is there."""
-    return as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
+    """Return how paint combines with what is there, or that it is an eraser's."""
+    blend = as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
+    return "erase" if as_flag(command.given.get("erases", False), "erases") else blend
+
+
+def target_of(command: Command) -> tuple[int | None, bool]:
+    """Return the number of the layer to paint, None for the texture itself, and whether to paint its mask."""
+    layer, mask = command.given.get("layer"), as_flag(command.given.get("mask", False), "mask")
+    if layer is not None:
+        layer = as_whole(layer, "layer", 1, _MOST_NUMBER)
+    elif mask:
+        raise ArgumentError("the texture itself has no mask; name a layer")
+    return layer, mask
 
 
 def color_of(command: Command) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 import queue
 import threading
 from collections.abc import Callable
@@ -20,12 +21,13 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
 from octex.nearest.triangles import Triangles
+from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, stroke_of
+from octex.viewer.commands import Command, command_of, fill_of, layer_of, stroke_of, target_of
 from octex.viewer.journal import Journal
 
 #: Commands that wait for their turn; a page keeps more of them itself.
@@ -72,7 +74,7 @@ class Session:
     ) -> None:
         format_of(texture, BASE_COLOR.name)
         texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
-        self._painter = Painter(texture, surface)
+        self._painter = Layers(texture, surface)
         self._surface = surface.placed_in(texture)
         self._output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
@@ -143,7 +145,8 @@ class Session:
 
     @property
     def _is_saved(self) -> bool:
-        return self._painter.strokes == self._saved
+        now, saved = self._painter.strokes, self._saved
+        return saved is not None and len(now) == len(saved) and all(map(operator.is_, now, saved))
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -164,6 +167,17 @@ class Session:
             "baked": dict(self._baked),
             "output": self._output.name,
             "isSaved": self._is_saved,
+            "layers": [
+                {
+                    "number": layer.number,
+                    "title": layer.name,
+                    "opacity": layer.opacity,
+                    "blend": layer.blend,
+                    "isVisible": layer.is_visible,
+                    "hasMask": layer.has_mask,
+                }
+                for layer in self._painter.layers
+            ],
             "fault": self._fault,
         }
         return Shown(self._painter.texture(), told, self._before, self._changes)
@@ -172,6 +186,8 @@ class Session:
         """Do a command; what fails changes nothing, and is told."""
         self._fault, self._before, self._changes = "", self._painter.texture(), ()
         try:
+            layer, in_mask = target_of(command)
+            self._painter.choose(layer, mask=in_mask)
             getattr(self, f"_do_{command.kind}")(command)
         except (OctexError, MemoryError) as error:
             self._fault = str(error) or "out of memory"
@@ -213,19 +229,31 @@ class Session:
 
     def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)
-        if self._changes:
-            name = command.given.get("name", command.kind)
-            self._steps.append(_Step(name, sum(map(bool, strokes))))
+        made = len(self._painter.strokes) - sum(step.strokes for step in self._steps)
+        if made:
+            self._steps.append(_Step(command.given.get("name", command.kind), made))
             self._undone.clear()
+
+    def _do_layer(self, command: Command) -> None:
+        action, given = layer_of(command)
+        number = cast(int, target_of(command)[0])
+        if action == "add":
+            self._painter.add_layer(**given)
+        elif action == "set":
+            self._painter.change_layer(number, **given)
+        elif action == "move":
+            self._painter.move_layer(number, **given)
+        else:
+            self._painter.delete_layer(number)
+        self._did(command, [self._painter.changes])
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
         if not self._steps:
             return
         step = self._steps.pop()
-        strokes = self._painter.strokes[-step.strokes :]
-        self._changes = tuple(change.inverted() for stroke in strokes[::-1] for change in stroke[::-1])
         for _ in range(step.strokes):
             self._painter.undo()
+            self._changes += self._painter.changes
         self._undone.append(step)
 
     def _do_redo(self, command: Command) -> None:  # noqa: ARG002
@@ -234,9 +262,7 @@ class Session:
         step = self._undone.pop()
         for _ in range(step.strokes):
             self._painter.redo()
-        self._changes = tuple(
-            change for stroke in self._painter.strokes[-step.strokes :] for change in stroke
-        )
+            self._changes += self._painter.changes
         self._steps.append(step)
 
     def _do_save(self, command: Command) -> None:  # noqa: ARG002

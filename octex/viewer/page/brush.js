@@ -3,12 +3,13 @@
 import { deflated } from "./sending.js";
 
 export class BrushDrag {
-  constructor(painting, event) {
+  constructor(painting, event, more = {}) {
     const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
     this.painting = painting;
     this.at = painting.place(event);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, camera: { width, height, K, pose } });
+    const brush = { ...painting.brush, ...more };
+    strokes.begin({ ...brush, camera: { width, height, K, pose }, look: painting.layers.look(brush) });
     this.draw(this.at, this.at);
   }
 
@@ -37,9 +38,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
-    const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror };
+    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror, erases } = stroke;
+    const tool = erases ? "Eraser" : "Brush", name = mirror ? `${tool}, mirrored` : tool;
+    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror, erases };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

@@ -1,6 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Layers } from "./layers.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -25,7 +26,8 @@ class Painting {
     this.viewer = viewer;
     this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, blend: "over", angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part" };
     this.other = [245, 245, 245]; // the colour that X changes to
-    this.sending = new Sending((text) => this.say(text));
+    this.layers = new Layers(this);
+    this.sending = new Sending((text) => this.say(text), () => this.layers.target);
     this.strokes = new Strokes(viewer);
     this.pen = null; // which pointer draws, and its drag
     this.hindered = ""; // why nothing could be painted last
@@ -74,11 +76,13 @@ class Painting {
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
         ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
         ...choice("filled", "Fill", [["part", "the part that is clicked"], ["all", "the whole model"]], (filled) => this.set({ filled }))),
+      this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps" })),
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
     element("history").open = true;
     element("panel").open = false;
+    this.layers.show();
     this.choose("brush");
     this.set({});
   }
@@ -162,7 +166,7 @@ class Painting {
     const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
     if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
     if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
-    return "";
+    return this.layers.hindrance;
   }
 
   down(event) {
@@ -261,6 +265,7 @@ class Painting {
   // A version of the texture is shown, of which this is told.
   arrived(told) {
     this.last = told;
+    this.layers.arrived(told.layers);
     this.strokes.painted(told.baked[this.sending.page] ?? 0);
     element("undo").disabled = told.done === 0;
     element("redo").disabled = told.done === told.steps.length;

@@ -1,12 +1,14 @@
 // Sends what is painted, one command after the other, and again until the server has it. See session.py.
 
 const FIRST_PAUSE = 300, MOST_PAUSE = 5000; // milliseconds until it is sent again
+const COMMON = ["undo", "redo", "save", "layer"]; // commands that paint nothing
 const AGAIN = [429, 503, 507]; // answers that a later one may differ from
 
 export class Sending {
-  // `tell` is called with what is wrong, or with nothing once that is over.
-  constructor(tell) {
+  // `tell` is called with what is wrong, or with nothing once that is over; `target` says what commands paint.
+  constructor(tell, target = () => ({})) {
     this.tell = tell;
+    this.target = target;
     this.begin();
     this.waiting = [];
   }
@@ -18,7 +20,8 @@ export class Sending {
 
   // Send a command and its bytes, or a promise of these; returns its number.
   send(command, content = new Uint8Array()) {
-    this.waiting.push({ ...command, number: ++this.number, content });
+    const target = COMMON.includes(command.kind) ? {} : this.target();
+    this.waiting.push({ ...target, ...command, number: ++this.number, content });
     this.running ||= this.run().finally(() => (this.running = null));
     return this.number;
   }

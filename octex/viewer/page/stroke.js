@@ -149,7 +149,8 @@ export class Strokes {
     if (!this.sent.length) return;
     cover.fill(0);
     added.fill(0);
-    for (const { box: [left, top, right, bottom], coverage, color, colors, opacity, blend = "over" } of this.sent) {
+    for (const stroke of this.sent) {
+      const { box: [left, top, right, bottom], coverage, color, colors, opacity, blend = "over" } = { ...stroke, ...stroke.look };
       const paint = color?.map(Math.round), plane = coverage.length, [covers, adds] = TABLES[blend];
       for (let row = top, n = 0; row < bottom; row++) {
         for (let at = 3 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 3, n++) {
@@ -177,7 +178,8 @@ export class Strokes {
 
   set(program, width, height) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const { color = [0, 0, 0], opacity = 0, blend = "over", angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
+    const stroke = current ?? this.sent.at(-1);
+    const { color = [0, 0, 0], opacity = 0, blend = "over", angle = MOST_ANGLE, backFaces = false } = { ...stroke, ...stroke?.look };
     const isWhole = angle >= 90;
     const [cover, added] = TABLES[blend].map((table) => color.map((code) => table[Math.round(code)]));
     gl.uniform3fv(program.at("u_cover"), cover);

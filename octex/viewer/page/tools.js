@@ -2,9 +2,11 @@
 // does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
 
 import { BrushDrag } from "./brush.js";
+import { eraser } from "./layers.js";
 
 export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event) },
+  eraser,
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
 ];
