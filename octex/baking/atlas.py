@@ -21,6 +21,8 @@ from octex.source.welding import first_equal, welded
 _PIECE = 4_000
 #: Charts fit at their scale, and not at one that is more than so much larger.
 _CLOSE = 1.03
+#: Of so many of the largest charts the best of four ways to lie is taken.
+_MOST_TURNED = 100
 #: How much of a map charts fill at best, and how much at least where padding is chosen.
 _FULL, _ENOUGH = 0.92, 0.25
 #: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
@@ -196,21 +198,36 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int)
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
-    for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
+    for n, group in enumerate(np.argsort(-reaches.max(axis=1), kind="stable").tolist()):
         own = groups[group]
-        shape = np.floor((reaches[group] + 2 * padding) / block).astype(np.int64) + 1
-        if (shape > blocks).any():
+        best: tuple[int, ...] = ()
+        for turn in range(4 if n < _MOST_TURNED else 1):
+            corners = _turned(flat[own], reaches[group], turn)
+            across, down = (corners.max(axis=(0, 1)) + 2 * padding) // block + 1
+            if max(across, down) > blocks:
+                continue
+            mask = np.zeros((int(down), int(across)), np.bool_)
+            _mark((corners + padding) / block, padding / block, mask)
+            last, before = tried.get(mask.shape, (-1, mask))
+            at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
+            if at >= 0 and (not best or (at // blocks + len(mask), at % blocks) < best):
+                row, column = divmod(at, blocks)
+                best, chosen = (row + len(mask), column), mask
+                placed[own] = np.array([column, row]) * block + padding + corners
+        if not best:
             return None
-        mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
-        _mark((flat[own] + padding) / block, padding / block, mask)
-        last, before = tried.get(mask.shape, (-1, mask))
-        at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
-        if at < 0:
-            return None
-        tried[mask.shape] = at, mask
-        row, column = divmod(at, blocks)
-        placed[own] = flat[own] + (column * block + padding, row * block + padding)
+        row = best[0] - len(chosen)
+        tried[chosen.shape] = row * blocks + best[1], chosen
+        _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
     return placed
+
+
+def _turned(corners: Float64s, reach: Float64s, quarters: int) -> Float64s:
+    """Turn a chart by quarters; it reaches from 0 to ``reach`` (2,)."""
+    for _ in range(quarters):
+        corners = np.stack([reach[1] - corners[..., 1], corners[..., 0]], axis=-1)
+        reach = reach[::-1]
+    return corners
 
 
 @kernel
@@ -263,7 +280,6 @@ def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
                     step = runs[y, x]
                     break
             if step == 0:
-                _take(free[row : row + height], longest[row : row + height], mask, column)
                 return int(row * blocks + column)
             column += step
         row, column = row + 1, 0

@@ -234,7 +234,7 @@ def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
 
 @kernel
 def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, averaged: Float64s) -> None:
-    """Average normals (m, 3) over neighbours, weighted by area, and less across sharp edges, so many times."""
+    """Average normals (m, 3) over neighbours, by area and less across sharp edges, so many times."""
     before, sums = normals.copy(), np.empty(3)
     for _ in range(rounds):
         for triangle in range(areas.size):

@@ -316,13 +316,17 @@ def test_charts_are_placed_in_the_first_place_where_they_fit(part: float) -> Non
         mask = random.random(random.integers(1, 8, 2)) < part
         mask[0, 0] = True
         start = int(random.integers(0, size**2 // 2))
-        expected, before = _first_place(free, mask, start), free.copy()
+        expected = _first_place(free, mask, start)
         assert atlas._place(free, longest, mask, start) == expected
         missed += expected < 0
         if expected >= 0:
-            i, j = np.argwhere(mask).T + np.array([divmod(expected, size)]).T
-            before[i, j] = False
-        assert np.array_equal(free, before)
+            row, column = divmod(expected, size)
+            i, j = np.argwhere(mask).T + np.array([[row], [column]])
+            after = free.copy()
+            after[i, j] = False
+            rows = slice(row, row + len(mask))
+            atlas._take(free[rows], longest[rows], mask, column)
+            assert np.array_equal(free, after)
     assert missed
 
 
