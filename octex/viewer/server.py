@@ -298,6 +298,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version = "octex"
     sys_version = ""
     timeout = _PATIENCE
+    disable_nagle_algorithm = True  # else a body waits up to 40 ms until the page has confirmed its headers
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log what http.server itself refuses, and requests of which no more comes; others need no line."""

@@ -11,7 +11,6 @@ import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
-import { patched } from "./patch.js";
 import { Player } from "./player.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
@@ -127,8 +126,8 @@ class Viewer {
         }
         const streams = change.parts.map((_, number) => readStream(`change-${number}`));
         for (const [number, bytes] of (await Promise.all(streams)).entries()) {
-          const { header, counts } = change.parts[number], part = this.parts[number];
-          this.sent = part.change(header, patched(part.octree, header, counts, bytes));
+          const { header, counts } = change.parts[number];
+          this.sent = this.parts[number].change(header, counts, bytes);
         }
         this.version = change.version;
         this.painting?.arrived(change.session);
