@@ -329,7 +329,8 @@ class _Handler(BaseHTTPRequestHandler):
         if session is None:
             self.send_error(HTTPStatus.NOT_IMPLEMENTED, "Unsupported method ('POST')")
             return
-        from octex.viewer.session import MOST_BYTES, BusyError, OrderError
+        from octex.viewer.commands import MOST_BYTES
+        from octex.viewer.session import BusyError, OrderError
 
         path = self._admitted(has_body=True)
         if path is None:

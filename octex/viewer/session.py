@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import copy
-import json
 import queue
-import re
 import threading
-import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -17,29 +14,24 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Array, Uint8s
+from octex.arrays import Array
 from octex.cameras.camera import Camera
-from octex.channels import BASE_COLOR, decode
-from octex.checks import as_number, as_reals, as_whole
+from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError
 from octex.nearest.triangles import Triangles
-from octex.painting.options import DRAWN_ANGLE, PaintOptions, format_of
+from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.viewer.commands import Command, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
 
-#: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
-MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
 #: Pages whose last number is known.
 _MOST_PAGES = 1000
-_LONGEST_NAME = 40
-_MOST_NUMBER = 2**53 - 1
-_KINDS = "stroke", "fill", "undo", "redo", "save"
 
 
 class BusyError(OctexError):
@@ -48,16 +40,6 @@ class BusyError(OctexError):
 
 class OrderError(OctexError):
     """A page's commands have begun before this session: it must count them from 1, under another name."""
-
-
-class Command(NamedTuple):
-    """What a page asks for; pages count their commands from 1."""
-
-    page: str
-    number: int
-    kind: str
-    given: dict[str, Any]
-    content: bytes
 
 
 class _Step(NamedTuple):
@@ -201,23 +183,22 @@ class Session:
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
-        projection, options = stroke_of(command)
+        projection, options, axis = stroke_of(command)
         both = [projection]
-        if (axis := _mirror_of(command)) is not None:
+        if axis is not None:
             both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
         self._did(command, [self._painter.paint(each, **options) for each in both])
 
     def _do_fill(self, command: Command) -> None:
-        color, opacity = _color_of(command), _opacity_of(command)
+        options, point, axis = fill_of(command)
         regions: list[Any] = [_everywhere]
-        if "at" in command.given:
-            point = _numbers(command.given, "at", (3,))
-            numbers = {self._part_at(point)}
-            if (axis := _mirror_of(command)) is not None:
+        if point is not None:
+            parts = {self._part_at(point)}
+            if axis is not None:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
-                numbers.add(self._part_at(point))
-            regions = [self._surface.parts == number for number in sorted(numbers)]
-        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
+                parts.add(self._part_at(point))
+            regions = [self._surface.parts == number for number in sorted(parts)]
+        self._did(command, [self._painter.fill(each, **options) for each in regions])
 
     def _middle(self, vertices: Array) -> Array:
         used = vertices[np.unique(self._surface.triangles)]
@@ -271,65 +252,6 @@ def warm_up(texture: OctreeTexture, surface: Surface) -> None:
     Painter(texture, surface).paint(Projection(image, camera))
 
 
-def command_of(body: bytes) -> Command:
-    """Return what a page sent: a line of JSON, and what follows. Raises ArgumentError for anything else."""
-    line, _, content = body.partition(b"\n")
-    try:
-        given = json.loads(line)
-    except (ValueError, RecursionError):
-        raise ArgumentError("the command is no line of JSON") from None
-    if not isinstance(given, dict):
-        raise ArgumentError("the command is no JSON object")
-    page, kind, name = given.get("page"), given.get("kind"), given.get("name", "")
-    if not isinstance(page, str) or not re.fullmatch(r"[0-9a-f-]{8,40}", page):
-        raise ArgumentError("page must be hexadecimal digits")
-    number = as_whole(given.get("number"), "number", 1, _MOST_NUMBER)  # type: ignore[arg-type]
-    if kind not in _KINDS:
-        raise ArgumentError(f"kind must be one of {', '.join(_KINDS)}")
-    if not isinstance(name, str) or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
-    command = Command(page, number, kind, given, content)
-    _mirror_of(command)
-    if kind == "stroke":
-        stroke_of(command)
-    elif content:
-        raise ArgumentError(f"a command of the kind {kind} has no content")
-    elif kind == "fill":
-        _color_of(command)
-        _opacity_of(command)
-        _numbers({"at": (0.0, 0.0, 0.0), **given}, "at", (3,))
-    return command
-
-
-def stroke_of(command: Command) -> tuple[Projection, dict[str, Any]]:
-    """Return the picture of a stroke, and the options to paint it with. Raises ArgumentError."""
-    given = command.given
-    camera = given.get("camera")
-    if not isinstance(camera, dict):
-        raise ArgumentError("camera must be an object")
-    width, height = (as_whole(camera.get(name), name, 1, MOST_PIXELS) for name in ("width", "height"))  # type: ignore[arg-type]
-    pose, K = (_numbers(camera, name, shape) for name, shape in (("pose", (4, 4)), ("K", (3, 3))))
-    seen_by = Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
-    left, top, right, bottom = box = _numbers(given, "box", (4,)).tolist()
-    if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
-        raise ArgumentError(f"box must be a part of {width}×{height} pixels")
-    left, top, right, bottom = map(int, box)
-    size = (right - left) * (bottom - top)
-    unpacker = zlib.decompressobj(-15)
-    try:
-        coverage = unpacker.decompress(command.content, size + 1)
-    except zlib.error:
-        coverage = b""
-    if len(coverage) != size or not unpacker.eof or unpacker.unused_data:
-        raise ArgumentError(f"the content is no deflated coverage of {size:,} pixels")
-    image = np.zeros((height, width, 4), np.uint8)
-    image[..., :3] = _codes_of(command)
-    image[top:bottom, left:right, 3] = np.frombuffer(coverage, np.uint8).reshape(bottom - top, right - left)
-    options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
-    PaintOptions(**options)
-    return Projection(image, seen_by, opacity=_opacity_of(command)), options
-
-
 def mirrored(projection: Projection, axis: int, middle: float) -> Projection:
     """Return a picture as seen in a mirror across an axis, through the camera's image in that."""
     camera = cast(Camera, projection.camera)
@@ -341,35 +263,6 @@ def mirrored(projection: Projection, axis: int, middle: float) -> Projection:
     pose = np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera.world_to_camera @ mirror
     seen_by = Camera.pinhole((camera.width, camera.height), pose=pose, convention="opencv", K=K)
     return replace(projection, image=cast(Array, projection.image)[:, ::-1], camera=seen_by)
-
-
-def _mirror_of(command: Command) -> int | None:
-    """Return the axis that a command is mirrored across; None if it is not."""
-    name = command.given.get("mirror", "")
-    if name not in ("", "x", "y", "z"):
-        raise ArgumentError("mirror must be x, y, z or nothing")
-    return "xyz".index(name) if name else None
-
-
-def _opacity_of(command: Command) -> float:
-    return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
-
-
-def _color_of(command: Command) -> Array:
-    """Return a colour in linear light."""
-    return decode(_codes_of(command), "srgb")
-
-
-def _codes_of(command: Command) -> Uint8s:
-    """Return a colour as a page has it, in 8-bit sRGB."""
-    codes = _numbers(command.given, "color", (3,), 255.0)
-    if (codes < 0).any():
-        raise ArgumentError("color must be codes of 0 to 255")
-    return np.rint(codes).astype(np.uint8)
-
-
-def _numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:
-    return as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]
 
 
 def _everywhere(points: Array) -> Array:

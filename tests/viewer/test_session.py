@@ -125,6 +125,24 @@ def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session: Session) 
     assert session.shown.told["fault"] == ""
 
 
+def test_a_stroke_may_be_a_picture_of_many_colours(session: Session) -> None:
+    colors = np.random.default_rng(1).integers(0, 256, (24, 30, 3), np.uint8)
+    image = np.zeros((*SIZE[::-1], 4), np.uint8)
+    image[4:28, 10:40] = np.dstack([colors, disc(1)])
+    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    planes = np.dstack([colors, disc(1)]).transpose(2, 0, 1)
+    content = packer.compress(planes.tobytes()) + packer.flush()
+    line, _, _ = stroke(1, content=content).partition(b"\n")
+    fields = {name: value for name, value in json.loads(line).items() if name != "color"}
+    session.take(json.dumps(fields).encode() + b"\n" + content)
+    session.wait()
+    painter = octex.Painter(*canvas())
+    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
+    assert_same(session.shown.texture, painter.texture())
+    with pytest.raises(ArgumentError, match="red, green, blue and coverage of 720 pixels"):
+        session.take(json.dumps({**fields, "number": 2}).encode() + b"\n" + stroke(2).partition(b"\n")[2])
+
+
 def ones(points: Any) -> Any:
     return np.ones(len(points))
 

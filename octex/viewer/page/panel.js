@@ -1,0 +1,51 @@
+// What controls are made of.
+
+const ICONS = {
+  brush: "M20.7 3.3a2 2 0 0 0-2.8 0l-9 9 2.8 2.8 9-9a2 2 0 0 0 0-2.8zM7.5 13.7c-2 0-3.3 1.5-3.3 3.3 0 1.4-.8 2.2-2 2.5.9 1 2.3 1.6 3.8 1.6 2.6 0 4.7-1.8 4.7-4.2 0-1.8-1.4-3.2-3.2-3.2z",
+  pick: "M20.5 3.5a2.6 2.6 0 0 0-3.7 0l-2.6 2.6-1.1-1.1-1.6 1.6 1.2 1.2L5 15.4 4 20l4.6-1 7.6-7.7 1.2 1.2 1.6-1.6-1.1-1.1 2.6-2.6a2.6 2.6 0 0 0 0-3.7zM7.7 17.3l-1.5.4.4-1.5 6.9-7 1.2 1.2z",
+  fill: "M11 2.6 9.6 4l2 2-7 7a1.5 1.5 0 0 0 0 2.1l5.3 5.3c.6.6 1.5.6 2.1 0l8.1-8.1zm-4.6 11 6.7-6.6 4.6 4.6-2 2zM20.5 15s-2 2.4-2 3.8a2 2 0 0 0 4 0c0-1.4-2-3.8-2-3.8z",
+  undo: "M8 5 2.5 10.5 8 16v-4h5.5a3.8 3.8 0 0 1 0 7.5H9V22h4.5a6.2 6.2 0 0 0 0-12.5H8z",
+  redo: "m16 5 5.5 5.5L16 16v-4h-5.5a3.8 3.8 0 0 0 0 7.5H15V22h-4.5a6.2 6.2 0 0 1 0-12.5H16z",
+  save: "M4 3h12l5 5v13H3V4a1 1 0 0 1 1-1zm3 2v5h8V5zm5 8a3 3 0 1 0 0 6 3 3 0 0 0 0-6z",
+  swap: "M8 3 3 8l5 5V9.2h7V6.8H8zm8 8v3.8H9v2.4h7V21l5-5z",
+  theme: "M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20zm0 2.4v15.2a7.6 7.6 0 0 1 0-15.2z",
+};
+
+export function make(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value === true) made.setAttribute(key, "");
+    else if (value !== false && value !== null) made.setAttribute(key, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+export function icon(name) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), path = document.createElementNS(svg.namespaceURI, "path");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", ICONS[name]);
+  svg.append(path);
+  return svg;
+}
+
+// A button of the bar, with a name for those who do not see its icon.
+export const act = (id, name, title, run) => make("button", { type: "button", id, title, "aria-label": title, onclick: run }, icon(name));
+
+// A label with what its slider is set to, and the slider.
+export const slider = (id, text, attributes, set) => [
+  make("label", { for: id }, text, make("output", { id: `${id}-text`, for: id })),
+  make("input", { type: "range", id, ...attributes, oninput: ({ target }) => set(Number(target.value)) }),
+];
+
+// A box to tick, and a choice of one thing with its label.
+export const check = (id, text, set) => make("label", { class: "check" }, make("input", { type: "checkbox", id, oninput: ({ target }) => set(target.checked) }), text);
+export const choice = (id, text, options, set) => [
+  make("label", { for: id }, text),
+  make("select", { id, oninput: ({ target }) => set(target.value) }, ...options.map(([value, name]) => new Option(name, value))),
+];
+
+// What is opened when it is needed.
+export const section = (id, text, ...children) => make("details", { id }, make("summary", {}, text), ...children);

@@ -1,0 +1,25 @@
+// The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
+// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
+
+import { BrushDrag } from "./brush.js";
+
+export const TOOLS = [
+  { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event) },
+  { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
+  { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
+];
+
+// Take the colour of the surface, and go on with the brush.
+export function pick(painting, event) {
+  const [x, y] = painting.place(event), found = painting.viewer.pick(x, y)?.channels.find(({ name }) => name === painting.strokes.channel);
+  if (found) painting.set({ color: found.values.map((light) => 255 * Math.min(Math.max(light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055, 0), 1)) });
+  if (painting.tool.name === "pick") painting.choose("brush");
+}
+
+function fill(painting, event) {
+  const { color, opacity, blend, mirror, filled } = painting.brush, [x, y] = painting.place(event);
+  const isPart = filled === "part", at = isPart ? painting.viewer.pick(x, y)?.rest : undefined;
+  if (isPart && !at) return;
+  painting.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", color, opacity, blend, mirror, at });
+  painting.choose("brush");
+}
