@@ -125,11 +125,10 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
         what = "coverage" if has_color else "red, green, blue and coverage"
         raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
+    inside = image[top:bottom, left:right]
     if has_color:
-        image[..., :3] = codes_of(command)
-    image[top:bottom, left:right, -shape[0] :] = (
-        np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
-    )
+        inside[..., :3] = codes_of(command)
+    inside[..., -shape[0] :] = np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
     return image
 
 
