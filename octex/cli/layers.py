@@ -53,6 +53,8 @@ class Painting:
                 settings[name] = getattr(options, name)
         if options.max_angle is not None:
             settings["max_angle"], settings["back_faces"] = options.max_angle
+        if options.hidden:
+            settings["hidden"] = True
         given = [self._projection(shot) for shot in shots]
         background = _value_of(options) if isinstance(options.holes, tuple) else None
         layer = octex.project(surface, given, like=texture, **settings)

@@ -68,8 +68,15 @@ def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any],
     return before, shown, pictured(page)
 
 
-def rms(one: Any, other: Any, where: Any) -> float:
-    return float(np.sqrt(((one - other)[where] ** 2).mean()))
+def assert_same_inside(pictures: tuple[Any, ...], least: float = 0.01) -> Any:
+    """Check that a picture shows strokes as they are baked but at their rims; return where they are."""
+    before, shown, baked = pictures
+    changes = np.abs(shown - before).max(axis=2)
+    inside = changes > 0.4 * changes.max()
+    assert changes.max() > 25
+    assert inside.mean() > least
+    assert float(np.sqrt(((shown - baked)[inside] ** 2).mean())) <= 2
+    return inside
 
 
 @pytest.mark.parametrize("blend", BLENDS)
@@ -99,7 +106,203 @@ def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blend: str, studio: Stud
     brush = {"blend": blend, "color": [60, 140, 230], "opacity": 0.7, "hardness": 0.8}
     other = brush | {"color": [240, 120, 40]}
     drags = [(brush, [(-60, -20), (50, 10)]), (other, [(-10, -50), (0, 40)])]
-    before, shown, baked = drawn_and_baked(studio, page, drags)
-    inside = np.abs(shown - before).max(axis=2) > 20
-    assert inside.mean() > 0.02
-    assert rms(shown, baked, inside) <= 2
+    assert_same_inside(drawn_and_baked(studio, page, drags))
+
+
+#: Returns the box and the coverage of the stroke that was sent last.
+_SENT = """() => {
+  const { box, coverage } = viewer.painting.strokes.sent.at(-1);
+  return [box, Array.from(coverage), viewer.painting.strokes.size];
+}"""
+
+
+def stroke_drawn(studio: Studio, page: Any, places: Any, steps: int = 5, **brush: Any) -> Any:
+    """Draw a stroke; return its coverage as codes (height, width)."""
+    page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+    page.evaluate(_HOLD)
+    studio.drag(page, *places, steps=steps)
+    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    return sent(studio, page)
+
+
+def sent(studio: Studio, page: Any) -> Any:
+    """Return the coverage of the stroke that waits, as codes (height, width), and let it be baked."""
+    (left, top, right, bottom), codes, (width, height) = page.evaluate(_SENT)
+    page.evaluate("release()")
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    found = np.zeros((height, width), np.int64)
+    found[top:bottom, left:right] = np.reshape(codes, (bottom - top, right - left))
+    return found
+
+
+LINE = [(-70, 20), (60, -10)]
+
+
+@needs_jit
+@pytest.mark.parametrize("brush", [{"flow": 0.25}, {"flow": 0.1, "spacing": 0.3}, {"spacing": 1.25}, {}])
+def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(
+    brush: dict[str, Any], studio: Studio, page: Any
+) -> None:
+    often = stroke_drawn(studio, page, LINE, 60, **brush)
+    rarely = stroke_drawn(studio, page, LINE, 2, **brush)
+    assert often.max() > 40
+    assert np.abs(often - rarely).max() <= 1
+
+
+@needs_jit
+def test_paint_of_little_flow_builds_up_to_what_one_of_full_flow_is(studio: Studio, page: Any) -> None:
+    there_and_back = [*LINE, *LINE[::-1], *LINE]
+    line = stroke_drawn(studio, page, LINE, size=30, hardness=0.4)
+    found = []
+    for places in (LINE, there_and_back, there_and_back * 8):
+        found.append(stroke_drawn(studio, page, places, 1, size=30, hardness=0.4, flow=0.06))
+        assert (found[-1] <= line + 1).all()
+    once, thrice, often = found
+    assert 0.3 < once.max() / 255 < 0.7
+    assert (once <= thrice).all()
+    assert thrice.max() > once.max() + 40
+    inner = np.s_[:, line.shape[1] // 2 - 50 : line.shape[1] // 2 + 40]  # dabs end before the line does
+    assert np.abs(often - line)[inner].max() <= 4
+    full = stroke_drawn(studio, page, LINE, size=30, hardness=0.4, flow=0.99, spacing=0.05)
+    assert np.abs(full - line)[inner].max() <= 6
+
+
+@needs_jit
+def test_dabs_lie_as_far_from_each_other_as_the_spacing_says(studio: Studio, page: Any) -> None:
+    codes = stroke_drawn(studio, page, [(-60, 0), (60, 0)], size=20, hardness=1, spacing=1.5)
+    row = codes[codes.shape[0] // 2] > 128
+    starts = np.flatnonzero(np.diff(row.astype(int), prepend=0) == 1)
+    assert len(starts) == 5
+    assert np.abs(np.diff(starts) - 30).max() <= 1
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    "brush",
+    [
+        {"flow": 0.15, "hardness": 0.3},
+        {"spacing": 1.2, "hardness": 0.6},
+        {"unit": "model", "size": 140},
+        {"opacity": 0.5, "flow": 0.5, "blend": "multiply"},
+    ],
+)
+def test_each_setting_of_the_brush_is_seen_at_once_as_it_is_baked(
+    brush: dict[str, Any], studio: Studio, page: Any
+) -> None:
+    drags = [(brush, [(-60, 0), (0, -40), (60, 20)])]
+    assert_same_inside(drawn_and_baked(studio, page, drags))
+
+
+@needs_jit
+def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio: Studio, page: Any) -> None:
+    page.evaluate("viewer.painting.set({ unit: 'model', size: 100, hardness: 1 })")
+    edge = studio.texture.placement.size
+    for zoom in (1, 2.5):
+        page.evaluate("(zoom) => { viewer.camera.zoom(zoom); viewer.move(); }", zoom)
+        page.wait_for_function("viewer.isSharp", timeout=60_000)
+        before = studio.session.shown.texture
+        studio.drag(page, (0, 0), (0, 0))
+        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        points = studio.surface.scatter(40_000, 0)
+        apart = studio.session.shown.texture.sample(points) - before.sample(points)
+        painted = points.points[np.abs(apart).max(axis=1) > 0.15]
+        away = np.linalg.norm(painted - painted.mean(axis=0), axis=1)
+        assert away.max() == pytest.approx(0.05 * edge, rel=0.12)
+        page.keyboard.press("Control+z")
+
+
+@needs_jit
+def test_the_unit_changes_and_the_size_stays(page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.evaluate("document.getElementById('tip').open = true")
+    page.select_option("#unit", "model")
+    assert page.evaluate("viewer.painting.brush.size") != 40
+    assert page.evaluate("viewer.painting.width") == pytest.approx(40, rel=0.03)
+    page.select_option("#unit", "pixels")
+    assert page.evaluate("viewer.painting.brush.size") == pytest.approx(40, abs=2)
+    page.evaluate("document.getElementById('tip').open = false")
+
+
+@needs_jit
+def test_a_pen_s_pressure_changes_what_it_is_set_to(studio: Studio, page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    middle = box["width"] / 2, box["height"] / 2
+    pen = page.context.new_cdp_session(page)
+
+    def pressed(how: str) -> Any:
+        page.evaluate("(pressure) => viewer.painting.set({ pressure, hardness: 1, size: 30 })", how)
+        page.evaluate(_HOLD)
+        event = {"button": "left", "clickCount": 1, "pointerType": "pen"}
+        for kind, right, force in (("Pressed", 0, 0.2), ("Moved", 30, 0.5), ("Moved", 60, 0.8)):
+            place = {"x": middle[0] - 30 + right, "y": middle[1], "force": force, "buttons": 1}
+            pen.send("Input.dispatchMouseEvent", {"type": f"mouse{kind}", **event, **place})
+        pen.send("Input.dispatchMouseEvent", {"type": "mouseReleased", **event, **place, "buttons": 0})
+        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        return sent(studio, page)
+
+    heights, codes = {}, {}
+    for how in ("size", "opacity", "both", ""):
+        covered = pressed(how)
+        near, far = (covered[:, int(middle[0]) + x] for x in (-29, 29))
+        heights[how], codes[how] = [(each > 60).sum() / 30 for each in (near, far)], [near.max(), far.max()]
+    assert heights["size"] == pytest.approx([0.35, 0.8], abs=0.12)
+    assert codes["size"] == [255, 255]
+    assert heights["opacity"][1] == pytest.approx(1, abs=0.05)
+    assert codes["opacity"] == pytest.approx([0.25 * 255, 0.75 * 255], abs=15)
+    assert codes["both"][1] < 220
+    assert heights[""] == pytest.approx([1, 1], abs=0.05)
+    assert codes[""] == [255, 255]
+
+
+_ARC = """async ([count, radius, turn]) => {
+  const { Path } = await import("./path.js"), found = [];
+  const place = (n) => [Math.cos, Math.sin].map((of) => radius * of((turn * n) / count)).concat([n]);
+  const path = new Path(place(0));
+  for (let n = 1; n <= count; n++) {
+    for (const [from, to] of path.to(place(n))) {
+      for (const t of [0, 0.25, 0.5, 0.75]) found.push(from.map((each, m) => each + t * (to[m] - each)));
+    }
+  }
+  return found;
+}"""
+
+
+def test_the_way_of_a_pen_is_a_curve_through_its_places(page: Any) -> None:
+    points = np.array(page.evaluate(_ARC, [16, 100, 2 * np.pi]))
+    away = np.abs(np.linalg.norm(points[:, :2], axis=1) - 100)
+    straight = 100 * (1 - np.cos(np.pi / 16))
+    later = points[:, 2] > 2  # it has then seen how the pen turns
+    assert away[later].max() < straight / 2.5
+    assert (np.diff(points[:, 2]) > -1e-9).all()
+    corners = np.array(page.evaluate(_ARC, [3, 100, 2 * np.pi]))  # a triangle stays one
+    sides = np.linalg.norm(corners[:, :2], axis=1)
+    assert sides.min() == pytest.approx(50, abs=2)
+    line = np.array(page.evaluate(_ARC, [4, 1e9, 1e-6]))
+    assert np.abs(line[:, 0] - 1e9).max() < 1e-2
+
+
+@needs_jit
+def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    needle = "document.querySelector('#ring i').getBoundingClientRect()"
+    lengths = []
+    for x, y in ((0, 0), (100, 0), (0, -100)):
+        page.mouse.move(box["width"] / 2 + x, box["height"] / 2 + y)
+        found = page.evaluate(f"(({{ width, height }}) => [width, height])({needle})")
+        lengths.append(found)
+    assert max(lengths[0]) < 4
+    assert lengths[1][0] > 6
+    assert lengths[1][1] < 4
+    assert lengths[2][0] < 4
+    assert lengths[2][1] > 6
+    times = page.evaluate("""async () => {
+      const { under } = await import("./under.js"), { viewer } = globalThis, found = [];
+      for (let n = 0; n < 50; n++) {
+        const began = performance.now();
+        under(viewer, 400 + n, 200);
+        found.push(performance.now() - began);
+      }
+      return found.sort((a, b) => a - b);
+    }""")
+    assert times[25] <= 2
