@@ -58,8 +58,8 @@ _TABLE = """
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
 --max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
---max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces
---hidden              also paint surface that other surface hides from the camera
+--max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces;
+                      75,hidden: also what other surface hides
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
 --pictures MODE       how pictures combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting
@@ -208,9 +208,9 @@ paint  Project pictures through their cameras onto a model, into its texture or 
   MODEL    the model, in the pose that the cameras see
   OUTPUT   the painted texture, NAME.octex; with --force it may be TEXTURE
   [IMAGE ...]  pictures, named as their cameras (or IMAGE=CAMERA), or layers; default: the cameras'
-  --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --hidden
-  --edge-feather --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory
-  --resume SHAPE --layer-out --preview RUNNING
+  --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --edge-feather
+  --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
+  --layer-out --preview RUNNING
 
 bake  Write a model with images, or vertex colours, of a texture, for other programs.
   > droid.octex droid.glb baked.glb

@@ -544,7 +544,7 @@ def test_the_options_of_painting_reach_the_library(
         return project(*arguments, **options)
 
     monkeypatch.setattr(octex, "project", projected)
-    more = "--max-depth 3 --max-angle 60,both --hidden --edge-feather 1.5 --balance gain --pictures average"
+    more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     result(capsys, *scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     run = seen.pop("run")
@@ -561,9 +561,11 @@ def test_the_options_of_painting_reach_the_library(
         "balance": "gain",
         "reference": None,
         "back_faces": True,
-        "hidden": True,
+        "hidden": False,
         "fit": False,
     }
+    result(capsys, *scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
+    assert (seen["max_angle"], seen["back_faces"], seen["hidden"]) == (None, False, True)
 
 
 @needs_jit
