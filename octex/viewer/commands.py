@@ -13,7 +13,6 @@ import numpy as np
 
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
-from octex.channels import decode
 from octex.checks import as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
@@ -22,6 +21,7 @@ from octex.painting.picture import Projection
 #: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
+_MOST_CHANNELS = 16
 _MOST_NUMBER = 2**53 - 1
 
 
@@ -63,15 +63,27 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
     camera = camera_of(command)
+    values_of(command)
     picture = Projection(picture_of(command, camera), camera, opacity=opacity_of(command))
     return picture, options, mirror_of(command)
 
 
-def fill_of(command: Command) -> tuple[Array, float, Array | None, int | None]:
-    """Return the colour of a fill, its opacity, a point of the part or None for all, and its mirror."""
+def fill_of(command: Command) -> tuple[float, Array | None, int | None]:
+    """Return the opacity of a fill, a point of the part or None for all, and its mirror."""
     _no_content(command)
+    if "color" in command.given or not values_of(command):
+        codes_of(command)
     at = numbers(command.given, "at", (3,)) if "at" in command.given else None
-    return color_of(command), opacity_of(command), at, mirror_of(command)
+    return opacity_of(command), at, mirror_of(command)
+
+
+def channel_of(command: Command) -> str:
+    """Return the name of the channel that a command adds."""
+    _no_content(command)
+    name = command.given.get("channel")
+    if not isinstance(name, str):
+        raise ArgumentError("channel must be a name")
+    return name
 
 
 def _no_content(command: Command) -> None:
@@ -83,6 +95,7 @@ def _no_content(command: Command) -> None:
 _READERS: dict[str, Callable[[Command], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
+    "channel": channel_of,
     "undo": _no_content,
     "redo": _no_content,
     "save": _no_content,
@@ -102,16 +115,16 @@ def camera_of(command: Command) -> Camera:
 def picture_of(command: Command, camera: Camera) -> Uint8s:
     """Return the picture (height, width, 4) of a stroke, in sRGB.
 
-    The content has its ``box`` alone, deflated: the coverage by its ``color``; without that, planes of red,
-    green, blue and coverage.
+    The content has its ``box`` alone, deflated: the coverage by its ``color`` or ``values``; without both,
+    planes of red, green, blue and coverage.
     """
     width, height = camera.width, camera.height
     left, top, right, bottom = box = numbers(command.given, "box", (4,)).tolist()
     if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
         raise ArgumentError(f"box must be a part of {width}×{height} pixels")
     left, top, right, bottom = map(int, box)
-    has_color = "color" in command.given
-    shape = (1 if has_color else 4, bottom - top, right - left)
+    is_plain = "color" in command.given or bool(values_of(command))
+    shape = (1 if is_plain else 4, bottom - top, right - left)
     size = math.prod(shape)
     unpacker = zlib.decompressobj(-15)
     try:
@@ -119,10 +132,10 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
     except zlib.error:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
-        what = "coverage" if has_color else "red, green, blue and coverage"
+        what = "coverage" if is_plain else "red, green, blue and coverage"
         raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
-    if has_color:
+    if "color" in command.given:
         image[..., :3] = codes_of(command)
     image[top:bottom, left:right, -shape[0] :] = (
         np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
@@ -143,17 +156,20 @@ def opacity_of(command: Command) -> float:
     return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
 
 
-def color_of(command: Command) -> Array:
-    """Return a colour in linear light."""
-    return decode(codes_of(command), "srgb")
-
-
 def codes_of(command: Command) -> Uint8s:
     """Return a colour as a page has it, in 8-bit sRGB."""
     codes = numbers(command.given, "color", (3,), 255.0)
     if (codes < 0).any():
         raise ArgumentError("color must be codes of 0 to 255")
     return np.rint(codes).astype(np.uint8)
+
+
+def values_of(command: Command) -> dict[str, Array]:
+    """Return the numbers that each channel is painted with; none if the command has no values."""
+    given = command.given.get("values", {})
+    if not isinstance(given, dict) or len(given) > _MOST_CHANNELS:
+        raise ArgumentError(f"values must be an object of at most {_MOST_CHANNELS} channels")
+    return {name: numbers(given, name, (-1,)) for name in given}
 
 
 def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:

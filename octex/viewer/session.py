@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -27,6 +27,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer.commands import Command, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
+from octex.viewer.material import paint_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -187,10 +188,14 @@ class Session:
         both = [projection]
         if axis is not None:
             both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
-        self._did(command, [self._painter.paint(each, **options) for each in both])
+        paint = paint_of(command, self._painter.texture())
+        calls = [(BASE_COLOR.name, each) for each in both]
+        if paint is not None:
+            calls = [(value.form.name, value.pictured(each)) for each in both for value in paint]
+        self._did(command, [self._painter.paint(each, channel=name, **options) for name, each in calls])
 
     def _do_fill(self, command: Command) -> None:
-        color, opacity, point, axis = fill_of(command)
+        opacity, point, axis = fill_of(command)
         regions: list[Any] = [_everywhere]
         if point is not None:
             parts = {self._part_at(point)}
@@ -198,7 +203,15 @@ class Session:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
                 parts.add(self._part_at(point))
             regions = [self._surface.parts == number for number in sorted(parts)]
-        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
+        paint = paint_of(command, self._painter.texture()) or []
+        calls = [(each, value) for each in regions for value in paint]
+        fill = partial(self._painter.fill, opacity=opacity)
+        self._did(command, [fill(each, value.light, channel=value.form.name) for each, value in calls])
+
+    def _do_channel(self, command: Command) -> None:
+        texture = self._painter.texture()
+        change = Change(None, texture, with_channel(command, texture))
+        self._did(command, [self._painter.put(change)])
 
     def _middle(self, vertices: Array) -> Array:
         used = vertices[np.unique(self._surface.triangles)]
