@@ -13,15 +13,16 @@ import numpy as np
 
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
-from octex.checks import as_number, as_reals, as_whole
+from octex.checks import as_choice, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
-from octex.painting.picture import Projection
+from octex.painting.picture import Blend, Projection
 
 #: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
 _MOST_CHANNELS = 16
+_BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 
 
@@ -63,18 +64,19 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
     camera = camera_of(command)
-    values_of(command)
-    picture = Projection(picture_of(command, camera), camera, opacity=opacity_of(command))
+    image = picture_of(command, camera)
+    picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
     return picture, options, mirror_of(command)
 
 
-def fill_of(command: Command) -> tuple[float, Array | None, int | None]:
-    """Return the opacity of a fill, a point of the part or None for all, and its mirror."""
+def fill_of(command: Command) -> tuple[dict[str, Any], Array | None, int | None]:
+    """Return the options of a fill, a point of the part or None for all, and its mirror."""
     _no_content(command)
     if "color" in command.given or not values_of(command):
         codes_of(command)
     at = numbers(command.given, "at", (3,)) if "at" in command.given else None
-    return opacity_of(command), at, mirror_of(command)
+    options = {"opacity": opacity_of(command), "blend": blend_of(command)}
+    return options, at, mirror_of(command)
 
 
 def channel_of(command: Command) -> str:
@@ -154,6 +156,11 @@ def mirror_of(command: Command) -> int | None:
 def opacity_of(command: Command) -> float:
     """Return the opacity of paint, 1 unless it is given."""
     return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
+
+
+def blend_of(command: Command) -> Blend:
+    """Return how paint combines with what is there."""
+    return as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
 
 
 def codes_of(command: Command) -> Uint8s:

@@ -195,7 +195,7 @@ class Session:
         self._did(command, [self._painter.paint(each, channel=name, **options) for name, each in calls])
 
     def _do_fill(self, command: Command) -> None:
-        opacity, point, axis = fill_of(command)
+        options, point, axis = fill_of(command)
         regions: list[Any] = [_everywhere]
         if point is not None:
             parts = {self._part_at(point)}
@@ -205,7 +205,7 @@ class Session:
             regions = [self._surface.parts == number for number in sorted(parts)]
         paint = paint_of(command, self._painter.texture()) or []
         calls = [(each, value) for each in regions for value in paint]
-        fill = partial(self._painter.fill, opacity=opacity)
+        fill = partial(self._painter.fill, **options)
         self._did(command, [fill(each, value.light, channel=value.form.name) for each, value in calls])
 
     def _do_channel(self, command: Command) -> None:

@@ -37,9 +37,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

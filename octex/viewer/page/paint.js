@@ -23,7 +23,7 @@ export async function begin(viewer, told) {
 class Painting {
   constructor(viewer) {
     this.viewer = viewer;
-    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part" };
+    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, blend: "over", angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part" };
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -68,6 +68,7 @@ class Painting {
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
+      ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),

@@ -7,6 +7,11 @@ const cosine = (degrees) => Math.cos((degrees * Math.PI) / 180);
 export const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
 const LIGHTS = Float32Array.from({ length: 256 }, (_, code) => toLight(code));
 
+// How paint p meets what is there, b: with a coverage a it makes b·(1 − a·cover) + a·added of each component. Here are
+// cover and added for each blend mode, and tables of both by p's code. See BLENDS in octex/painting/picture.py.
+const BLENDS = { over: (p) => [1, p], multiply: (p) => [1 - p, 0], screen: (p) => [p, p], add: (p) => [0, p] };
+const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => [name, [0, 1].map((n) => LIGHTS.map((p) => blend(p)[n]))]));
+
 // Of matrices, column after column.
 function product(a, b) {
   const entry = (n) => [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + (n % 4)] * b[4 * Math.floor(n / 4) + k], 0);
@@ -17,8 +22,8 @@ export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
     this.channel = "base_color";
-    this.current = null; // color, opacity, hardness, box
-    this.sent = []; // what is not painted yet: number, box, coverage, opacity, color or planes of colors
+    this.current = null; // color, opacity, hardness, blend, box
+    this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color or planes of colors
     this.size = [0, 0];
   }
 
@@ -48,16 +53,18 @@ export class Strokes {
     const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
     this.target = gpu.target("stroke", width, height, [gl.R8]);
-    if (this.texture) gl.deleteTexture(this.texture);
-    this.texture = gl.createTexture();
-    for (const texture of [this.texture, this.target.textures[0]]) {
+    for (const texture of this.composed ?? []) gl.deleteTexture(texture);
+    this.composed = [gl.createTexture(), gl.createTexture()];
+    for (const texture of [...this.composed, this.target.textures[0]]) {
       gl.bindTexture(gl.TEXTURE_2D, texture);
       for (const name of ["MIN", "MAG"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
       for (const name of ["S", "T"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
     }
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, width, height);
-    this.light = new Float32Array(4 * width * height);
+    for (const texture of this.composed) {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGB16F, width, height);
+    }
+    this.sums = this.composed.map(() => new Float32Array(3 * width * height));
     this.clear();
   }
 
@@ -135,36 +142,47 @@ export class Strokes {
     if (this.sent.length !== before) this.compose();
   }
 
-  // Lay strokes that are not painted yet over each other, as they will be painted.
+  // Lay strokes that are not painted yet over each other, as they will be painted: how they cover what is there, and
+  // the light that they add.
   compose() {
-    const { gl } = this.viewer.gpu, [width, height] = this.size, { light } = this;
+    const { gl } = this.viewer.gpu, [width, height] = this.size, [cover, added] = this.sums;
     if (!this.sent.length) return;
-    light.fill(0);
-    for (const { box: [left, top, right, bottom], coverage, color, colors, opacity } of this.sent) {
-      const paint = color?.map(toLight), plane = coverage.length;
+    cover.fill(0);
+    added.fill(0);
+    for (const { box: [left, top, right, bottom], coverage, color, colors, opacity, blend = "over" } of this.sent) {
+      const paint = color?.map(Math.round), plane = coverage.length, [covers, adds] = TABLES[blend];
       for (let row = top, n = 0; row < bottom; row++) {
-        for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+        for (let at = 3 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 3, n++) {
           const share = (opacity * coverage[n]) / 255;
-          for (let k = 0; k < 3; k++) light[at + k] += share * ((paint ? paint[k] : LIGHTS[colors[k * plane + n]]) - light[at + k]);
-          light[at + 3] += share * (1 - light[at + 3]);
+          if (!share) continue;
+          for (let k = 0; k < 3; k++) {
+            const code = paint ? paint[k] : colors[k * plane + n], own = share * covers[code];
+            cover[at + k] += own * (1 - cover[at + k]);
+            added[at + k] += share * adds[code] - own * added[at + k];
+          }
         }
       }
     }
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGBA, gl.FLOAT, light);
+    this.composed.forEach((texture, n) => {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGB, gl.FLOAT, this.sums[n]);
+    });
   }
 
   // What the picture is drawn with.
   get textures() {
-    const [u_strokesPlaces, u_strokesWays] = this.places.textures;
-    return { u_strokes: this.texture, u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays };
+    const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_strokesCover, u_strokesAdded] = this.composed;
+    return { u_strokesCover, u_strokesAdded, u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays };
   }
 
   set(program, width, height) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const { color = [0, 0, 0], opacity = 0, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
+    const { color = [0, 0, 0], opacity = 0, blend = "over", angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
     const isWhole = angle >= 90;
-    gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere && current ? opacity : 0);
+    const [cover, added] = TABLES[blend].map((table) => color.map((code) => table[Math.round(code)]));
+    gl.uniform3fv(program.at("u_cover"), cover);
+    gl.uniform3fv(program.at("u_added"), added);
+    gl.uniform1f(program.at("u_opacity"), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
     const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;

@@ -17,9 +17,9 @@ export function pick(painting, event) {
 }
 
 function fill(painting, event) {
-  const { color, opacity, mirror, filled } = painting.brush, [x, y] = painting.place(event);
+  const { color, opacity, blend, mirror, filled } = painting.brush, [x, y] = painting.place(event);
   const isPart = filled === "part", at = isPart ? painting.viewer.pick(x, y)?.rest : undefined;
   if (isPart && !at) return;
-  painting.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", color, opacity, mirror, at });
+  painting.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", color, opacity, blend, mirror, at });
   painting.choose("brush");
 }

@@ -73,9 +73,12 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 #endif
 
 #ifdef PAINTED
-uniform sampler2D u_strokes;  // what is sent and not yet painted: light times coverage, and coverage
+uniform sampler2D u_strokesCover;  // what is sent and not yet painted: how it covers what is there
+uniform sampler2D u_strokesAdded;  // and the light that it adds
 uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
-uniform vec4 u_paint;  // its light and opacity
+uniform vec3 u_cover;  // how its paint covers what is there, and the light that it adds
+uniform vec3 u_added;
+uniform float u_opacity;
 uniform vec2 u_picture;  // pixels
 uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
 uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: this view, 2: another one, of which
@@ -102,10 +105,10 @@ vec3 painted(vec3 light, vec4 place, float cosine) {
     before = isSeen ? paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y))) : 0.0;
   }
   if (u_strokesView > 0) {
-    vec4 sent = before * texture(u_strokes, from);
-    light = light * (1.0 - sent.a) + sent.rgb;
+    light = light * (1.0 - before * texture(u_strokesCover, from).rgb) + before * texture(u_strokesAdded, from).rgb;
   }
-  return mix(light, u_paint.rgb, share * u_paint.a * texture(u_stroke, at).r);
+  float part = share * u_opacity * texture(u_stroke, at).r;
+  return min(light * (1.0 - part * u_cover) + part * u_added, 1.0);
 }
 #endif
 
