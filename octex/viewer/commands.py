@@ -72,7 +72,7 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]
 def fill_of(command: Command) -> tuple[dict[str, Any], Array | None, int | None]:
     """Return the options of a fill, a point of the part or None for all, and its mirror."""
     _no_content(command)
-    if "color" in command.given or not values_of(command):
+    if not values_of(command) or "color" in command.given:
         codes_of(command)
     at = numbers(command.given, "at", (3,)) if "at" in command.given else None
     options = {"opacity": opacity_of(command), "blend": blend_of(command)}
@@ -125,7 +125,7 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
     if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
         raise ArgumentError(f"box must be a part of {width}×{height} pixels")
     left, top, right, bottom = map(int, box)
-    is_plain = "color" in command.given or bool(values_of(command))
+    is_plain = bool(values_of(command)) or "color" in command.given
     shape = (1 if is_plain else 4, bottom - top, right - left)
     size = math.prod(shape)
     unpacker = zlib.decompressobj(-15)
