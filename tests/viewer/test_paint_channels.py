@@ -12,10 +12,12 @@ import pytest
 
 import octex
 from octex.channels import NORMAL, ChannelFormat, decode, encode
+from octex.editing.draft import Change, joined_change
 from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
+from octex.viewer.changes import change_between, change_of
 from octex.viewer.session import Session
 from tests.make.painted import ball
 from tests.make.same import assert_same
@@ -256,3 +258,27 @@ def test_a_channel_that_pages_do_not_add_is_told(name: str, session: Session) ->
     session.wait()
     assert "unknown channel to add" in session.shown.told["fault"]
     assert session.shown.told["steps"] == []
+
+
+def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles() -> None:
+    surface = ball(48).with_sources({"roughness": 0.5, "metallic": 0.0})
+    painter = octex.Painter(octex.convert(surface, depth=8), surface)
+    before = painter.texture()
+    values = {"base_color": color_of(1), "roughness": [0.1], "metallic": [1.0]}
+    painted(painter, 1, values)
+    painter.fill(octex.Sphere((1.0, 0.0, 0.0), 0.05), (0.1, 0.2, 0.3))
+    changes = [change for each in painter.strokes for change in each]
+    after = painter.texture()
+    for some in (changes, changes[:3]):
+        if some is not changes:
+            painter.undo()
+        after = painter.texture()
+        joined = joined_change(some, before, after)
+        assert joined.tiles is not None
+        assert change_of(joined, before, after) == change_between(before, after)
+        back = joined.inverted()
+        assert change_of(back, after, before) == change_between(after, before)
+        assert_same(joined.put_into(before), after)
+        assert_same(back.put_into(after), before)
+    grown = before.with_cells(before.tree, before.channels)
+    assert joined_change([changes[0], Change(None, before, grown)], before, grown).tiles is None

@@ -8,7 +8,7 @@ export class BrushDrag {
     this.painting = painting;
     this.at = painting.place(event);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, camera: { width, height, K, pose } });
+    strokes.begin({ ...painting.brush, ...painting.paint, camera: { width, height, K, pose } });
     this.draw(this.at, this.at);
   }
 
@@ -37,9 +37,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, mirror };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

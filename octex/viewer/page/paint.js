@@ -1,6 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Material, fromHex, toHex } from "./material.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -10,8 +11,7 @@ const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
 
-const toHex = (color) => `#${color.map((code) => Math.round(code).toString(16).padStart(2, "0")).join("")}`;
-const fromHex = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16));
+const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
 export async function begin(viewer, told) {
   const painting = new Painting(viewer);
@@ -23,7 +23,8 @@ export async function begin(viewer, told) {
 class Painting {
   constructor(viewer) {
     this.viewer = viewer;
-    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, blend: "over", angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part" };
+    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, blend: "over", angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part", ticked: ["base_color"], values: {} };
+    Object.assign(this.brush, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -57,6 +58,7 @@ class Painting {
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
+    this.material = new Material(this);
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
       make("div", { class: "bar" },
         act("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
@@ -69,6 +71,7 @@ class Painting {
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
       ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
+      this.material.section,
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
@@ -106,7 +109,13 @@ class Painting {
       element(name).value = brush[name];
       element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
     }
+    this.material.show();
     if (this.at) this.outline(this.at);
+  }
+
+  // What strokes and fills are painted with: a colour, values of other channels, or both.
+  get paint() {
+    return this.material.paint;
   }
 
   swap() {
@@ -140,6 +149,7 @@ class Painting {
     }, { capture: true, passive: false });
     on("dblclick", (event) => event.target === canvas && this.isOnModel && event.stopPropagation());
     document.addEventListener("keydown", (event) => this.key(event), true);
+    window.addEventListener("pagehide", () => sessionStorage.setItem(KEPT, JSON.stringify(this.brush)));
     window.addEventListener("beforeunload", (event) => {
       if (this.sending.waiting.length) event.preventDefault();
     });
@@ -159,10 +169,9 @@ class Painting {
 
   // Why nothing can be painted on what is shown; or nothing.
   get hindrance() {
-    const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
+    const { look } = this.viewer;
     if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
-    if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
-    return "";
+    return this.material.hindrance;
   }
 
   down(event) {
