@@ -51,9 +51,7 @@ class Value(NamedTuple):
         return decode(self.codes, "srgb" if _is_color(self.form) else self.form.space)
 
     def pictured(self, projection: Projection) -> Projection:
-        """Return a picture with the same coverage and this value; one of base colour has that already."""
-        if self.form.name == BASE_COLOR.name:
-            return projection
+        """Return a picture with the same coverage and this value."""
         coverage = cast(Array, projection.image)[..., 3]
         dtype = self.codes.dtype if self.codes.dtype.kind == "u" else np.dtype(np.float32)
         image = np.zeros((*coverage.shape, 4), dtype)
@@ -62,8 +60,17 @@ class Value(NamedTuple):
         return replace(projection, image=image)
 
 
-def paint_of(command: Command, texture: OctreeTexture) -> list[Value] | None:
-    """Return what a command paints channels with, in the texture's order; None for a picture's own colours.
+def pictures_of(
+    command: Command, projection: Projection, texture: OctreeTexture
+) -> list[tuple[str, Projection]]:
+    """Return the channels that a stroke paints, and a picture for each; raise ArgumentError as `paint_of`."""
+    if not values_of(command):
+        return [(BASE_COLOR.name, projection)]
+    return [(value.form.name, value.pictured(projection)) for value in paint_of(command, texture)]
+
+
+def paint_of(command: Command, texture: OctreeTexture) -> list[Value]:
+    """Return what the colour and the values of a command paint channels with, in the texture's order.
 
     Raises ArgumentError for channels that the texture does not have, and for values that they cannot hold.
     """
@@ -72,8 +79,10 @@ def paint_of(command: Command, texture: OctreeTexture) -> list[Value] | None:
         found.append(_value(format_of(texture, name), given))
     if "color" in command.given:
         found.append(Value(texture.channels[BASE_COLOR.name].format, codes_of(command)))
+    if len({value.form.name for value in found}) < len(found):
+        raise ArgumentError(f"color is the value of {BASE_COLOR.name!r}; leave one of them out")
     order = list(texture.channels)
-    return sorted(found, key=lambda value: order.index(value.form.name)) or None
+    return sorted(found, key=lambda value: order.index(value.form.name))
 
 
 def _value(form: ChannelFormat, numbers: Array) -> Value:

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -27,7 +27,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer.commands import Command, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
-from octex.viewer.material import paint_of, with_channel
+from octex.viewer.material import paint_of, pictures_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -188,10 +188,8 @@ class Session:
         both = [projection]
         if axis is not None:
             both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
-        paint = paint_of(command, self._painter.texture())
-        calls = [(BASE_COLOR.name, each) for each in both]
-        if paint is not None:
-            calls = [(value.form.name, value.pictured(each)) for each in both for value in paint]
+        texture = self._painter.texture()
+        calls = [call for each in both for call in pictures_of(command, each, texture)]
         self._did(command, [self._painter.paint(each, channel=name, **options) for name, each in calls])
 
     def _do_fill(self, command: Command) -> None:
@@ -203,10 +201,14 @@ class Session:
                 point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
                 parts.add(self._part_at(point))
             regions = [self._surface.parts == number for number in sorted(parts)]
-        paint = paint_of(command, self._painter.texture()) or []
-        calls = [(each, value) for each in regions for value in paint]
-        fill = partial(self._painter.fill, **options)
-        self._did(command, [fill(each, value.light, channel=value.form.name) for each, value in calls])
+        calls = [(each, value) for each in regions for value in paint_of(command, self._painter.texture())]
+        self._did(
+            command,
+            [
+                self._painter.fill(each, value.light, channel=value.form.name, **options)
+                for each, value in calls
+            ],
+        )
 
     def _do_channel(self, command: Command) -> None:
         texture = self._painter.texture()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,12 +32,12 @@ def canvas() -> tuple[OctreeTexture, Surface]:
     """A ball with material channels, and a height in floats."""
     surface = ball(12).with_sources({"roughness": 0.5, "metallic": 0.0, "emissive": (0.1, 0.0, 0.0)})
     form = ChannelFormat("height", 1, "data", "float16")
-    return with_zeros(octex.convert(surface, depth=5), form), surface
+    return with_values(octex.convert(surface, depth=5), form, 0), surface
 
 
-def with_zeros(texture: OctreeTexture, form: ChannelFormat) -> OctreeTexture:
-    """Return a texture with one more channel."""
-    parts = (np.zeros((count, form.components), form.dtype) for count in row_counts(texture.tree))
+def with_values(texture: OctreeTexture, form: ChannelFormat, code: int) -> OctreeTexture:
+    """Return a texture with one more channel, of one value."""
+    parts = (np.full((count, form.components), code, form.dtype) for count in row_counts(texture.tree))
     return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
 
 
@@ -62,6 +63,13 @@ def painted(painter: octex.Painter, number: int, values: dict[str, Any], blend: 
     for name, channel in painter.texture().channels.items():
         if name in values:
             painter.paint(picture(number, channel.format, values[name], blend), channel=name, max_angle=85)
+
+
+def light_of(form: ChannelFormat, value: Any) -> Any:
+    """Return a value as fills of the library take it."""
+    if form.components == 3:
+        return decode(np.array(value, np.uint8), "srgb")
+    return decode(encode(np.array(value, np.float64), form.dtype, "data"), "data")
 
 
 def color_of(number: int) -> list[int]:
@@ -111,11 +119,7 @@ def test_a_fill_paints_several_channels(session: Session) -> None:
     session.take(plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
     session.wait()
     for name, channel in painter.texture().channels.items():
-        form, value = channel.format, ({"base_color": [250, 0, 10]} | GIVEN)[name]
-        if form.components == 3:
-            light = decode(np.array(value, np.uint8), "srgb")
-        else:
-            light = decode(encode(np.array(value, np.float64), form.dtype, "data"), "data")
+        light = light_of(channel.format, ({"base_color": [250, 0, 10]} | GIVEN)[name])
         painter.fill(ones, light, channel=name, opacity=0.5)
     half = decode(np.array([128], np.uint8), "data")
     painter.fill(ones, half, channel="roughness", opacity=0.25, blend="multiply")
@@ -167,6 +171,7 @@ def test_values_that_are_no_numbers_are_refused(values: Any, why: str, session: 
         ({"roughness": [1.01]}, "values of 'roughness' must be from 0 to 1"),
         ({"roughness": [-0.01]}, "values of 'roughness' must be from 0 to 1"),
         ({"roughness": [0.5, 0.5]}, "values of 'roughness' must be 1, not 2"),
+        ({"base_color": [1, 2, 3]}, "color is the value of 'base_color'"),
         ({"roughness": []}, "values of 'roughness' must be 1, not 0"),
         ({"emissive": [0, 0, 256]}, "values of 'emissive' must be codes of 0 to 255"),
         ({"emissive": [0.5]}, "values of 'emissive' must be 3, not 1"),
@@ -179,9 +184,11 @@ def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(
     values: Any, why: str, tmp_path: Path
 ) -> None:
     more = ball(12).with_sources({"roughness": 0.5, "emissive": (0.0, 0.0, 0.0), "alpha": 1.0})
-    texture = with_zeros(octex.convert(more, depth=4), NORMAL)
+    texture = with_values(octex.convert(more, depth=4), NORMAL, 0)
     session = Session(texture, more, tmp_path / "out.octex")
-    for number, body in enumerate((stroke(1, values=values), plain("fill", 2, values=values)), 1):
+    for number, body in enumerate(
+        (stroke(1, values=values), plain("fill", 2, values=values, color=[1, 2, 3])), 1
+    ):
         session.take(body)
         session.wait()
         assert why in session.shown.told["fault"]
@@ -239,14 +246,14 @@ def test_an_added_channel_has_its_neutral_value(name: str, least: float, tmp_pat
     session.take(plain("channel", 1, channel=name))
     session.take(plain("channel", 2, channel=name))
     session.wait()
-    np.testing.assert_allclose(
-        session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255
-    )
+    np.testing.assert_allclose(session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255)
     assert f"has the channel '{name}' already" in session.shown.told["fault"]
     session.close()
 
 
-@pytest.mark.parametrize(("given", "why"), [({}, "channel must be a name"), ({"channel": 3}, "channel must be a name")])
+@pytest.mark.parametrize(
+    ("given", "why"), [({}, "channel must be a name"), ({"channel": 3}, "channel must be a name")]
+)
 def test_a_channel_without_a_name_is_refused(given: Any, why: str, session: Session) -> None:
     with pytest.raises(ArgumentError, match=why):
         session.take(plain("channel", 1, **given))
@@ -282,3 +289,49 @@ def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles() -> None:
         assert_same(back.put_into(after), before)
     grown = before.with_cells(before.tree, before.channels)
     assert joined_change([changes[0], Change(None, before, grown)], before, grown).tiles is None
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_SESSIONS", "2"))))
+def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    texture, surface = canvas()
+    history, done = [texture], 0
+    session = Session(texture, surface, tmp_path / "out.octex")
+    for number in range(1, 15):
+        kind = random.choice(["stroke", "stroke", "fill", "channel", "undo", "redo"])
+        now = history[done]
+        chosen = [name for name in GIVEN if random.random() < 0.4] or ["roughness"]
+        values = {name: GIVEN[name] for name in chosen}
+        if kind == "undo":
+            body, done = plain("undo", number), max(done - 1, 0)
+        elif kind == "redo":
+            body, done = plain("redo", number), min(done + 1, len(history) - 1)
+        elif kind == "channel":
+            name = "specular" if "occlusion" in now.channels else "occlusion"
+            body = plain("channel", number, channel=name)
+            if name not in now.channels:
+                form = ChannelFormat(name, *((3, "srgb") if name == "specular" else (1, "data")))
+                history[done + 1 :], done = (
+                    [with_values(now, form, 56 if name == "specular" else 255)],
+                    done + 1,
+                )
+        else:
+            painter = octex.Painter(now, surface)
+            if kind == "stroke":
+                body = without_color(stroke(number, values=values))
+                painted(painter, number, values)
+            else:
+                body = plain("fill", number, values=values, color=[1, 2, 3], opacity=0.3)
+                for name, channel in now.channels.items():
+                    if name in values or name == "base_color":
+                        light = light_of(channel.format, values.get(name, [1, 2, 3]))
+                        painter.fill(ones, light, channel=name, opacity=0.3)
+            history[done + 1 :], done = [painter.texture()], done + 1
+        session.take(body)
+        session.wait()
+        assert_same(session.shown.texture, history[done])
+    session.close()
+    again = Session(*canvas(), tmp_path / "out.octex", recover=True)
+    assert_same(again.shown.texture, history[done])
+    assert again.shown.told["done"] == done
+    again.close()

@@ -1,4 +1,4 @@
-"""Painting of any channel in a real browser: what the pen draws is what is baked, and heights are seen as relief."""
+"""Painting of any channel in a real browser: it is seen at once as it will be painted, heights as relief."""
 
 from __future__ import annotations
 
@@ -77,10 +77,8 @@ def pictured(page: Any, shown: str, channel: str = "base_color") -> npt.NDArray[
 
 
 def ticked(page: Any, **values: float | list[int]) -> None:
-    page.evaluate(
-        "(values) => viewer.painting.set({ ticked: Object.keys(values), values: { ...viewer.painting.brush.values, ...values } })",
-        values,
-    )
+    known = page.evaluate("viewer.painting.brush.values")
+    page.evaluate("(brush) => viewer.painting.set(brush)", {"ticked": [*values], "values": known | values})
 
 
 @needs_jit
@@ -123,3 +121,108 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(
         shape = channel.values.shape
         if name not in values and shop.session.shown.texture.channels[name].values.shape == shape:
             assert (shop.session.shown.texture.channels[name].values == channel.values).all()
+
+
+@needs_jit
+def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop: Workshop, page: Any) -> None:
+    ticked(page, roughness=0.0, moisture=1.0)
+    page.evaluate("viewer.painting.set({ filled: 'all' })")
+    color = page.evaluate("viewer.painting.brush.color")
+    first = page.evaluate("viewer.painting.sending.number")
+    page.keyboard.press("f")
+    shop.drag(page, (0, 0))
+    shop.is_done(page, first + 1)
+    points = shop.surface.vertices[:20]
+    for name, value in (("roughness", 0.0), ("moisture", 1.0), ("metallic", 0.1)):
+        found = shop.session.shown.texture.sample(points, name)
+        np.testing.assert_allclose(found, value, atol=2 / 255)
+    ticked(page, roughness=0.7, occlusion=0.0)
+    page.keyboard.down("Alt")
+    shop.drag(page, (0, 0))
+    page.keyboard.up("Alt")
+    picked = page.evaluate("viewer.painting.brush.values")
+    assert abs(picked["roughness"]) < 0.01
+    assert abs(picked["occlusion"] - 0.9) < 0.01
+    assert picked["moisture"] == 1.0
+    assert page.evaluate("viewer.painting.brush.color") == color
+
+
+@needs_jit
+def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop: Workshop, page: Any) -> None:
+    look = "[viewer.look.shown, viewer.look.channel]"
+    page.evaluate("viewer.painting.set({ ticked: ['base_color'] }); viewer.painting.material.lookAt()")
+    page.evaluate("document.getElementById('material').open = true")
+    page.check("#paints-moisture")
+    assert page.evaluate(look)[0] == "lit"
+    page.uncheck("#paints-base_color")
+    assert page.evaluate(look) == ["channel", "moisture"]
+    assert page.evaluate("document.getElementById('shown').value") == "channel moisture"
+    page.check("#paints-roughness")
+    page.uncheck("#paints-moisture")
+    assert page.evaluate(look)[0] == "lit"
+    page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = 'metallic'")
+    shop.drag(page, (0, 0), (20, 0))
+    assert page.locator("#paint-note").inner_text() == "Tick Metal under Material to paint it."
+    page.evaluate("viewer.look.shown = 'lit'")
+    page.uncheck("#paints-roughness")
+    shop.drag(page, (0, 0), (20, 0))
+    assert page.locator("#paint-note").inner_text() == "Tick under Material what to paint."
+    assert page.evaluate("viewer.painting.last.done") == 0
+    page.locator("#value-metallic").fill("0.5")
+    assert page.evaluate("viewer.painting.paint") == {"color": None, "values": {"metallic": [0.5]}}
+
+
+@needs_jit
+def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: Any, tmp_path: Path) -> None:
+    studio = Studio(browser, tmp_path)
+    with served(studio.viewer):
+        page = studio.page()
+        page.evaluate("viewer.painting.set({ size: 77 })")
+        page.click("#material summary")
+        page.select_option("#add-channel", "roughness")
+        page.wait_for_function(
+            "globalThis.viewer?.painting?.last.done === 1 && viewer.isSharp", timeout=60_000
+        )
+        assert page.evaluate("viewer.painting.brush.size") == 77
+        assert page.evaluate("viewer.painting.last.steps") == ["Add roughness"]
+        assert page.is_checked("#paints-roughness")
+        assert page.locator("#value-roughness").is_visible()
+        studio.drag(page, (-20, 0), (20, 0))
+        page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
+        rough = studio.session.shown.texture.channels["roughness"].values
+        assert (rough.min(), rough.max()) == (76, 255)
+        page.close()
+    studio.session.close()
+
+
+@needs_jit
+def test_relief_in_the_page_is_as_in_the_librarys_pictures(browser: Any, tmp_path: Path) -> None:
+    size, relief = (240, 180), 0.05
+    waves = {
+        "base_color": lambda p: np.full_like(p, 0.5),
+        "occlusion": lambda p: 0.5 + 0.4 * np.sin(9 * p[:, :1]) * np.sin(7 * p[:, 1:2] + 5 * p[:, 2:]),
+        "roughness": 0.5,
+    }
+    surface = ball(48).with_sources(waves)
+    texture = octex.convert(surface, depth=7)
+    channels = dict(texture.channels)
+    _, *parts = channels.pop("occlusion")
+    channels["height"] = Channel(ChannelFormat("height", 1, "data"), *parts)
+    texture = texture.with_cells(texture.tree, channels)
+    write_page(texture, tmp_path / "page.html", surface)
+    page = opened(browser, file_url(tmp_path / "page.html"), (912, 480))
+    assert page.is_visible("#relief")
+    seen = Probe(page, texture, size).seen.reshape(size[1], size[0])[::-1]
+    found, flat = (drawn(page, size, relief=own).astype(int) for own in (relief, 0.0))
+    bump = ("height", relief * texture.placement.size)
+    pictures = []
+    for own in (bump, None):
+        look = texture_shader(texture, materials=True, bump=own)
+        light = render_surface(surface, camera_of(page, size), look, 1, Environment.studio())
+        pictures.append(encode(light, "uint8", "srgb").astype(int))
+    rises, expected = (found - flat)[seen], (pictures[0] - pictures[1])[seen]
+    assert np.sqrt((expected**2).mean()) > 8
+    assert np.corrcoef(rises.ravel(), expected.ravel())[0, 1] > 0.98
+    assert np.sqrt(((rises - expected) ** 2).mean()) < 2
+    assert page.complaints == []
+    page.close()
