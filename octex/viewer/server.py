@@ -17,6 +17,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
 from octex.viewer.changes import change_between, change_of, is_like, touched_by
 from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
@@ -277,8 +278,9 @@ def _change(before: _State, after: _State) -> Packed | None:
             return None
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
         touched = touched_by(after.changes) if is_whole else None
-        if is_whole and len(after.changes) == 1:
-            counts, stream = change_of(after.changes[0], was.texture, now.texture)
+        if is_whole and after.changes:
+            change = joined_change(after.changes, was.texture, now.texture)
+            counts, stream = change_of(change, was.texture, now.texture)
         else:
             counts, stream = change_between(was.texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
