@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
-from octex.channels import ALPHA, alpha_of
+from octex.channels import ALPHA, BASE_COLOR, alpha_of
 from octex.checks import as_flag, as_whole
-from octex.editing.draft import Change, has_same_cells, with_alpha
+from octex.editing.draft import Change, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
 from octex.painting.merge import merged
@@ -213,8 +213,9 @@ class Layers(Painter):
             after = restored(after, self._opened, erased)
         first = 0 if tiles is None else int(after.tree.arrays.level_cells[tiles.level + 1])
         after = with_composite(after, self._stack, first)
-        if not self._stack or not has_same_cells(before, after):
-            return Change(tiles, before, after)
+        change = Change(tiles, before, after)
+        if not self._stack or not change.has_same_cells:
+            return change
         names = [*shown_names(after).values()]
         names += [
             name
@@ -233,7 +234,7 @@ class Layers(Painter):
         if ALPHA.name in own and ALPHA.name not in texture.channels:
             texture = with_alpha(texture)
         texture = with_layer_channels(texture, own)
-        if not has_same_cells(change.before, change.after):
+        if not change.has_same_cells:
             return super()._put(change, texture)
         part = texture.with_cells(texture.tree, {name: texture.channels[name] for name in own})
         made = super()._put(change, part)
@@ -257,6 +258,24 @@ class Layers(Painter):
 
         self.changes = tuple(Change(tiles, *map(seen, drafts)) for tiles, *drafts in changes)
         return self.changes
+
+    def put(self, change: Change) -> Stroke:
+        """Put in a change that adds channels to the texture; return it. Raises ArgumentError for another."""
+        before, after = change.before.channels, change.after.channels
+        if change.tiles is not None or not before.keys() < after.keys():
+            raise ArgumentError("with layers only changes that add channels can be put in")
+        channels = {**self._texture.channels, **{name: after[name] for name in after if name not in before}}
+        return super().put(
+            Change(None, self._texture, self._texture.with_cells(self._texture.tree, channels))
+        )
+
+    def covered(self, *, erases: bool) -> list[str] | None:
+        """Return the channels whose coverage alone an eraser or a mask paints; None for other paint."""
+        if not (erases or self._in_mask):
+            return None
+        if self._chosen is None or self._in_mask:
+            return [BASE_COLOR.name]
+        return self.layer(self._chosen).painted(self._texture.channels) or [BASE_COLOR.name]
 
     def undo(self) -> bool:
         """Undo the last stroke or change of the stack; return whether there was one."""

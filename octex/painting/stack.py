@@ -120,7 +120,7 @@ def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeT
     """Return a stack's texture with channels of layers and of the composite, as they are without paint."""
     channels = dict(texture.channels)
     for name in names:
-        if name in channels:
+        if name in channels or name == plain_name(name):
             continue
         bottom = channels.get(plain_name(name))
         if bottom is not None and name == composite_name(plain_name(name)):

@@ -1,24 +1,25 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event, more = {}) {
     const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
     this.painting = painting;
-    this.at = painting.place(event);
+    const first = painting.place(event);
+    this.path = new Path(first);
     this.dirty = null; // what of the picture has changed since the last frame
-    const brush = { ...painting.brush, ...more };
-    strokes.begin({ ...brush, camera: { width, height, K, pose }, look: painting.layers.look(brush) });
-    this.draw(this.at, this.at);
+    const { below, offset } = painting, brush = { ...painting.brush, ...painting.paint, ...more };
+    const camera = { width, height, K, pose }, at = brush.onePart ? below?.rest : undefined;
+    strokes.begin({ ...brush, camera, offset, at, look: painting.layers.look(brush) });
+    this.draw(first, first);
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      const at = this.painting.place(each);
-      this.draw(this.at, at);
-      this.at = at;
+      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
     }
   }
 
@@ -38,9 +39,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror, erases } = stroke;
+    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset, erases } = stroke;
     const tool = erases ? "Eraser" : "Brush", name = mirror ? `${tool}, mirrored` : tool;
-    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror, erases };
+    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

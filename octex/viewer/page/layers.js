@@ -66,7 +66,7 @@ export class Layers {
   // How a stroke looks until it is painted; nothing if as its own colour says.
   look({ erases, opacity, blend }) {
     const { layer } = this;
-    if (erases || this.mask) return { color: VEIL, opacity: VEILED * opacity, blend: "over" };
+    if (erases || this.mask) return { color: VEIL, values: {}, opacity: VEILED * opacity, blend: "over" };
     if (!layer && !this.stack.some(({ isVisible }) => isVisible)) return {};
     const above = this.stack.slice(this.stack.indexOf(layer) + 1), isBuried = above.some((each) => each.isVisible && each.opacity > 0);
     return { opacity: opacity * (layer?.opacity ?? 1) * (isBuried ? BURIED : 1), blend: layer && layer.blend !== "over" ? layer.blend : blend };
