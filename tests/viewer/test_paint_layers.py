@@ -13,7 +13,10 @@ import octex
 from octex.errors import ArgumentError
 from octex.painting.picture import Blend
 from octex.viewer.session import Session
+from tests.conftest import needs_jit
+from tests.make.browser import served
 from tests.make.same import assert_same
+from tests.viewer.test_painting import _HOLD, Studio, pictured
 from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
 
 
@@ -144,3 +147,89 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     session.wait()
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("there is no layer 5", 0)
     assert_same(session.shown.texture, canvas()[0])
+
+
+@pytest.fixture(scope="module")
+def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+    found = Studio(browser, tmp_path_factory.mktemp("studio"))
+    with served(found.viewer):
+        yield found
+    found.session.close()
+
+
+@needs_jit
+def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio: Studio) -> None:
+    page = studio.page()
+    page.click("#layers summary")
+    page.click("#layer-add")
+    studio.is_done(page, 1)
+    assert page.evaluate("viewer.painting.layers.chosen") == 1
+    before = pictured(page)
+    page.evaluate(_HOLD)
+    studio.drag(page, (-60, 0), (0, -40), (60, 20))
+    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    shown = pictured(page)
+    page.evaluate("release()")
+    studio.is_done(page, 2)
+    baked = pictured(page)
+    inside = np.abs(shown - before).max(axis=2) > 60
+    assert inside.mean() > 0.02
+    assert np.sqrt(((shown - baked)[inside] ** 2).mean()) <= 2
+    page.keyboard.press("e")
+    page.evaluate("viewer.painting.set({ size: 160, hardness: 1 })")
+    studio.drag(page, (-60, 0), (0, -40), (60, 20))
+    studio.is_done(page, 3)
+    assert np.abs(pictured(page) - before).max() <= 1
+    page.click("#layer-delete")
+    studio.is_done(page, 4)
+    assert page.evaluate("[viewer.painting.layers.chosen, viewer.painting.last.steps.at(-1)]") == [
+        None,
+        "Delete a layer",
+    ]
+    assert page.complaints == []
+    page.close()
+
+
+@needs_jit
+def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> None:
+    page = studio.page()
+    number = 0
+
+    def done() -> list[dict[str, Any]]:
+        nonlocal number
+        number += 1
+        studio.is_done(page, number)
+        return studio.session.shown.told["layers"]  # type: ignore[no-any-return]
+
+    page.click("#layers summary")
+    for _ in range(2):
+        page.click("#layer-add")
+        done()
+    page.fill("#layer-title", "Rust")
+    page.keyboard.press("Enter")
+    assert done()[1]["title"] == "Rust"
+    page.select_option("#layer-blend", "multiply")
+    assert done()[1]["blend"] == "multiply"
+    page.evaluate("""() => {
+      const slider = document.getElementById("layer-opacity");
+      slider.value = 0.4;
+      slider.dispatchEvent(new Event("input"));
+      slider.dispatchEvent(new Event("change"));
+    }""")
+    assert done()[1]["opacity"] == 0.4
+    assert page.inner_text("#stack li:first-child").split("\n")[0].startswith("Rust")
+    page.click("#layer-down")
+    assert done()[0]["title"] == "Rust"
+    page.click("#stack li:nth-child(2) .eye")
+    assert [each["isVisible"] for each in done()] == [False, True]
+    studio.drag(page, (-20, 0), (20, 0))
+    assert "hidden" in page.inner_text("#paint-note")
+    page.check("#layer-mask")
+    assert done()[0]["hasMask"]
+    page.check("#layer-masked")
+    assert page.evaluate("viewer.painting.layers.target.mask")
+    page.keyboard.press("Control+z")
+    assert not done()[0]["hasMask"]
+    assert page.evaluate("viewer.painting.layers.target.mask") is False
+    assert page.complaints == []
+    page.close()
