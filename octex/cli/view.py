@@ -154,6 +154,8 @@ def _check(options: Options, is_set: bool) -> None:
 
 def _check_painting(options: Options, is_set: bool) -> None:
     """Refuse what cannot be painted in a page."""
+    from octex.viewer.journal import layers_file
+
     if options.MODEL is None:
         raise ArgumentError("--paint needs a MODEL")
     if is_set:
@@ -161,7 +163,9 @@ def _check_painting(options: Options, is_set: bool) -> None:
     inputs = options.TEXTURE, options.MODEL, options.rest
     # What is recovered may have been saved before.
     is_forced = options.force or options.recover
-    check_outputs([(options.paint, TEXTURE_ENDINGS, "--paint")], inputs, force=is_forced)
+    layers = layers_file(options.paint)
+    outputs = [(options.paint, "--paint"), (layers, "the file of layers beside --paint")]
+    check_outputs([(path, TEXTURE_ENDINGS, word) for path, word in outputs], inputs, force=is_forced)
 
 
 def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
@@ -28,10 +29,11 @@ from octex.painting.stack import (
     with_composite,
     with_layer_channels,
 )
+from octex.painting.stack_file import as_file, from_file
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel, OctreeTexture, as_texture
 
 
 class Restacked(NamedTuple):
@@ -56,13 +58,16 @@ class Layers(Painter):
     """
 
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
+        texture, stack = from_file(as_texture(texture))
         super().__init__(texture, surface)
-        self._stack: Stack = ()
-        self._last = 0  # number of a layer
+        self._stack: Stack = stack
+        self._last = max((layer.number for layer in stack), default=0)  # number of a layer
         self._chosen: int | None = None
         self._in_mask = False
-        self._merging, self._opened = self._merged, texture
-        self._shown = self._texture, self._texture  # what it was made from, and the composite
+        self._merging = self._merged
+        bottom = {name: texture.channels[name] for name in bottom_names(texture)}
+        self._opened = texture.with_cells(texture.tree, bottom) if stack else texture
+        self._shown: tuple[OctreeTexture | None, OctreeTexture] = None, texture  # of which, and the composite
         self.changes: tuple[Change, ...] = ()
 
     def texture(self) -> OctreeTexture:
@@ -71,6 +76,13 @@ class Layers(Painter):
         if self._shown[0] is not texture:
             self._shown = texture, shown(texture, shown_names(texture)) if self._stack else texture
         return self._shown[1]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the texture with all layers to a file; it shows the composite to what does not know layers.
+
+        ``Layers(octex.open(path), surface)`` goes on with them. Raises OutputError.
+        """
+        as_file(self._texture, self._stack).save(path)
 
     @property
     def layers(self) -> Stack:

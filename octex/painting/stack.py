@@ -112,7 +112,7 @@ def shown_names(texture: OctreeTexture) -> dict[str, str]:
 
 def shown(texture: OctreeTexture, names: Mapping[str, str]) -> OctreeTexture:
     """Return the composite of a stack's texture as a texture of its own; it shares the arrays."""
-    channels = {name: _named(texture.channels[own], name) for name, own in names.items()}
+    channels = {name: named(texture.channels[own], name) for name, own in names.items()}
     return texture.with_cells(texture.tree, channels)
 
 
@@ -124,15 +124,16 @@ def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeT
             continue
         bottom = channels.get(plain_name(name))
         if bottom is not None and name == composite_name(plain_name(name)):
-            channels[name] = _named(Channel(bottom.format, *(each.copy() for each in bottom[1:])), name)
+            channels[name] = named(Channel(bottom.format, *(each.copy() for each in bottom[1:])), name)
             continue
         form = COVERAGE if bottom is None or alpha_of(name) is None else bottom.format
         arrays = (np.zeros((count, form.components), form.dtype) for count in row_counts(texture.tree))
-        channels[name] = _named(Channel(form, *arrays), name)
+        channels[name] = named(Channel(form, *arrays), name)
     return texture.with_cells(texture.tree, channels)
 
 
-def _named(channel: Channel, name: str) -> Channel:
+def named(channel: Channel, name: str) -> Channel:
+    """Return a channel under another name."""
     return channel._replace(format=channel.format._replace(name=name))
 
 

@@ -115,6 +115,11 @@ class Journal:
             raise
 
 
+def layers_file(output: Path) -> Path:
+    """Return the file in which a session keeps layers, beside the one that it saves to."""
+    return output.with_name(f"{output.stem}.layers.octex")
+
+
 def _records(content: bytes) -> Iterator[bytes]:
     at = 0
     while at + _HEAD.size <= len(content):

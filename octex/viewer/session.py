@@ -30,7 +30,7 @@ from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer.commands import Command, Where, command_of, fill_of, layer_of, stroke_of, target_of
-from octex.viewer.journal import Journal
+from octex.viewer.journal import Journal, layers_file
 from octex.viewer.material import paint_of, pictures_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
@@ -87,6 +87,7 @@ class Session:
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
         self._fault, self._is_ending = "", False
+        self._has_layers_file = False  # saved by this session
         self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
@@ -306,6 +307,12 @@ class Session:
 
     def _do_save(self, command: Command) -> None:  # noqa: ARG002
         self._painter.texture().save(self._output)
+        path = layers_file(self._output)
+        if self._painter.layers:
+            self._painter.save(path)
+            self._has_layers_file = True
+        elif self._has_layers_file:
+            path.unlink(missing_ok=True)
         self._saved = self._painter.strokes
 
 

@@ -78,8 +78,8 @@ NEW_IN_NUMPY_2 = {
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 _NAMES = """
-Box Camera Creases Environment MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection Ptex
-Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
+Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection
+Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
 convert_set crop curves difference displace fill levels load_surface merge mix paint project read_cameras
 refine_cameras render resize separate subdivide unwrap write_cameras write_model write_preview write_ptex
 """

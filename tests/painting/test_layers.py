@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -284,3 +285,42 @@ def test_the_eraser_on_the_texture_brings_back_what_was_opened(names: list[str])
     layers.undo()
     layers.undo()
     assert layers.texture().channels["base_color"].values[0, 0] > texture.channels["base_color"].values[0, 0]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 5])
+def test_a_stack_that_is_saved_is_opened_as_it_was(seed: int, tmp_path: Path) -> None:
+    random, surface, texture, depth = case(seed)
+    layers = octex.Layers(texture, surface)
+    for _ in range(12):
+        a_step(layers, surface, random, depth)
+    layers.add_layer("top", opacity=0.5, blend="screen")
+    layers.fill(everywhere, "#102030")
+    layers.save(tmp_path / "stack.octex")
+    opened = octex.open(tmp_path / "stack.octex")
+    for name, own in layers.texture().channels.items():
+        assert np.array_equal(opened.channels[name].values, own.values)
+    again = octex.Layers(opened, surface)
+    assert again.layers == layers.layers
+    assert_same(again.texture(), layers.texture())
+    for each in (layers, again):
+        each.choose(each.layers[-1].number)
+        each.fill(octex.Sphere((0.0, 0.0, 1.0), 0.5), "#ff0000")
+        number = each.add_layer().number
+        assert number not in {layer.number for layer in each.layers[:-1]}
+        each.change_layer(each.layers[0].number, is_visible=False)
+    assert_same(again.texture(), layers.texture())
+    while again.undo():
+        pass
+    assert_same(again.texture(), octex.Layers(opened, surface).texture())
+
+
+BROKEN = ["", "{", "3", "[3]", '[{"number": 1}]', '[{"number": 0, "name": "a"}]']
+
+
+@pytest.mark.parametrize("text", [*BROKEN, '[{"number": 1, "name": "a", "blend": "erase"}]'])
+def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
+    surface, texture, _ = start()
+    metadata = {"layers": text}
+    broken = OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
+    with pytest.raises(ArgumentError, match="metadata 'layers' is no list of layers"):
+        octex.Layers(broken, surface)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import octex
-from octex.errors import ArgumentError
+from octex.cli.main import main
+from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Blend
 from octex.viewer.session import Session
 from tests.conftest import needs_jit
@@ -233,3 +234,39 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> N
     assert page.evaluate("viewer.painting.layers.target.mask") is False
     assert page.complaints == []
     page.close()
+
+
+def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octz")
+    session.take(plain("layer", 1, action="add", blend="multiply", title="Dirt"))
+    session.take(stroke(2, layer=1))
+    session.take(plain("save", 3))
+    session.wait()
+    assert session.shown.told["isSaved"]
+    assert session.close() == ""
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["out.layers.octex", "out.octz"]
+    assert_same(octex.open(tmp_path / "out.octz"), session.shown.texture)
+    _, surface = canvas()
+    again = Session(octex.open(tmp_path / "out.layers.octex"), surface, tmp_path / "more.octex")
+    assert again.shown.told["layers"] == session.shown.told["layers"]
+    assert_same(again.shown.texture, session.shown.texture)
+    again.take(plain("layer", 1, action="set", layer=1, isVisible=False))
+    again.wait()
+    hits = surface.scatter(500, 0)
+    assert np.abs(again.shown.texture.sample(hits) - canvas()[0].sample(hits)).max() < 2 / 255
+    again.take(plain("save", 2))
+    again.take(plain("layer", 3, action="delete", layer=1))
+    again.take(plain("save", 4))
+    again.wait()
+    assert again.close() == ""
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["more.octex", "out.layers.octex", "out.octz"]
+
+
+def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path: Path, capsys: Any) -> None:
+    texture, surface = canvas()
+    texture.save(tmp_path / "ball.octex")
+    octex.write_model(surface, tmp_path / "ball.glb")
+    (tmp_path / "out.layers.octex").write_bytes(b"mine")
+    words = ["view", *(str(tmp_path / name) for name in ("ball.octex", "ball.glb")), "--paint"]
+    assert main([*words, str(tmp_path / "out.octex")]) == ExitCode.REFUSED
+    assert "out.layers.octex" in capsys.readouterr().err
