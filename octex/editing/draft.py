@@ -11,7 +11,7 @@ Those of a tile are one run of each level: cutting and putting back is copying r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -127,6 +127,27 @@ def joined_change(changes: Sequence[Change], before: OctreeTexture, after: Octre
     parents = distinct(np.concatenate([each.codes >> 3 * (each.level - level + 1) for each in tiles]))
     siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed one is a leaf to its parent
     return change_in(Tiles(level, siblings), before, after)
+
+
+def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change:
+    """Return the change between textures of the same cells: of all tiles in which values of leaves differ."""
+    tree = after.tree
+    level = coarsest_of(tree) - STEPS
+    differs = np.zeros(tree.n_cells, np.bool_)
+    owners, kept = rows_of(tree.split).cells, tree.kept.cells
+    for name, channel in after.channels.items():
+        for own, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
+            apart = np.zeros(len(own), np.bool_) if own is was else np.logical_or.reduce(list((own != was).T))
+            differs[slice(None) if cells is None else cells[apart]] |= apart if cells is None else np.True_
+    if level < 1:
+        return Change(None, before, after)
+    inside = [
+        tree.level_codes(at)[differs[first:end]] >> 3 * (at - level + 1)
+        for at, (first, end) in enumerate(pairwise(tree.arrays.level_cells.tolist()))
+        if at > level
+    ]
+    siblings = distinct(np.concatenate(inside))[:, None] << 3 | np.arange(8)  # see `joined_change`
+    return change_in(Tiles(level, siblings.ravel()), before, after)
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:

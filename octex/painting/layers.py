@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from octex.channels import ALPHA, BASE_COLOR, alpha_of
 from octex.checks import as_flag, as_whole
-from octex.editing.draft import Change, with_alpha
+from octex.editing.draft import Change, change_of_values, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
 from octex.painting.merge import merged
@@ -190,7 +190,7 @@ class Layers(Painter):
         if looks[0] == looks[1]:
             return
         self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
-        self.changes = (Change(None, seen, self.texture()),)
+        self.changes = (change_of_values(seen, self.texture()),)
 
     def _merged(
         self,

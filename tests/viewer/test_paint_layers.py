@@ -161,7 +161,7 @@ def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[S
 @needs_jit
 def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio: Studio) -> None:
     page = studio.page()
-    page.click("#layers summary")
+    page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
     studio.is_done(page, 1)
     assert page.evaluate("viewer.painting.layers.chosen") == 1
@@ -202,7 +202,7 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> N
         studio.is_done(page, number)
         return studio.session.shown.told["layers"]  # type: ignore[no-any-return]
 
-    page.click("#layers summary")
+    page.evaluate("document.getElementById('layers').open = true")
     for _ in range(2):
         page.click("#layer-add")
         done()
