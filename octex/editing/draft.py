@@ -129,8 +129,8 @@ def joined_change(changes: Sequence[Change], before: OctreeTexture, after: Octre
     return change_in(Tiles(level, siblings), before, after)
 
 
-def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change:
-    """Return the change between textures of the same cells: of all tiles in which values of leaves differ."""
+def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | None:
+    """Return the change between textures of the same cells, of all tiles in which values differ, or None."""
     tree = after.tree
     level = coarsest_of(tree) - STEPS
     differs = np.zeros(tree.n_cells, np.bool_)
@@ -139,6 +139,8 @@ def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change:
         for own, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
             apart = np.zeros(len(own), np.bool_) if own is was else np.logical_or.reduce(list((own != was).T))
             differs[slice(None) if cells is None else cells[apart]] |= apart if cells is None else np.True_
+    if not differs.any():
+        return None
     if level < 1:
         return Change(None, before, after)
     inside = [

@@ -190,7 +190,11 @@ class Layers(Painter):
         if looks[0] == looks[1]:
             return
         self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
-        self.changes = (change_of_values(seen, self.texture()),)
+        change = change_of_values(seen, self.texture())
+        if change is None:
+            self._shown = self._texture, seen
+        else:
+            self.changes = (change,)
 
     def _merged(
         self,

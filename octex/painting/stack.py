@@ -149,8 +149,9 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
     }
     if not names:
         return texture.with_cells(tree, channels)
-    layers = [each for each in stack if each.is_visible and each.opacity > 0]
-    covered = list(_covered(texture, layers)) if layers else []
+    seen = [each for each in stack if each.is_visible and each.opacity > 0]
+    layers = [each for each in seen if _has_paint(texture, each)]
+    covered = list(_covered(texture, layers)) if seen else []
     is_leaf = np.ones(tree.n_cells, np.bool_)
     is_leaf[node_cells(tree.arrays)] = False
     owners = rows_of(tree.split).cells
@@ -182,6 +183,15 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
                 getattr(made[name], kind)[here] = encode(values, form.dtype, form.space)
     _average(whole, layers, made)
     return whole
+
+
+def _has_paint(texture: OctreeTexture, layer: Layer) -> bool:
+    """Say whether a layer covers anything; in a draft most do not."""
+    return any(
+        array.any()
+        for name in layer.painted(texture.channels)
+        for array in _coverage_of(texture, layer, name)[1:]
+    )
 
 
 def _covered(texture: OctreeTexture, layers: Sequence[Layer]) -> Iterator[Bools]:

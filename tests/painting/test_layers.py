@@ -162,6 +162,7 @@ def test_a_layer_that_is_not_seen_changes_nothing(changed: dict[str, Any]) -> No
     surface, texture, layers = start()
     number = layers.add_layer().number
     assert_same(layers.texture(), texture)
+    assert layers.changes == ()
     layers.paint(brush(surface, 200), max_depth=6)
     assert not np.array_equal(
         layers.texture().channels["base_color"].values, texture.channels["base_color"].values

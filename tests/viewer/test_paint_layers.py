@@ -150,9 +150,9 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     assert_same(session.shown.texture, canvas()[0])
 
 
-@pytest.fixture(scope="module")
-def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    found = Studio(browser, tmp_path_factory.mktemp("studio"))
+@pytest.fixture
+def studio(browser: Any, tmp_path: Path) -> Iterator[Studio]:
+    found = Studio(browser, tmp_path)
     with served(found.viewer):
         yield found
     found.session.close()
