@@ -58,7 +58,8 @@ _TABLE = """
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
 --max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
---max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces
+--max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces;
+                      75,hidden: also what other surface hides
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
 --pictures MODE       how pictures combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting

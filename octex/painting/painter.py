@@ -65,6 +65,8 @@ class Painter:
         balance: Balance | None = None,
         reference: int | None = None,
         back_faces: bool = False,
+        hidden: bool = False,
+        region: npt.ArrayLike | None = None,
         fit: bool = True,
         threads: int | None = None,
         progress: Progress | None = None,
@@ -76,8 +78,9 @@ class Painter:
         ``octex.paint`` raises; the texture then stays as it was.
         """
         options = PaintOptions(
-            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
-        )
+            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
+            hidden, region,
+        )  # fmt: skip
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:

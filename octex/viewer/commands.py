@@ -13,7 +13,7 @@ import numpy as np
 
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
-from octex.checks import as_choice, as_number, as_reals, as_whole
+from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.picture import Blend, Projection
@@ -22,6 +22,7 @@ from octex.painting.picture import Blend, Projection
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
 _MOST_CHANNELS = 16
+_FARTHEST = 1e12
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 
@@ -58,25 +59,52 @@ def command_of(body: bytes) -> Command:
     return command
 
 
-def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]:
-    """Return the picture of a stroke, the options to paint it with, and its mirror. Raises ArgumentError."""
+class Where(NamedTuple):
+    """A point at rest, or None, and the mirror."""
+
+    point: Array | None
+    axis: int | None  # None: there is no mirror
+    offset: float  # of the mirror from the model's middle
+
+
+def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
+    """Return the picture of a stroke, the options to paint it with, and the part that it stays on, if any."""
     given = command.given
-    options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
+    options = {
+        "max_angle": given.get("maxAngle", DRAWN_ANGLE),
+        "back_faces": given.get("backFaces", False),
+        "hidden": given.get("hidden", False),
+    }
     PaintOptions(**options)
     camera = camera_of(command)
     image = picture_of(command, camera)
     picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
-    return picture, options, mirror_of(command)
+    return picture, options, where_of(command)
 
 
-def fill_of(command: Command) -> tuple[dict[str, Any], Array | None, int | None]:
-    """Return the options of a fill, a point of the part or None for all, and its mirror."""
+class Alike(NamedTuple):
+    """What a fill covers of the colour at its point."""
+
+    tolerance: float  # 8-bit codes
+    connected: bool
+
+
+def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
+    """Return the options of a fill, a point of it or None for all, and what it covers there.
+
+    That is what is alike, or the whole part for None.
+    """
     _no_content(command)
     if not values_of(command) or "color" in command.given:
         codes_of(command)
-    at = numbers(command.given, "at", (3,)) if "at" in command.given else None
+    where, alike = where_of(command), None
+    if "tolerance" in command.given:
+        if where.point is None:
+            raise ArgumentError("a tolerance needs at, the point whose colour is filled")
+        tolerance = as_number(command.given["tolerance"], "tolerance", 0.0, 255.0)
+        alike = Alike(tolerance, as_flag(command.given.get("connected", True), "connected"))
     options = {"opacity": opacity_of(command), "blend": blend_of(command)}
-    return options, at, mirror_of(command)
+    return options, where, alike
 
 
 def channel_of(command: Command) -> str:
@@ -145,6 +173,13 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
     return image
 
 
+def where_of(command: Command) -> Where:
+    """Return the point of a command, if it has one, and its mirror."""
+    point = numbers(command.given, "at", (3,)) if "at" in command.given else None
+    offset = as_number(command.given.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
+    return Where(point, mirror_of(command), offset)
+
+
 def mirror_of(command: Command) -> int | None:
     """Return the axis that a command is mirrored across; None if it is not."""
     name = command.given.get("mirror", "")
@@ -179,6 +214,6 @@ def values_of(command: Command) -> dict[str, Array]:
     return {name: numbers(given, name, (-1,)) for name in given}
 
 
-def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:
+def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = _FARTHEST) -> Array:
     """Return numbers of a field; raise ArgumentError for others than finite ones of a shape."""
     return as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]

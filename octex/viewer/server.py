@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
 from octex.viewer.changes import change_between, change_of, is_like
-from octex.viewer.export import MODULES, PAINTING, SHADERS, page_text
+from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -38,7 +38,7 @@ _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _FILES = {"": "index.html", "style.css": "style.css"}
 _FILES |= {name: name for name in [*MODULES, *PAINTING]}
-_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, "stroke.frag"]}
+_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, *PAINTING_SHADERS]}
 _PROOF = "/proof"
 _COMMAND = "application/octet-stream"
 _POLICY = (

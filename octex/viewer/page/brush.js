@@ -1,23 +1,23 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event) {
     const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
     this.painting = painting;
-    this.at = painting.place(event);
+    const at = painting.place(event);
+    this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
     strokes.begin({ ...painting.brush, ...painting.paint, camera: { width, height, K, pose } });
-    this.draw(this.at, this.at);
+    this.draw(at, at);
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      const at = this.painting.place(each);
-      this.draw(this.at, at);
-      this.at = at;
+      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
     }
   }
 

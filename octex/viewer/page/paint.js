@@ -6,11 +6,12 @@ import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
 import { TOOLS, pick } from "./tools.js";
+import { under } from "./under.js";
 
 const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
-
+const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s units are counted in these
 const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
 export async function begin(viewer, told) {
@@ -23,7 +24,8 @@ export async function begin(viewer, told) {
 class Painting {
   constructor(viewer) {
     this.viewer = viewer;
-    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, blend: "over", angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part", ticked: ["base_color"], values: {} };
+    this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, pressure: "size", blend: "over" };
+    Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part", ticked: ["base_color"], values: {} });
     Object.assign(this.brush, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
@@ -35,7 +37,7 @@ class Painting {
 
   async open() {
     const { viewer } = this, { gpu } = viewer;
-    gpu.shaders["stroke.frag"] = await (await fetch("shaders/stroke.frag")).text();
+    for (const name of ["stroke.frag", "dabs.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
     document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
@@ -52,7 +54,7 @@ class Painting {
     const button = ({ name, text, key, shownKey = key.toUpperCase() }) =>
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
-    this.ring = make("div", { id: "ring", hidden: true });
+    this.ring = make("div", { id: "ring", hidden: true }, make("i"));
     this.main.append(this.tools, this.ring);
     const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
@@ -71,6 +73,11 @@ class Painting {
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
       ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
+      section("tip", "Brush",
+        ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
+        ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
+        ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
+        ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
       this.material.section,
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
@@ -102,10 +109,11 @@ class Painting {
     element("color-text").textContent = toHex(brush.color);
     element("other").style.background = toHex(this.other);
     element("size").value = Math.log(brush.size);
-    element("size-text").textContent = `${brush.size} px`;
+    element("size-text").textContent = brush.unit === "pixels" ? `${brush.size} px` : `${Number((brush.size * this.thousandth).toPrecision(2))}`;
     element("angle").value = brush.angle;
     element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
-    for (const name of ["hardness", "opacity"]) {
+    for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
+    for (const name of ["hardness", "opacity", "flow", "spacing"]) {
       element(name).value = brush[name];
       element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
     }
@@ -116,6 +124,23 @@ class Painting {
   // What strokes and fills are painted with: a colour, values of other channels, or both.
   get paint() {
     return this.material.paint;
+  }
+
+  get thousandth() {
+    return THOUSANDTH * this.viewer.parts[0].header.size;
+  }
+
+  // How many pixels of the page the brush’s size is where the pointer is.
+  get width() {
+    const { brush: { size, unit }, viewer: { canvas, camera } } = this, away = this.below?.away ?? camera.distance;
+    return unit === "pixels" ? size : (size * this.thousandth * canvas.clientHeight) / (2 * Math.tan(camera.fov / 2) * away);
+  }
+
+  // Give the size in another unit; it stays as large.
+  measure(unit) {
+    const before = this.width, { brush } = this;
+    Object.assign(brush, { unit, size: 1 });
+    this.set({ size: Math.round(before / this.width) });
   }
 
   swap() {
@@ -156,13 +181,21 @@ class Painting {
   }
 
   place({ clientX, clientY, pressure, pointerType }) {
-    const frame = this.viewer.canvas.getBoundingClientRect(), share = pointerType === "pen" ? LEAST_PRESSURE + (1 - LEAST_PRESSURE) * pressure : 1;
-    return [clientX - frame.left, clientY - frame.top, (share * this.brush.size) / 2];
+    const frame = this.viewer.canvas.getBoundingClientRect(), by = pointerType === "pen" ? this.brush.pressure : "";
+    const share = by === "size" || by === "both" ? LEAST_PRESSURE + (1 - LEAST_PRESSURE) * pressure : 1;
+    return [clientX - frame.left, clientY - frame.top, (share * this.width) / 2, by === "opacity" || by === "both" ? pressure : 1];
+  }
+
+  // See what is under the pointer; beside the model a stroke keeps what it was on last.
+  look(event) {
+    const [x, y] = this.place(event);
+    this.below = under(this.viewer, x, y) ?? (this.pen ? this.below : null);
   }
 
   // Whether a pointer is for the tool; else it turns or moves the view. Beside the model it turns.
   isForTool(event) {
     if (event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
+    this.look(event);
     this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
     return this.isOnModel;
   }
@@ -198,10 +231,12 @@ class Painting {
 
   moved(event) {
     if (!this.pen || event.pointerId !== this.pen.id) {
-      if (event.target === this.viewer.canvas) this.outline(this.place(event));
-      return;
+      if (event.target !== this.viewer.canvas) return;
+      this.look(event);
+      return this.outline(this.place(event));
     }
     event.stopPropagation();
+    this.look(event);
     this.pen.drag.moved(event);
     this.outline(this.place(event));
   }
@@ -262,9 +297,14 @@ class Painting {
     this.at = at;
     ring.hidden = at === null || !this.tool.hasRing;
     if (ring.hidden) return;
-    const [x, y, radius] = [at[0], at[1], this.brush.size / 2];
+    const [x, y, radius] = [at[0], at[1], this.width / 2];
     ring.style.width = ring.style.height = `${2 * radius}px`;
     ring.style.transform = `translate(${x - radius}px, ${y - radius}px)`;
+    // A needle on the surface shows how that is turned: its length goes with the sine of the angle that it is seen at.
+    const { normal = [0, 0, 1], toward = [0, 0, 1] } = this.below ?? {}, cosine = normal.reduce((sum, part, k) => sum + part * toward[k], 0);
+    const [across, up] = normal.map((part, k) => part - cosine * toward[k]);
+    ring.firstChild.style.width = `${radius * Math.hypot(across, up)}px`;
+    ring.firstChild.style.transform = `rotate(${Math.atan2(-up, across)}rad)`;
   }
 
   // A version of the texture is shown, of which this is told.

@@ -1,5 +1,7 @@
 // The stroke that is drawn, and those that the server has not painted yet: what the picture shows of them.
 
+import { CLOSE, Dabs, joined } from "./dabs.js";
+
 export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless it is set otherwise
 const FADE = 10; // and over which paint fades
 
@@ -107,14 +109,26 @@ export class Strokes {
   begin(brush) {
     this.fit();
     this.clear();
-    this.current = { ...brush, box: null };
+    const { flow = 1, spacing = 0 } = brush;
+    this.current = { ...brush, box: null, dabs: flow < 1 || spacing > CLOSE ? new Dabs(this) : null };
   }
 
-  // Draw from one place of the pen to another, with radii, in CSS pixels; returns what of the picture has changed.
+  // Draw from one place of the pen to another, with radii and strengths, in CSS pixels; returns what of the picture has
+  // changed.
   extend(from, to) {
-    const { viewer, current, target } = this, { gl } = viewer.gpu, [width, height] = this.size;
-    const { times } = viewer.film, place = ([x, y]) => [x * times, height - y * times];
-    const reach = times * Math.max(from[2], to[2]) + 1, low = place(from), high = place(to), ends = [low, high];
+    const { viewer, current } = this, [, height] = this.size, { times } = viewer.film;
+    const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * times, height - y * times, radius * times, strength]);
+    const box = current.dabs ? current.dabs.draw(...ends, current) : this.line(...ends);
+    if (!box) return null;
+    current.box = joined(current.box, box);
+    const [left, bottom, right, top] = box;
+    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+  }
+
+  // Draw a line from one place to another, in pixels from the lower left; returns its box.
+  line(from, to) {
+    const { viewer, current, target } = this, { gl } = viewer.gpu, [width, height] = this.size, ends = [from, to];
+    const reach = Math.max(from[2], to[2]) + 1;
     const left = Math.max(Math.floor(Math.min(...ends.map((p) => p[0])) - reach), 0);
     const right = Math.min(Math.ceil(Math.max(...ends.map((p) => p[0])) + reach), width);
     const bottom = Math.max(Math.floor(Math.min(...ends.map((p) => p[1])) - reach), 0);
@@ -128,16 +142,15 @@ export class Strokes {
     gl.scissor(left, bottom, right - left, top - bottom);
     gl.enable(gl.BLEND);
     gl.blendEquation(gl.MAX);
-    gl.uniform4f(program.at("u_line"), ...low, ...high);
-    gl.uniform2f(program.at("u_radii"), from[2] * times, to[2] * times);
+    gl.uniform4f(program.at("u_line"), from[0], from[1], to[0], to[1]);
+    gl.uniform2f(program.at("u_radii"), from[2], to[2]);
+    gl.uniform2f(program.at("u_strengths"), from[3], to[3]);
     gl.uniform1f(program.at("u_hardness"), current.hardness);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
     gl.disable(gl.SCISSOR_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    const box = current.box ?? [left, bottom, right, top];
-    current.box = [Math.min(box[0], left), Math.min(box[1], bottom), Math.max(box[2], right), Math.max(box[3], top)];
-    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+    return [left, bottom, right, top];
   }
 
   // End the stroke; returns its box in pixels from the upper left and the coverage in it, or null for none.
@@ -154,7 +167,7 @@ export class Strokes {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4) coverage[n++] = read[at];
     }
     if (!coverage.some((each) => each > 0)) return null;
-    return { ...current, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    return { ...current, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // Show a stroke until it is painted.
