@@ -21,8 +21,8 @@ from octex.painting.picture import Blend, Projection
 #: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
-_MOST_CHANNELS = 16
 _FARTHEST = 1e12
+_MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 
@@ -103,8 +103,7 @@ def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
             raise ArgumentError("a tolerance needs at, the point whose colour is filled")
         tolerance = as_number(command.given["tolerance"], "tolerance", 0.0, 255.0)
         alike = Alike(tolerance, as_flag(command.given.get("connected", True), "connected"))
-    options = {"opacity": opacity_of(command), "blend": blend_of(command)}
-    return options, where, alike
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
 
 
 def channel_of(command: Command) -> str:
@@ -165,11 +164,10 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
         what = "coverage" if is_plain else "red, green, blue and coverage"
         raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
+    inside = image[top:bottom, left:right]
     if "color" in command.given:
-        image[..., :3] = codes_of(command)
-    image[top:bottom, left:right, -shape[0] :] = (
-        np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
-    )
+        inside[..., :3] = codes_of(command)
+    inside[..., -shape[0] :] = np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
     return image
 
 

@@ -193,12 +193,10 @@ class Session:
         regions: list[Any] = [None, None]
         if where.point is not None:
             regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
-        texture = self._painter.texture()
-        strokes = [
-            self._painter.paint(picture, channel=name, region=region, **options)
-            for each, region in zip(both, regions, strict=False)
-            for name, picture in pictures_of(command, each, texture)
-        ]
+        texture, strokes = self._painter.texture(), []
+        for each, region in zip(both, regions, strict=False):
+            for name, picture in pictures_of(command, each, texture):
+                strokes.append(self._painter.paint(picture, channel=name, region=region, **options))
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:

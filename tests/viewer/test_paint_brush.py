@@ -484,3 +484,43 @@ def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
       return found.sort((a, b) => a - b);
     }""")
     assert times[25] <= 2
+
+
+def last_command(session: Session) -> dict[str, Any]:
+    """The command that a page has sent last, as the journal has it."""
+    line = bytes(session._journal.path.read_bytes()).rpartition(b'{"page"')[2].partition(b"\n")[0]
+    return dict(json.loads(b'{"page"' + line))
+
+
+@needs_jit
+def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, page: Any) -> None:
+    page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = true")
+    for name in ("back-faces", "hidden", "one-part"):
+        page.check(f"#{name}")
+    page.select_option("#mirror", "y")
+    page.fill("#mirror-at", "10")
+    page.select_option("#blend", "screen")
+    studio.drag(page, (0, 0), (20, 0))
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    found = last_command(studio.session)
+    chosen = {name: found[name] for name in ("backFaces", "hidden", "mirror", "blend")}
+    assert chosen == {"backFaces": True, "hidden": True, "mirror": "y", "blend": "screen"}
+    assert found["offset"] == pytest.approx(0.2, abs=0.01)
+    assert np.linalg.norm(found["at"]) == pytest.approx(1, abs=0.02)
+    for filled, like in (
+        ("color", [8, True]),
+        ("colors", [8, False]),
+        ("part", [None, None]),
+        ("all", [None] * 2),
+    ):
+        page.select_option("#filled", filled)
+        if like[0]:
+            page.fill("#tolerance", "8")
+        page.click("#tool-fill")
+        studio.drag(page, (0, 0))
+        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        found = last_command(studio.session)
+        assert [found.get("tolerance"), found.get("connected")] == like
+        assert ("at" in found) == (filled != "all")
+        assert page.locator("#tolerance").is_disabled() == (like[0] is None)
+    page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = false")

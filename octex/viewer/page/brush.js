@@ -10,7 +10,8 @@ export class BrushDrag {
     const at = painting.place(event);
     this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, ...painting.paint, camera: { width, height, K, pose } });
+    const { brush, paint, below, offset } = painting;
+    strokes.begin({ ...brush, ...paint, camera: { width, height, K, pose }, offset, at: brush.onePart ? below?.rest : undefined });
     this.draw(at, at);
   }
 
@@ -37,9 +38,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

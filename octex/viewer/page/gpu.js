@@ -213,9 +213,10 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed.
+  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed,
+  // or that is `near` what has: see surface.frag.
   // Before there is a mesh this makes its programs ready, while data comes.
-  draw(look, camera, width, height, only = null) {
+  draw(look, camera, width, height, only = null, near = null) {
     const { gl, canvas } = this;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -224,7 +225,7 @@ export class Gpu {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
-    else this.drawSurface(look, camera, width, height, only);
+    else this.drawSurface({ ...look, near }, camera, width, height, only);
   }
 
   // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
@@ -286,8 +287,8 @@ export class Gpu {
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...this.background);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(look, camera, places, picture, OPAQUES, {}, only && !isLayered);
+    if (!look.near) gl.clear(gl.COLOR_BUFFER_BIT);
+    this.drawLayer(look, camera, places, picture, OPAQUES, {}, (only || look.near) && !isLayered);
     let last = picture;
     if (isLayered) {
       last = this.target("blended", width, height, [gl.RGBA8], places);
@@ -345,6 +346,14 @@ export class Gpu {
     gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
     gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
     gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
+    gl.uniform1i(program.at("u_isNear"), look.near ? 1 : 0);
+    if (look.near) {
+      const [low, high] = look.near;
+      gl.uniform3fv(program.at("u_nearLow"), low.slice(0, 3));
+      gl.uniform3fv(program.at("u_nearHigh"), high.slice(0, 3));
+      gl.uniform4f(program.at("u_nearPart"), ...low.slice(3), ...high.slice(3));
+      gl.uniform2f(program.at("u_size"), width, height);
+    }
     const marked = look.marked?.part === number ? look.marked : { index: [0, 0, 0], edge: 0 };
     gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
     gl.uniform1f(program.at("u_markedEdge"), marked.edge);

@@ -12,6 +12,7 @@ const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
 const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s units are counted in these
+
 const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
 export async function begin(viewer, told) {
@@ -25,8 +26,8 @@ class Painting {
   constructor(viewer) {
     this.viewer = viewer;
     this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, pressure: "size", blend: "over" };
-    Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part", ticked: ["base_color"], values: {} });
-    Object.assign(this.brush, JSON.parse(sessionStorage.getItem(KEPT)));
+    Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, hidden: false, onePart: false, mirror: "", mirrorAt: 0, filled: "part", tolerance: 12 });
+    Object.assign(this.brush, { ticked: ["base_color"], values: {} }, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -82,8 +83,13 @@ class Painting {
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
+        check("hidden", "also what is hidden", (hidden) => this.set({ hidden })),
+        check("one-part", "only the part that a stroke begins on", (onePart) => this.set({ onePart })),
         ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
-        ...choice("filled", "Fill", [["part", "the part that is clicked"], ["all", "the whole model"]], (filled) => this.set({ filled }))),
+        ...slider("mirror-at", "Mirror’s place", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
+      section("filling", "Fill",
+        ...choice("filled", "What is clicked fills", [["part", "its part"], ["color", "its colour, as far as that goes"], ["colors", "its colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
+        ...slider("tolerance", "Colours that differ by", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
       section("history", "Steps", make("ol", { id: "steps" })),
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
@@ -112,6 +118,13 @@ class Painting {
     element("size-text").textContent = brush.unit === "pixels" ? `${brush.size} px` : `${Number((brush.size * this.thousandth).toPrecision(2))}`;
     element("angle").value = brush.angle;
     element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
+    element("mirror-at").value = brush.mirrorAt;
+    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % of the model` : "middle";
+    element("mirror-at").disabled = !brush.mirror;
+    element("tolerance").value = brush.tolerance;
+    element("tolerance-text").textContent = `${brush.tolerance}`;
+    element("tolerance").disabled = !brush.filled.startsWith("color");
+    for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
     for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
     for (const name of ["hardness", "opacity", "flow", "spacing"]) {
       element(name).value = brush[name];
@@ -121,9 +134,10 @@ class Painting {
     if (this.at) this.outline(this.at);
   }
 
-  // What strokes and fills are painted with: a colour, values of other channels, or both.
-  get paint() {
-    return this.material.paint;
+  // How far the mirror is from the model’s middle.
+  get offset() {
+    const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror), [low, high] = this.viewer.bounds();
+    return mirror ? (mirrorAt / 100) * (high[axis] - low[axis]) : 0;
   }
 
   get thousandth() {
@@ -141,6 +155,11 @@ class Painting {
     const before = this.width, { brush } = this;
     Object.assign(brush, { unit, size: 1 });
     this.set({ size: Math.round(before / this.width) });
+  }
+
+  // What strokes and fills are painted with: a colour, values of other channels, or both.
+  get paint() {
+    return this.material.paint;
   }
 
   swap() {

@@ -17,9 +17,10 @@ export function pick(painting, event) {
 }
 
 function fill(painting, event) {
-  const { opacity, blend, mirror, filled } = painting.brush, [x, y] = painting.place(event);
-  const isPart = filled === "part", at = isPart ? painting.viewer.pick(x, y)?.rest : undefined;
-  if (isPart && !at) return;
-  painting.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", ...painting.paint, opacity, blend, mirror, at });
+  const { opacity, blend, mirror, filled, tolerance } = painting.brush, [x, y] = painting.place(event);
+  const at = filled === "all" ? undefined : painting.viewer.pick(x, y)?.rest, like = filled.startsWith("color") ? { tolerance, connected: filled === "color" } : {};
+  if (filled !== "all" && !at) return;
+  const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[filled];
+  painting.sending.send({ kind: "fill", name, ...painting.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
   painting.choose("brush");
 }

@@ -8,8 +8,8 @@ function unpacked(bits) {
   return way.map((part) => part / length);
 }
 
-// At a place of the picture, in CSS pixels: the surface's normal, the direction towards the camera, both in view space,
-// and how far along the view it is; or null where nothing is.
+// At a place of the picture, in CSS pixels: where the surface rests, its normal and the direction towards the camera in
+// view space, and how far along the view it is; or null where nothing is.
 export function under(viewer, x, y) {
   const { gpu, canvas, parts, camera } = viewer, { gl } = gpu, { places } = gpu.pictures;
   if (!places || !viewer.isDrawn || viewer.isLost) return null;
@@ -26,7 +26,7 @@ export function under(viewer, x, y) {
   const [a, b, c, width] = new Float32Array(place.buffer);
   if (!(width > 0)) return null;
   const { origin, size, mesh } = parts[0].header, { view } = camera;
-  const [p, q, r] = [a, b, c].map((at, n) => origin[n] + size * at);
+  const rest = [a, b, c].map((at, n) => origin[n] + size * at), [p, q, r] = rest;
   const away = mesh.posed ? gpu.awayAt(viewer.look, camera, [x, y], [canvas.clientWidth, canvas.clientHeight]) : -(view[2] * p + view[6] * q + view[10] * r + view[14]);
-  return { normal: unpacked(ways[0]), toward: unpacked(ways[1]), away };
+  return { rest, normal: unpacked(ways[0]), toward: unpacked(ways[1]), away };
 }

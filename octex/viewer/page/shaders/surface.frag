@@ -41,6 +41,21 @@ uniform int u_kind;  // of the channel that is shown: 0 light, 1 data, 2 directi
 uniform mat4 u_view;
 uniform vec3 u_marked;  // the lowest corner of the cell that is marked
 uniform float u_markedEdge;  // its edge; 0: none
+uniform bool u_isNear;  // only pixels that look up cells in a box, or that lie in a part of the picture, are drawn
+uniform vec3 u_nearLow;
+uniform vec3 u_nearHigh;
+uniform vec4 u_nearPart;  // the lowest and the highest corner, in pictures
+uniform vec2 u_size;  // pixels
+
+// Averages reach so many footprints: of two levels, refined from the ones above them.
+const float REACH = 8.0;
+
+bool isNear(vec4 place) {
+  vec2 at = gl_FragCoord.xy / u_size;
+  vec3 reach = vec3(REACH * place.w);
+  bool isInside = all(greaterThan(at, u_nearPart.xy)) && all(lessThan(at, u_nearPart.zw));
+  return isInside || (all(greaterThan(place.xyz + reach, u_nearLow)) && all(lessThan(place.xyz - reach, u_nearHigh)));
+}
 
 #ifndef BASE_COLOR
 #define BASE_COLOR vec3(0.6)
@@ -170,6 +185,7 @@ void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
   o_color = vec4(0.0);
+  if (u_isNear && !isNear(place)) discard;
   if (place.w <= 0.0) return;
   uvec4 ways = texelFetch(u_ways, at, 0);
   vec3 normal = unpacked(ways.x), toward = unpacked(ways.y);
