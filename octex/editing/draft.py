@@ -116,6 +116,19 @@ def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Chan
     return Change(tiles, cut_out(before, tiles), cut_out(after, tiles))
 
 
+def joined_change(changes: Sequence[Change], before: OctreeTexture, after: OctreeTexture) -> Change:
+    """Return changes that followed on each other as one, from the first one's texture to the last one's."""
+    tiles = [change.tiles for change in changes if change.tiles is not None]
+    if len(changes) == 1:
+        return changes[0]
+    if len(tiles) < len(changes):
+        return Change(None, before, after)
+    level = min(each.level for each in tiles)
+    parents = distinct(np.concatenate([each.codes >> 3 * (each.level - level + 1) for each in tiles]))
+    siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed one is a leaf to its parent
+    return change_in(Tiles(level, siblings), before, after)
+
+
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     """Return the tiles with the most light of channels that have more than 1: it limits averages."""
     tree, bright = texture.tree, []

@@ -88,6 +88,8 @@ class Painter:
         balance: Balance | None = None,
         reference: int | None = None,
         back_faces: bool = False,
+        hidden: bool = False,
+        region: npt.ArrayLike | None = None,
         fit: bool = True,
         threads: int | None = None,
         progress: Progress | None = None,
@@ -99,8 +101,9 @@ class Painter:
         ``octex.paint`` raises; the texture then stays as it was.
         """
         options = PaintOptions(
-            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
-        )
+            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
+            hidden, region,
+        )  # fmt: skip
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
@@ -136,6 +139,11 @@ class Painter:
             _, change = filled(self._texture, self._painted, self._surface, wanted, pool, run.report)
         if change is not None:
             self._texture = self._put(change, self._texture)
+        return self._did([change])
+
+    def put(self, change: Change) -> Stroke:
+        """Put in a change of the texture as it is now, made elsewhere, as a stroke; return it."""
+        self._texture = self._put(change, self._texture)
         return self._did([change])
 
     def undo(self) -> bool:

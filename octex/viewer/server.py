@@ -17,9 +17,10 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
 from octex.viewer.changes import change_between, change_of, is_like, touched_by
-from octex.viewer.export import MODULES, PAINTING, SHADERS, page_text
+from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -37,7 +38,7 @@ _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _FILES = {"": "index.html", "style.css": "style.css"}
 _FILES |= {name: name for name in [*MODULES, *PAINTING]}
-_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, "stroke.frag"]}
+_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, *PAINTING_SHADERS]}
 _PROOF = "/proof"
 _COMMAND = "application/octet-stream"
 _POLICY = (
@@ -277,8 +278,9 @@ def _change(before: _State, after: _State) -> Packed | None:
             return None
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
         touched = touched_by(after.changes) if is_whole else None
-        if is_whole and len(after.changes) == 1:
-            counts, stream = change_of(after.changes[0], was.texture, now.texture)
+        if is_whole and after.changes:
+            change = joined_change(after.changes, was.texture, now.texture)
+            counts, stream = change_of(change, was.texture, now.texture)
         else:
             counts, stream = change_between(was.texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)

@@ -20,13 +20,16 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
+from octex.painting.alike import alike
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, stroke_of
+from octex.viewer.commands import Command, Where, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
+from octex.viewer.material import paint_of, pictures_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -191,26 +194,58 @@ class Session:
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
-        projection, options, axis = stroke_of(command)
+        projection, options, where = stroke_of(command)
         both = [projection]
-        if axis is not None:
-            both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
-        self._did(command, [self._painter.paint(each, **options) for each in both])
+        if where.axis is not None:
+            both.append(mirrored(projection, where.axis, self._mirror(where, self._surface.vertices)))
+        regions: list[Any] = [None, None]
+        if where.point is not None:
+            regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
+        texture, strokes = self._painter.texture(), []
+        for each, region in zip(both, regions, strict=False):
+            for name, picture in pictures_of(command, each, texture):
+                strokes.append(self._painter.paint(picture, channel=name, region=region, **options))
+        self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
-        options, point, axis = fill_of(command)
+        options, where, like = fill_of(command)
         regions: list[Any] = [_everywhere]
-        if point is not None:
-            parts = {self._part_at(point)}
-            if axis is not None:
-                point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
-                parts.add(self._part_at(point))
+        if like is not None:
+            texture = self._painter.texture()
+            near = self._nearest.nearest(np.stack(self._points(where)))
+            corners = self._surface.triangles[near.triangles]
+            points = at_corners(self._surface.rest, corners, near.barycentric)
+            regions = [alike(texture, each, like.tolerance, connected=like.connected) for each in points]
+        elif where.point is not None:
+            parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
-        self._did(command, [self._painter.fill(each, **options) for each in regions])
+        calls = [(each, value) for each in regions for value in paint_of(command, self._painter.texture())]
+        self._did(
+            command,
+            [
+                self._painter.fill(each, value.light, channel=value.form.name, **options)
+                for each, value in calls
+            ],
+        )
 
-    def _middle(self, vertices: Array) -> Array:
-        used = vertices[np.unique(self._surface.triangles)]
-        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+    def _do_channel(self, command: Command) -> None:
+        texture = self._painter.texture()
+        change = Change(None, texture, with_channel(command, texture))
+        self._did(command, [self._painter.put(change)])
+
+    def _mirror(self, where: Where, vertices: Array) -> float:
+        """Return where the mirror of a command crosses its axis."""
+        used = vertices[np.unique(self._surface.triangles)][:, where.axis]
+        return float((used.min() + used.max()) / 2) + where.offset
+
+    def _points(self, where: Where) -> list[Array]:
+        """Return the point of a command, and what a mirror shows of it."""
+        assert where.point is not None
+        if where.axis is None:
+            return [where.point]
+        other = where.point.copy()
+        other[where.axis] = 2 * self._mirror(where, self._surface.rest) - other[where.axis]
+        return [where.point, other]
 
     @cached_property
     def _nearest(self) -> Triangles:

@@ -1,23 +1,24 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event) {
     const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
     this.painting = painting;
-    this.at = painting.place(event);
+    const at = painting.place(event);
+    this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, camera: { width, height, K, pose } });
-    this.draw(this.at, this.at);
+    const { brush, paint, below, offset } = painting;
+    strokes.begin({ ...brush, ...paint, camera: { width, height, K, pose }, offset, at: brush.onePart ? below?.rest : undefined });
+    this.draw(at, at);
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      const at = this.painting.place(each);
-      this.draw(this.at, at);
-      this.at = at;
+      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
     }
   }
 
@@ -37,9 +38,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

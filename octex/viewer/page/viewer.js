@@ -25,7 +25,7 @@ class Viewer {
   constructor() {
     this.canvas = element("picture");
     this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0 };
-    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0 });
+    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0, relief: 0.02 });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
@@ -198,6 +198,7 @@ class Viewer {
     element("cubes").checked = !hasMesh;
     element("cubes").disabled = !hasMesh;
     element("level").max = look.level;
+    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
   }
 
   choose(value) {
@@ -217,6 +218,7 @@ class Viewer {
     on("footprints", (at) => (look.footprints = at.checked));
     on("facing", (at) => (look.facing = at.checked));
     on("cubes", (at) => (look.cubes = at.checked));
+    on("relief", (at) => (look.relief = Number(at.value)));
     on("turntable", (at) => this.turn(at.checked));
     on("level", (at) => {
       look.level = Number(at.value);
