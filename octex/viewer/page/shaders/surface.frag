@@ -85,6 +85,13 @@ uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: th
 uniform mat4 u_strokesCamera;  // sees positions at rest in the root cell
 uniform highp usampler2D u_strokesPlaces;  // what its pixels see, as places.frag has drawn it
 uniform highp usampler2D u_strokesWays;
+uniform vec3 u_strokesEye;  // that camera, in the root cell
+uniform bool u_hidden;  // they reach what is hidden
+uniform vec2 u_mirrored;  // whether those that are sent have another half, and the opacity of that of the one that is drawn
+uniform mat4 u_mirrorCamera;  // the strokes' camera, as the mirror shows it
+uniform vec3 u_mirrorEye;
+uniform highp usampler2D u_mirrorPlaces;
+uniform ivec2 u_parts;  // the part that the stroke that is drawn stays on, and that of its other half; below 0: any
 
 // How much of paint stays at an angle, as octex.painting.reading has it.
 float paintable(bool isAway, float cosine) {
@@ -92,23 +99,34 @@ float paintable(bool isAway, float cosine) {
   return isAway && u_angles.z < 0.5 ? 0.0 : share * share * (3.0 - 2.0 * share);
 }
 
-vec3 painted(vec3 light, vec4 place, float cosine) {
-  vec2 at = gl_FragCoord.xy / u_picture, from = at;
-  float share = paintable((floatBitsToUint(place.w) & 1u) == 1u, cosine), before = share;
-  if (u_strokesView == 2) {
-    vec4 seen = u_strokesCamera * vec4(place.xyz, 1.0);
-    from = 0.5 + 0.5 * seen.xy / seen.w;
-    ivec2 texel = ivec2(from * vec2(textureSize(u_strokesPlaces, 0)));
-    uvec4 bits = texelFetch(u_strokesPlaces, texel, 0), ways = texelFetch(u_strokesWays, texel, 0);
-    vec4 there = uintBitsToFloat(bits);
-    bool isSeen = seen.w > 0.0 && from == clamp(from, 0.0, 1.0) && there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w;
-    before = isSeen ? paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y))) : 0.0;
-  }
-  if (u_strokesView > 0) {
-    light = light * (1.0 - before * texture(u_strokesCover, from).rgb) + before * texture(u_strokesAdded, from).rgb;
-  }
-  float part = share * u_opacity * texture(u_stroke, at).r;
-  return min(light * (1.0 - part * u_cover) + part * u_added, 1.0);
+// Where a camera's picture has a place, and how much of the paint there that takes. `normal` points out of the model.
+vec3 takenBy(mat4 camera, vec3 eye, highp usampler2D places, vec4 place, vec3 normal) {
+  vec4 seen = camera * vec4(place.xyz, 1.0);
+  vec2 from = 0.5 + 0.5 * seen.xy / seen.w;
+  if (seen.w <= 0.0 || from != clamp(from, 0.0, 1.0)) return vec3(0.0);
+  vec4 there = uintBitsToFloat(texelFetch(places, ivec2(from * vec2(textureSize(places, 0))), 0));
+  bool isSeen = u_hidden || (there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w);
+  float cosine = dot(normal, mat3(u_view) * normalize(eye - place.xyz));
+  return vec3(from, isSeen ? paintable(cosine < 0.0, abs(cosine)) : 0.0);
+}
+
+vec3 withSent(vec3 light, vec3 taken) {
+  return light * (1.0 - taken.z * texture(u_strokesCover, taken.xy).rgb) + taken.z * texture(u_strokesAdded, taken.xy).rgb;
+}
+
+vec3 painted(vec3 light, vec4 place, vec3 normal, vec3 toward) {
+  vec2 at = gl_FragCoord.xy / u_picture;
+  bool isAway = (floatBitsToUint(place.w) & 1u) == 1u;
+  vec3 here = vec3(at, paintable(isAway, dot(normal, toward))), other = vec3(0.0), outward = isAway ? -normal : normal;
+  if (u_mirrored != vec2(0.0)) other = takenBy(u_mirrorCamera, u_mirrorEye, u_mirrorPlaces, place, outward);
+  if (u_strokesView == 1) light = withSent(light, here);
+  if (u_strokesView == 2) light = withSent(light, takenBy(u_strokesCamera, u_strokesEye, u_strokesPlaces, place, outward));
+  if (u_strokesView > 0 && u_mirrored.x > 0.0) light = withSent(light, other);
+  int part = u_parts.x < 0 && u_parts.y < 0 ? -1 : int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w);
+  float own = u_parts.x < 0 || part == u_parts.x ? u_opacity * here.z * texture(u_stroke, at).r : 0.0;
+  light = light * (1.0 - own * u_cover) + own * u_added;
+  own = u_parts.y < 0 || part == u_parts.y ? u_mirrored.y * other.z * texture(u_stroke, other.xy).r : 0.0;
+  return min(light * (1.0 - own * u_cover) + own * u_added, 1.0);
 }
 #endif
 
@@ -134,7 +152,7 @@ void main() {
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
 #ifdef PAINTED
-  PAINTED = painted(PAINTED, place, dot(normal, toward));
+  PAINTED = painted(PAINTED, place, normal, toward);
 #endif
   vec3 shown;
 #if defined(SHOWS_LIT)
