@@ -11,7 +11,7 @@ from octex.cli.parser import Command, File, Option
 
 DEFAULT_CHANNEL = "base_color"  # what is painted
 DRAWN = "panels", "view", "paint", "cells", "difference"
-UV = "auto", "keep", "atlas"
+UV = "auto", "keep", "atlas", "xatlas"
 IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
 UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
@@ -84,7 +84,8 @@ _TABLE = """
 --camera-out JSON     write the camera of the picture, to paint it back
 --empty-layer PNG     also write a transparent picture of the same size, to draw on
 
---uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
+--uv MODE             auto (default): keep UVs unless they overlap; keep; atlas: new ones; or xatlas:
+                      new ones, cut by xatlas (slow for scans)
 --texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
                       to 4 where images would differ from the texture by more than 3/255, RMS)
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it

@@ -118,6 +118,11 @@ class Painter:
             self._texture = self._put(change, self._texture)
         return self._did([change])
 
+    def put(self, change: Change) -> Stroke:
+        """Put in a change of the texture as it is now, made elsewhere, as a stroke; return it."""
+        self._texture = self._put(change, self._texture)
+        return self._did([change])
+
     def undo(self) -> bool:
         """Undo the last stroke; return whether there was one."""
         if not self._done:

@@ -13,7 +13,6 @@ import numpy as np
 
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
-from octex.channels import decode
 from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
@@ -23,6 +22,7 @@ from octex.painting.picture import Blend, Projection
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
 _FARTHEST = 1e12
+_MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 
@@ -90,19 +90,29 @@ class Alike(NamedTuple):
 
 
 def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
-    """Return the colour and options of a fill, a point of it or None for all, and what it covers there.
+    """Return the options of a fill, a point of it or None for all, and what it covers there.
 
     That is what is alike, or the whole part for None.
     """
     _no_content(command)
+    if not values_of(command) or "color" in command.given:
+        codes_of(command)
     where, alike = where_of(command), None
     if "tolerance" in command.given:
         if where.point is None:
             raise ArgumentError("a tolerance needs at, the point whose colour is filled")
         tolerance = as_number(command.given["tolerance"], "tolerance", 0.0, 255.0)
         alike = Alike(tolerance, as_flag(command.given.get("connected", True), "connected"))
-    options = {"color": color_of(command), "opacity": opacity_of(command), "blend": blend_of(command)}
-    return options, where, alike
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
+
+
+def channel_of(command: Command) -> str:
+    """Return the name of the channel that a command adds."""
+    _no_content(command)
+    name = command.given.get("channel")
+    if not isinstance(name, str):
+        raise ArgumentError("channel must be a name")
+    return name
 
 
 def _no_content(command: Command) -> None:
@@ -114,6 +124,7 @@ def _no_content(command: Command) -> None:
 _READERS: dict[str, Callable[[Command], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
+    "channel": channel_of,
     "undo": _no_content,
     "redo": _no_content,
     "save": _no_content,
@@ -133,16 +144,16 @@ def camera_of(command: Command) -> Camera:
 def picture_of(command: Command, camera: Camera) -> Uint8s:
     """Return the picture (height, width, 4) of a stroke, in sRGB.
 
-    The content has its ``box`` alone, deflated: the coverage by its ``color``; without that, planes of red,
-    green, blue and coverage.
+    The content has its ``box`` alone, deflated: the coverage by its ``color`` or ``values``; without both,
+    planes of red, green, blue and coverage.
     """
     width, height = camera.width, camera.height
     left, top, right, bottom = box = numbers(command.given, "box", (4,)).tolist()
     if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
         raise ArgumentError(f"box must be a part of {width}×{height} pixels")
     left, top, right, bottom = map(int, box)
-    has_color = "color" in command.given
-    shape = (1 if has_color else 4, bottom - top, right - left)
+    is_plain = bool(values_of(command)) or "color" in command.given
+    shape = (1 if is_plain else 4, bottom - top, right - left)
     size = math.prod(shape)
     unpacker = zlib.decompressobj(-15)
     try:
@@ -150,14 +161,13 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
     except zlib.error:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
-        what = "coverage" if has_color else "red, green, blue and coverage"
+        what = "coverage" if is_plain else "red, green, blue and coverage"
         raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
-    if has_color:
-        image[..., :3] = codes_of(command)
-    image[top:bottom, left:right, -shape[0] :] = (
-        np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
-    )
+    inside = image[top:bottom, left:right]
+    if "color" in command.given:
+        inside[..., :3] = codes_of(command)
+    inside[..., -shape[0] :] = np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
     return image
 
 
@@ -186,17 +196,20 @@ def blend_of(command: Command) -> Blend:
     return as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
 
 
-def color_of(command: Command) -> Array:
-    """Return a colour in linear light."""
-    return decode(codes_of(command), "srgb")
-
-
 def codes_of(command: Command) -> Uint8s:
     """Return a colour as a page has it, in 8-bit sRGB."""
     codes = numbers(command.given, "color", (3,), 255.0)
     if (codes < 0).any():
         raise ArgumentError("color must be codes of 0 to 255")
     return np.rint(codes).astype(np.uint8)
+
+
+def values_of(command: Command) -> dict[str, Array]:
+    """Return the numbers that each channel is painted with; none if the command has no values."""
+    given = command.given.get("values", {})
+    if not isinstance(given, dict) or len(given) > _MOST_CHANNELS:
+        raise ArgumentError(f"values must be an object of at most {_MOST_CHANNELS} channels")
+    return {name: numbers(given, name, (-1,)) for name in given}
 
 
 def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = _FARTHEST) -> Array:

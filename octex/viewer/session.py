@@ -29,6 +29,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer.commands import Command, Where, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
+from octex.viewer.material import paint_of, pictures_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -192,10 +193,10 @@ class Session:
         regions: list[Any] = [None, None]
         if where.point is not None:
             regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
-        strokes = [
-            self._painter.paint(each, region=region, **options)
-            for each, region in zip(both, regions, strict=False)
-        ]
+        texture, strokes = self._painter.texture(), []
+        for each, region in zip(both, regions, strict=False):
+            for name, picture in pictures_of(command, each, texture):
+                strokes.append(self._painter.paint(picture, channel=name, region=region, **options))
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
@@ -210,7 +211,19 @@ class Session:
         elif where.point is not None:
             parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
-        self._did(command, [self._painter.fill(each, **options) for each in regions])
+        calls = [(each, value) for each in regions for value in paint_of(command, self._painter.texture())]
+        self._did(
+            command,
+            [
+                self._painter.fill(each, value.light, channel=value.form.name, **options)
+                for each, value in calls
+            ],
+        )
+
+    def _do_channel(self, command: Command) -> None:
+        texture = self._painter.texture()
+        change = Change(None, texture, with_channel(command, texture))
+        self._did(command, [self._painter.put(change)])
 
     def _mirror(self, where: Where, vertices: Array) -> float:
         """Return where the mirror of a command crosses its axis."""

@@ -35,10 +35,10 @@ _HOLD = """() => {
 class Studio:
     """A ball that is painted in a page."""
 
-    def __init__(self, browser: Any, folder: Path) -> None:
+    def __init__(self, browser: Any, folder: Path, depth: int = 6) -> None:
         self.surface: Surface = ball(32)
         grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture: OctreeTexture = octex.convert(grey, depth=6)
+        self.texture: OctreeTexture = octex.convert(grey, depth=depth)
         self.start(browser, folder)
 
     def start(self, browser: Any, folder: Path) -> None:

@@ -10,8 +10,8 @@ export class BrushDrag {
     const at = painting.place(event);
     this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    const { brush, below, offset } = painting;
-    strokes.begin({ ...brush, camera: { width, height, K, pose }, offset, at: brush.onePart ? below?.rest : undefined, begin: at });
+    const { brush, paint, below, offset } = painting;
+    strokes.begin({ ...brush, ...paint, camera: { width, height, K, pose }, offset, at: brush.onePart ? below?.rest : undefined, begin: at });
     this.draw(at, at);
   }
 
@@ -42,9 +42,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset } = stroke;
+    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
+    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

@@ -1,6 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Material, fromHex, toHex } from "./material.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -12,8 +13,7 @@ const STEP = 1.15; // of the size, by a key
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
 const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s units are counted in these
 
-const toHex = (color) => `#${color.map((code) => Math.round(code).toString(16).padStart(2, "0")).join("")}`;
-const fromHex = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16));
+const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
 export async function begin(viewer, told) {
   const painting = new Painting(viewer);
@@ -27,6 +27,7 @@ class Painting {
     this.viewer = viewer;
     this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, pressure: "size", blend: "over" };
     Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, hidden: false, onePart: false, mirror: "", mirrorAt: 0, filled: "part", tolerance: 12 });
+    Object.assign(this.brush, { ticked: ["base_color"], values: {} }, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -60,6 +61,7 @@ class Painting {
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
+    this.material = new Material(this);
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
       make("div", { class: "bar" },
         act("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
@@ -77,6 +79,7 @@ class Painting {
         ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
         ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
         ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
+      this.material.section,
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
@@ -127,6 +130,7 @@ class Painting {
       element(name).value = brush[name];
       element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
     }
+    this.material.show();
     if (this.at) this.outline(this.at);
   }
 
@@ -151,6 +155,11 @@ class Painting {
     const before = this.width, { brush } = this;
     Object.assign(brush, { unit, size: 1 });
     this.set({ size: Math.round(before / this.width) });
+  }
+
+  // What strokes and fills are painted with: a colour, values of other channels, or both.
+  get paint() {
+    return this.material.paint;
   }
 
   swap() {
@@ -184,6 +193,7 @@ class Painting {
     }, { capture: true, passive: false });
     on("dblclick", (event) => event.target === canvas && this.isOnModel && event.stopPropagation());
     document.addEventListener("keydown", (event) => this.key(event), true);
+    window.addEventListener("pagehide", () => sessionStorage.setItem(KEPT, JSON.stringify(this.brush)));
     window.addEventListener("beforeunload", (event) => {
       if (this.sending.waiting.length) event.preventDefault();
     });
@@ -211,10 +221,9 @@ class Painting {
 
   // Why nothing can be painted on what is shown; or nothing.
   get hindrance() {
-    const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
+    const { look } = this.viewer;
     if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
-    if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
-    return "";
+    return this.material.hindrance;
   }
 
   down(event) {

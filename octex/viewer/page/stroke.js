@@ -7,8 +7,11 @@ export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless
 const FADE = 10; // and over which paint fades
 
 const cosine = (degrees) => Math.cos((degrees * Math.PI) / 180);
-export const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
+const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
 const LIGHTS = Float32Array.from({ length: 256 }, (_, code) => toLight(code));
+
+const UNIT = 27; // of textures: the strokes that are sent
+const PLAIN = new Float32Array(4);
 
 // How paint p meets what is there, b: with a coverage a it makes b·(1 − a·cover) + a·added of each component. Here are
 // cover and added for each blend mode, and tables of both by p's code. See BLENDS in octex/painting/picture.py.
@@ -18,11 +21,10 @@ const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => 
 export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
-    this.channel = "base_color";
-    this.current = null; // color, opacity, hardness, blend, box
-    this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color or planes of colors
+    this.current = null; // color and values of channels, opacity, hardness, blend, box
+    this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color and values, or planes of colors
+    this.sums = new Map(); // of them by plane: how they cover what is there, and what they add
     this.size = [0, 0];
-    this.mirror = new Mirror(viewer);
   }
 
   // Make all anew, as after a lost context.
@@ -51,20 +53,46 @@ export class Strokes {
   allocate(width, height) {
     const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
+    this.mirror = new Mirror(this.viewer);
     this.target = gpu.target("stroke", width, height, [gl.R8]);
-    for (const texture of this.composed ?? []) gl.deleteTexture(texture);
-    this.composed = [gl.createTexture(), gl.createTexture()];
-    for (const texture of [...this.composed, this.target.textures[0]]) {
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      for (const name of ["MIN", "MAG"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
-      for (const name of ["S", "T"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
-    }
-    for (const texture of this.composed) {
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGB16F, width, height);
-    }
-    this.sums = this.composed.map(() => new Float32Array(3 * width * height));
+    this.smooth(gl.TEXTURE_2D, this.target.textures[0]);
+    this.layer([]);
     this.clear();
+  }
+
+  // Read a texture between its texels.
+  smooth(kind, texture) {
+    const { gl } = this.viewer.gpu;
+    gl.bindTexture(kind, texture);
+    for (const name of ["MIN", "MAG"]) gl.texParameteri(kind, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
+    for (const name of ["S", "T"]) gl.texParameteri(kind, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
+  }
+
+  // Have layers for planes, two each: how strokes cover what is there, and what they add.
+  layer(planes) {
+    const { gl } = this.viewer.gpu, [width, height] = planes.length ? this.size : [1, 1];
+    gl.deleteTexture(this.composed ?? null);
+    this.composed = gl.createTexture();
+    this.smooth(gl.TEXTURE_2D_ARRAY, this.composed);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, width, height, Math.max(2 * planes.length, 1));
+    this.sums = new Map(planes.map((plane) => [plane, [0, 1].map(() => new Float32Array(4 * width * height))]));
+  }
+
+  // How a stroke's paint meets the components of planes: of each four numbers of how it covers, and four that it adds.
+  paintOf({ color, colors, values = {}, blend = "over" }) {
+    const found = new Map(), part = this.viewer.parts[0];
+    for (const [name, value] of Object.entries({ base_color: color ?? (colors && [0, 0, 0]), ...values })) {
+      const channel = part.channel(name);
+      if (!value || !channel) continue;
+      const { at: [plane, slot], range: [low, high], space } = channel;
+      if (!found.has(plane)) found.set(plane, [new Float32Array(4), new Float32Array(4)]);
+      value.forEach((given, k) => {
+        const [covers, adds] = BLENDS[blend](space === "data" ? given : LIGHTS[Math.round(given)]);
+        found.get(plane)[0][slot + k] = covers;
+        found.get(plane)[1][slot + k] = (adds - covers * low) / (high - low);
+      });
+    }
+    return found;
   }
 
   clear() {
@@ -137,8 +165,9 @@ export class Strokes {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4) coverage[n++] = read[at];
     }
     if (!coverage.some((each) => each > 0)) return null;
-    const parts = current.part < 0 ? null : this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
-    const shown = parts ? coverage.map((each, n) => (parts[row(n) * width + (n % width)] === current.part ? each : 0)) : coverage;
+    const isOnPart = current.part >= 0 && !this.mirror.keyOf(current, this.view);
+    const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
+    const shown = coverage.map((each, n) => (!parts || parts[row(n) * width + (n % width)] === current.part ? each : 0));
     return { ...current, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
@@ -174,46 +203,60 @@ export class Strokes {
   }
 
   // Lay strokes that are not painted yet over each other, as they will be painted: how they cover what is there, and
-  // the light that they add.
+  // what they add.
   compose() {
-    const { gl } = this.viewer.gpu, [width, height] = this.size, [cover, added] = this.sums;
+    const { gl } = this.viewer.gpu, [width, height] = this.size;
     if (!this.sent.length) return;
-    cover.fill(0);
-    added.fill(0);
-    for (const { box: [left, top, right, bottom], coverage, shown = coverage, color, colors, opacity, blend = "over" } of this.sent) {
-      const paint = color?.map(Math.round), plane = coverage.length, [covers, adds] = TABLES[blend];
-      for (let row = top, n = 0; row < bottom; row++) {
-        for (let at = 3 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 3, n++) {
-          const share = (opacity * shown[n]) / 255;
-          if (!share) continue;
-          for (let k = 0; k < 3; k++) {
-            const code = paint ? paint[k] : colors[k * plane + n], own = share * covers[code];
-            cover[at + k] += own * (1 - cover[at + k]);
-            added[at + k] += share * adds[code] - own * added[at + k];
-          }
+    const paints = this.sent.map((stroke) => this.paintOf(stroke)), planes = new Set(paints.flatMap((paint) => [...paint.keys()]));
+    if ([...planes].some((plane) => !this.sums.has(plane))) this.layer([...new Set([...this.sums.keys(), ...planes])]);
+    for (const sums of this.sums.values()) for (const sum of sums) sum.fill(0);
+    this.sent.forEach((stroke, n) => {
+      const picture = stroke.colors && this.viewer.parts[0].channel("base_color").at[0];
+      for (const [plane, paint] of paints[n]) this.lay(stroke, paint, plane === picture, ...this.sums.get(plane));
+    });
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
+    [...this.sums.values()].flat().forEach((sum, layer) => {
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA, gl.FLOAT, sum);
+    });
+  }
+
+  // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue, the plane's first.
+  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
+    const [width, height] = this.size, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
+    const lanes = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
+    for (let row = top, n = 0; row < bottom; row++) {
+      for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+        const share = (opacity * shown[n]) / 255;
+        if (!share) continue;
+        for (const k of lanes) {
+          const code = isPicture && k < 3 ? colors[k * area + n] : -1;
+          const own = share * (code < 0 ? covers[k] : coverOf[code]), more = share * (code < 0 ? adds[k] : addedOf[code]);
+          cover[at + k] += own * (1 - cover[at + k]);
+          added[at + k] += more - own * added[at + k];
         }
       }
     }
-    this.composed.forEach((texture, n) => {
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGB, gl.FLOAT, this.sums[n]);
-    });
   }
 
   // What the picture is drawn with.
   get textures() {
-    const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_strokesCover, u_strokesAdded] = this.composed;
-    const u_mirrorPlaces = (this.mirror.places ?? this.places).textures[0];
-    return { u_strokesCover, u_strokesAdded, u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
+    const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_mirrorPlaces] = (this.mirror.places ?? this.places).textures;
+    return { u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
   }
 
-  set(program, width, height) {
+  set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const shown = current ?? this.sent.at(-1) ?? {}, { color = [0, 0, 0], opacity = 0, blend = "over", angle = MOST_ANGLE, backFaces = false, hidden = false } = shown;
-    const isWhole = angle >= 90;
-    const [cover, added] = TABLES[blend].map((table) => color.map((code) => table[Math.round(code)]));
-    gl.uniform3fv(program.at("u_cover"), cover);
-    gl.uniform3fv(program.at("u_added"), added);
+    const shown = current ?? this.sent.at(-1) ?? {}, { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false } = shown;
+    const isWhole = angle >= 90, paint = current ? this.paintOf(current) : new Map(), layers = [...this.sums.keys()];
+    gl.activeTexture(gl.TEXTURE0 + UNIT);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(program.at("u_strokes"), UNIT);
+    gl.uniform1iv(program.at("u_strokesAt[0]"), Array.from({ length: planes }, (_, n) => 2 * layers.indexOf(n)));
+    ["u_cover", "u_added"].forEach((name, which) => {
+      const all = Array.from({ length: planes }, (_, n) => [...(paint.get(n)?.[which] ?? PLAIN)]);
+      gl.uniform4fv(program.at(`${name}[0]`), all.flat());
+    });
     gl.uniform1f(program.at("u_opacity"), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);

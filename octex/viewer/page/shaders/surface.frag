@@ -29,13 +29,33 @@ void main() {
 
 #else
 
+#ifdef SHOWS_HEIGHT
+layout(location = 0) out uint o_height;
+vec4 o_color;
+#else
 layout(location = 0) out vec4 o_color;
+#endif
 
 uniform bool u_footprints;  // averages over what a pixel covers; else leaves
 uniform int u_kind;  // of the channel that is shown: 0 light, 1 data, 2 directions
 uniform mat4 u_view;
 uniform vec3 u_marked;  // the lowest corner of the cell that is marked
 uniform float u_markedEdge;  // its edge; 0: none
+uniform bool u_isNear;  // only pixels that look up cells in a box, or that lie in a part of the picture, are drawn
+uniform vec3 u_nearLow;
+uniform vec3 u_nearHigh;
+uniform vec4 u_nearPart;  // the lowest and the highest corner, in pictures
+uniform vec2 u_size;  // pixels
+
+// Averages reach so many footprints: of two levels, refined from the ones above them.
+const float REACH = 8.0;
+
+bool isNear(vec4 place) {
+  vec2 at = gl_FragCoord.xy / u_size;
+  vec3 reach = vec3(REACH * place.w);
+  bool isInside = all(greaterThan(at, u_nearPart.xy)) && all(lessThan(at, u_nearPart.zw));
+  return isInside || (all(greaterThan(place.xyz + reach, u_nearLow)) && all(lessThan(place.xyz - reach, u_nearHigh)));
+}
 
 #ifndef BASE_COLOR
 #define BASE_COLOR vec3(0.6)
@@ -68,16 +88,19 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 #ifndef ROUGHNESS
 #define ROUGHNESS 1.0
 #endif
+#ifndef HEIGHT
+#define HEIGHT 0.0
+#endif
 #ifndef OCCLUSION
 #define OCCLUSION 1.0
 #endif
 
-#ifdef PAINTED
-uniform sampler2D u_strokesCover;  // what is sent and not yet painted: how it covers what is there
-uniform sampler2D u_strokesAdded;  // and the light that it adds
+#ifdef PAINTS
+uniform highp sampler2DArray u_strokes;  // what is sent and not yet painted: how it covers what is there, then what it adds
+uniform int u_strokesAt[PLANES];  // where each plane's begins; below 0: it has none
 uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
-uniform vec3 u_cover;  // how its paint covers what is there, and the light that it adds
-uniform vec3 u_added;
+uniform vec4 u_cover[PLANES];  // how its paint covers what is there, and what it adds
+uniform vec4 u_added[PLANES];
 uniform float u_opacity;
 uniform vec2 u_picture;  // pixels
 uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
@@ -92,6 +115,8 @@ uniform mat4 u_mirrorCamera;  // the strokes' camera, as the mirror shows it
 uniform vec3 u_mirrorEye;
 uniform highp usampler2D u_mirrorPlaces;
 uniform ivec2 u_parts;  // the part that the stroke that is drawn stays on, and that of its other half; below 0: any
+vec3 p_sent = vec3(0.0), p_other = vec3(0.0);  // where the strokes have the pixel, and how much it takes; of their other halves
+vec2 p_part;  // how much it takes of the stroke that is drawn, and of its other half
 
 // How much of paint stays at an angle, as octex.painting.reading has it.
 float paintable(bool isAway, float cosine) {
@@ -110,23 +135,36 @@ vec3 takenBy(mat4 camera, vec3 eye, highp usampler2D places, vec4 place, vec3 no
   return vec3(from, isSeen ? paintable(cosine < 0.0, abs(cosine)) : 0.0);
 }
 
-vec3 withSent(vec3 light, vec3 taken) {
-  return light * (1.0 - taken.z * texture(u_strokesCover, taken.xy).rgb) + taken.z * texture(u_strokesAdded, taken.xy).rgb;
-}
-
-vec3 painted(vec3 light, vec4 place, vec3 normal, vec3 toward) {
+// Find the strokes at a pixel.
+void findStrokes(vec4 place, vec3 normal, vec3 toward) {
   vec2 at = gl_FragCoord.xy / u_picture;
   bool isAway = (floatBitsToUint(place.w) & 1u) == 1u;
-  vec3 here = vec3(at, paintable(isAway, dot(normal, toward))), other = vec3(0.0), outward = isAway ? -normal : normal;
-  if (u_mirrored != vec2(0.0)) other = takenBy(u_mirrorCamera, u_mirrorEye, u_mirrorPlaces, place, outward);
-  if (u_strokesView == 1) light = withSent(light, here);
-  if (u_strokesView == 2) light = withSent(light, takenBy(u_strokesCamera, u_strokesEye, u_strokesPlaces, place, outward));
-  if (u_strokesView > 0 && u_mirrored.x > 0.0) light = withSent(light, other);
-  int part = u_parts.x < 0 && u_parts.y < 0 ? -1 : int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w);
-  float own = u_parts.x < 0 || part == u_parts.x ? u_opacity * here.z * texture(u_stroke, at).r : 0.0;
-  light = light * (1.0 - own * u_cover) + own * u_added;
-  own = u_parts.y < 0 || part == u_parts.y ? u_mirrored.y * other.z * texture(u_stroke, other.xy).r : 0.0;
-  return min(light * (1.0 - own * u_cover) + own * u_added, 1.0);
+  vec3 here = vec3(at, paintable(isAway, dot(normal, toward))), outward = isAway ? -normal : normal;
+  if (u_mirrored != vec2(0.0)) p_other = takenBy(u_mirrorCamera, u_mirrorEye, u_mirrorPlaces, place, outward);
+  if (u_strokesView == 1) p_sent = here;
+  if (u_strokesView == 2) p_sent = takenBy(u_strokesCamera, u_strokesEye, u_strokesPlaces, place, outward);
+  p_part = vec2(u_opacity * here.z * texture(u_stroke, at).r, u_mirrored.y * p_other.z * texture(u_stroke, p_other.xy).r);
+  if (u_parts == ivec2(-1)) return;
+  int part = int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w);
+  bvec2 isOther = notEqual(ivec2(part), u_parts);
+  if (isOther.x) p_part.x = 0.0;
+  if (isOther.y) p_part.y = 0.0;
+  if (u_strokesView != 1 || u_mirrored.x == 0.0) return;  // strokes without another half are sent without other parts
+  if (isOther.x) p_sent.z = 0.0;
+  if (isOther.y) p_other.z = 0.0;
+}
+
+vec4 withSent(vec4 values, int layer, vec3 taken) {
+  return values * (1.0 - taken.z * texture(u_strokes, vec3(taken.xy, layer))) + taken.z * texture(u_strokes, vec3(taken.xy, layer + 1));
+}
+
+// What a plane's components are with the strokes.
+vec4 painted(vec4 values, int plane) {
+  int layer = u_strokesAt[plane];
+  if (layer >= 0 && p_sent.z > 0.0) values = withSent(values, layer, p_sent);
+  if (layer >= 0 && u_mirrored.x * p_other.z > 0.0) values = withSent(values, layer, p_other);
+  values = values * (1.0 - p_part.x * u_cover[plane]) + p_part.x * u_added[plane];
+  return min(values * (1.0 - p_part.y * u_cover[plane]) + p_part.y * u_added[plane], 1.0);
 }
 #endif
 
@@ -140,10 +178,36 @@ vec3 turned(vec3 way, vec3 side, vec3 across, vec3 normal) {
 }
 #endif
 
+#ifdef RELIEF
+uniform float u_relief;  // how far a height of 1 rises, in root cells
+uniform highp usampler2D u_heights;  // bits of the heights that pixels see
+
+// How positions at rest and heights differ from one neighbour of a pixel to the other, as far as these are beside it.
+vec4 along(vec4 place, ivec2 at, ivec2 aside) {
+  vec4 ends[2];
+  for (int n = 0; n < 2; n++) {
+    ivec2 to = n == 0 ? at - aside : at + aside;
+    vec4 there = uintBitsToFloat(texelFetch(u_places, to, 0));
+    bool isBeside = there.w > 0.0 && distance(there.xyz, place.xyz) < 4.0 * place.w;
+    ends[n] = vec4(isBeside ? there.xyz : place.xyz, uintBitsToFloat(texelFetch(u_heights, isBeside ? to : at, 0).x));
+  }
+  return ends[1] - ends[0];
+}
+
+// How what is raised changes along the surface at rest.
+vec3 slopes(vec4 place, ivec2 at) {
+  vec4 x = along(place, at, ivec2(1, 0)), y = along(place, at, ivec2(0, 1));
+  vec3 side = cross(x.xyz, y.xyz);
+  float square = dot(side, side);
+  return square > 0.0 ? u_relief / square * (x.w * cross(y.xyz, side) + y.w * cross(side, x.xyz)) : vec3(0.0);
+}
+#endif
+
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
   o_color = vec4(0.0);
+  if (u_isNear && !isNear(place)) discard;
   if (place.w <= 0.0) return;
   uvec4 ways = texelFetch(u_ways, at, 0);
   vec3 normal = unpacked(ways.x), toward = unpacked(ways.y);
@@ -151,11 +215,22 @@ void main() {
   face(unpacked(ways.z));
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
-#ifdef PAINTED
-  PAINTED = painted(PAINTED, place, normal, toward);
+#ifdef PAINTS
+  findStrokes(place, normal, toward);
+  g_sum{N} = painted(g_sum{N}, {N});
 #endif
   vec3 shown;
-#if defined(SHOWS_LIT)
+#if defined(SHOWS_HEIGHT)
+  o_height = floatBitsToUint(HEIGHT);
+#elif defined(SHOWS_LIT)
+#ifdef RELIEF
+  vec3 slope = slopes(place, at);
+#ifdef POSED
+  slope = turned(slope, unpacked(ways.z), unpacked(ways.w), normal);
+#else
+  slope = mat3(u_view) * slope;
+#endif
+#endif
 #ifdef NORMAL
   vec3 stored = 2.0 * NORMAL - 1.0;
   if (dot(stored, stored) > 1e-4) {
@@ -167,6 +242,9 @@ void main() {
     stored = normalize(stored);
     normal = dot(stored, normal) < 0.0 ? -stored : stored;
   }
+#endif
+#ifdef RELIEF
+  normal = normalize(normal - slope + dot(slope, normal) * normal);
 #endif
   vec3 light = lit(beside(BASE_COLOR, at), METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward);
   shown = toSrgb(toneMapped(light + EMISSIVE));
