@@ -18,7 +18,7 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.errors import ArgumentError, OctexError
+from octex.errors import ArgumentError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
 from octex.painting.options import format_of
@@ -50,6 +50,7 @@ class _Step(NamedTuple):
 
     name: str
     strokes: int  # of the Painter
+    number: int  # of the steps that there ever were
 
 
 class Shown(NamedTuple):
@@ -84,8 +85,8 @@ class Session:
         self._baked: dict[str, int] = {}  # and that is done
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._fault, self._is_ending = "", False
-        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
+        self._fault, self._is_ending, self._count = "", False, 0
+        self._saved: list[int] | None = []  # the steps that OUTPUT has, or the texture given for none
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
@@ -97,6 +98,7 @@ class Session:
                 self._numbers[command.page] = command.number
                 if command.kind != "save":
                     self._do(command)
+                    self._store()
                     self.repeated += 1
         if self.repeated:
             self._saved = None  # what was saved of them is not known
@@ -146,7 +148,7 @@ class Session:
 
     @property
     def _is_saved(self) -> bool:
-        return self._painter.strokes == self._saved
+        return [step.number for step in self._steps] == self._saved
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -157,8 +159,14 @@ class Session:
                 self.shown = self._shown()
                 with suppress(Exception):  # pages ask for the change again, and are told what is wrong
                     self.changed()
+                self._store()
             self._queue.task_done()
         self._queue.task_done()
+
+    def _store(self) -> None:
+        """Free the memory of strokes but the last few."""
+        with suppress(OutputError):  # a full disk; they then stay in memory
+            self._painter.store(self._output.parent)
 
     def _shown(self) -> Shown:
         told = {
@@ -180,7 +188,7 @@ class Session:
             self._fault = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
-        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+        while self._painter.count > sum(step.strokes for step in self._steps):
             self._painter.undo()  # a part of what has failed
             self._undone.clear()
         self._baked[command.page] = command.number
@@ -250,16 +258,16 @@ class Session:
         self._changes = tuple(change for stroke in strokes for change in stroke)
         if self._changes:
             name = command.given.get("name", command.kind)
-            self._steps.append(_Step(name, sum(map(bool, strokes))))
+            self._count += 1
+            self._steps.append(_Step(name, sum(map(bool, strokes)), self._count))
             self._undone.clear()
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
         if not self._steps:
             return
         step = self._steps.pop()
-        strokes = self._painter.strokes[-step.strokes :]
-        self._changes = tuple(change.inverted() for stroke in strokes[::-1] for change in stroke[::-1])
         for _ in range(step.strokes):
+            self._changes += tuple(change.inverted() for change in self._painter.last[::-1])
             self._painter.undo()
         self._undone.append(step)
 
@@ -269,14 +277,12 @@ class Session:
         step = self._undone.pop()
         for _ in range(step.strokes):
             self._painter.redo()
-        self._changes = tuple(
-            change for stroke in self._painter.strokes[-step.strokes :] for change in stroke
-        )
+            self._changes += self._painter.last
         self._steps.append(step)
 
     def _do_save(self, command: Command) -> None:  # noqa: ARG002
         self._painter.texture().save(self._output)
-        self._saved = self._painter.strokes
+        self._saved = [step.number for step in self._steps]
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -22,6 +22,7 @@ from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
 from tests.make.painted import ball
+from tests.viewer.test_paint_redraw import _UNLIKE
 from tests.viewer.test_painting import _HOLD, Studio
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
@@ -121,6 +122,26 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(
         shape = channel.values.shape
         if name not in values and shop.session.shown.texture.channels[name].values.shape == shape:
             assert (shop.session.shown.texture.channels[name].values == channel.values).all()
+
+
+@needs_jit
+def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop: Workshop, page: Any) -> None:
+    ticked(page, height=1.0)
+    page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
+    page.evaluate("viewer.painting.set({ size: 8 })")
+    page.wait_for_function("viewer.isSharp", timeout=60_000)
+    first, near = page.evaluate("viewer.painting.sending.number"), 0
+    for number in range(1, 5):
+        looked_up, pictures = page.evaluate("[viewer.lookedUp, viewer.pictures]")
+        shop.drag(page, (10 * number, 0), (10 * number, 20))
+        shop.is_done(page, first + number)
+        page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
+        unlike, shown = page.evaluate(_UNLIKE)
+        assert unlike == 0
+        assert shown > 100
+        if looked_up == page.evaluate("viewer.lookedUp"):
+            near += page.evaluate("viewer.pictures") == pictures
+    assert near > 0
 
 
 @needs_jit

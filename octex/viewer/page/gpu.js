@@ -329,7 +329,7 @@ export class Gpu {
   drawHeights(look, camera, places, drawn) {
     const { gl } = this, target = this.target("heights", places.width, places.height, [gl.R32UI], places);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+    if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
     this.drawSeen((part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
     return target.textures[0];
   }

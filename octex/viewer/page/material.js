@@ -31,6 +31,7 @@ export class Material {
     const add = make("select", { id: "add-channel", "aria-label": "Add a channel", oninput: ({ target }) => this.add(target.value) },
       new Option("Add…", ""), ...missing.map((name) => new Option(`${nameOf(name)} (${KNOWN[name][1]})`, name)));
     this.section = section("material", "Material", ...this.channels.map((each) => this.row(each)), ...(missing.length ? [add] : []));
+    if (!element("relief").hidden) this.section.append(element("relief-label"), element("relief"));
     this.section.open = this.ticked.some((name) => name !== BASE);
   }
 

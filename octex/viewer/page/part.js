@@ -1,9 +1,8 @@
 // A texture and its mesh: of a set, one of several. What the GPU holds of them.
 
-import { Octree, ROW } from "./octree.js";
+import { MORE, Octree, ROW } from "./octree.js";
 import { patch } from "./patch.js";
 
-const MORE = 1 / 8; // of a texture that has grown: the room that it gets for more
 const PIECES = 20; // milliseconds of a picture in which cells become cubes
 const rowsOf = ({ array, size }) => array.length / (size * ROW);
 
