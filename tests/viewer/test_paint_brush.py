@@ -571,7 +571,8 @@ class Pair(Studio):
 
     def __init__(self, browser: Any, folder: Path) -> None:
         one = ball(16)
-        mesh = together((one.vertices, one.triangles), (one.vertices + np.array([2.1, 0.2, -0.3]), one.triangles))
+        beside = one.vertices + np.array([2.1, 0.2, -0.3])
+        mesh = together((one.vertices, one.triangles), (beside, one.triangles))
         self.surface = plain(mesh)
         self.texture = octex.convert(self.surface, depth=6)
         self.start(browser, folder)
