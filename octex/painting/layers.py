@@ -12,8 +12,9 @@ from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, change_of_values, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
+from octex.painting.history import Stroke
 from octex.painting.merge import merged
-from octex.painting.painter import Painter, Stroke
+from octex.painting.painter import Painter
 from octex.painting.picture import Blend
 from octex.painting.restore import ERASED, restored, without_erased
 from octex.painting.stack import (
@@ -296,10 +297,9 @@ class Layers(Painter):
     def undo(self) -> bool:
         """Undo the last stroke or change of the stack; return whether there was one."""
         self.changes = ()
-        if not self._done or not isinstance(step := self._done[-1], Restacked):
-            stroke = self._done[-1] if self._done else ()
+        if not isinstance(step := self._done.last, Restacked):
             was_done = super().undo()
-            self._told([change.inverted() for change in reversed(stroke)])
+            self._told([change.inverted() for change in reversed(step)])
             return was_done
         self._apply(Restacked(step.after, step.before, step.removed))
         self._undone.append(self._done.pop())
@@ -308,10 +308,9 @@ class Layers(Painter):
     def redo(self) -> bool:
         """Redo the last undone stroke or change of the stack; return whether there was one."""
         self.changes = ()
-        if not self._undone or not isinstance(step := self._undone[-1], Restacked):
-            stroke = self._undone[-1] if self._undone else ()
+        if not isinstance(step := self._undone.last, Restacked):
             was_undone = super().redo()
-            self._told(stroke)
+            self._told(step)
             return was_undone
         self._apply(step)
         self._done.append(self._undone.pop())

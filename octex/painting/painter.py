@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from os import PathLike
 
 import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
+from octex.checks import as_path
 from octex.editing.draft import Change
+from octex.errors import OutputError
+from octex.painting.history import History, Stroke
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, Merging, painted
 from octex.painting.picture import Blend, Projection, check_projections
@@ -18,9 +21,6 @@ from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-
-#: What a call has changed: a Change for each layer, in order.
-Stroke = tuple[Change, ...]
 
 
 class Painter:
@@ -43,8 +43,7 @@ class Painter:
         self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
-        self._done: list[Any] = []  # strokes; `Layers` has changes of its stack among them
-        self._undone: list[Any] = []
+        self._done, self._undone = History(), History()
 
     def texture(self) -> OctreeTexture:
         """Return the texture as it is now. Textures are immutable: later strokes do not change it."""
@@ -55,6 +54,30 @@ class Painter:
     def strokes(self) -> tuple[Stroke, ...]:
         """The changes of the calls that are not undone, oldest first."""
         return tuple(self._done)
+
+    @property
+    def last(self) -> Stroke:
+        """The changes of the last call that is not undone; none if there is no such."""
+        stroke: Stroke = self._done.last
+        return stroke
+
+    @property
+    def count(self) -> int:
+        """How many calls are not undone."""
+        return len(self._done)
+
+    def store(self, folder: str | PathLike[str] | None = None) -> None:
+        """Move all strokes but the last few from memory to a temporary file; they can be undone as before.
+
+        ``folder`` is where the file is, by default that of temporary files. Raises OutputError for a full
+        disk; the strokes are then still in memory.
+        """
+        path = None if folder is None else as_path(folder, "folder")
+        try:
+            for history in (self._done, self._undone):
+                history.store(path)
+        except OSError as error:
+            raise OutputError(f"strokes cannot be stored: {error}") from None
 
     def paint(
         self,
@@ -129,7 +152,7 @@ class Painter:
 
     def undo(self) -> bool:
         """Undo the last stroke; return whether there was one."""
-        if not self._done:
+        if not len(self._done):
             return False
         stroke = self._done.pop()
         for change in reversed(stroke):
@@ -139,7 +162,7 @@ class Painter:
 
     def redo(self) -> bool:
         """Redo the last undone stroke; return whether there was one."""
-        if not self._undone:
+        if not len(self._undone):
             return False
         stroke = self._undone.pop()
         for change in stroke:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import operator
 import queue
 import threading
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.errors import ArgumentError, OctexError
+from octex.errors import ArgumentError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
 from octex.painting.layers import Layers
@@ -52,6 +51,7 @@ class _Step(NamedTuple):
 
     name: str
     strokes: int  # of the Painter
+    number: int  # of the steps that there ever were
 
 
 class Shown(NamedTuple):
@@ -86,9 +86,9 @@ class Session:
         self._baked: dict[str, int] = {}  # and that is done
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._fault, self._is_ending = "", False
+        self._fault, self._is_ending, self._count = "", False, 0
+        self._saved: list[int] | None = []  # the steps that OUTPUT has, or the texture given for none
         self._has_layers_file = False  # saved by this session
-        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
@@ -100,6 +100,7 @@ class Session:
                 self._numbers[command.page] = command.number
                 if command.kind != "save":
                     self._do(command)
+                    self._store()
                     self.repeated += 1
         if self.repeated:
             self._saved = None  # what was saved of them is not known
@@ -149,8 +150,7 @@ class Session:
 
     @property
     def _is_saved(self) -> bool:
-        now, saved = self._painter.strokes, self._saved
-        return saved is not None and len(now) == len(saved) and all(map(operator.is_, now, saved))
+        return [step.number for step in self._steps] == self._saved
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -161,8 +161,14 @@ class Session:
                 self.shown = self._shown()
                 with suppress(Exception):  # pages ask for the change again, and are told what is wrong
                     self.changed()
+                self._store()
             self._queue.task_done()
         self._queue.task_done()
+
+    def _store(self) -> None:
+        """Free the memory of strokes but the last few."""
+        with suppress(OutputError):  # a full disk; they then stay in memory
+            self._painter.store(self._output.parent)
 
     def _shown(self) -> Shown:
         told = {
@@ -197,7 +203,7 @@ class Session:
             self._fault = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
-        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+        while self._painter.count > sum(step.strokes for step in self._steps):
             self._painter.undo()  # a part of what has failed
             self._undone.clear()
         self._baked[command.page] = command.number
@@ -269,9 +275,10 @@ class Session:
 
     def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)
-        made = len(self._painter.strokes) - sum(step.strokes for step in self._steps)
+        made = self._painter.count - sum(step.strokes for step in self._steps)
         if made:
-            self._steps.append(_Step(command.given.get("name", command.kind), made))
+            self._count += 1
+            self._steps.append(_Step(command.given.get("name", command.kind), made, self._count))
             self._undone.clear()
 
     def _do_layer(self, command: Command) -> None:
@@ -313,7 +320,7 @@ class Session:
             self._has_layers_file = True
         elif self._has_layers_file:
             path.unlink(missing_ok=True)
-        self._saved = self._painter.strokes
+        self._saved = [step.number for step in self._steps]
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -22,6 +22,7 @@ from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
 from tests.make.painted import ball
+from tests.viewer.test_paint_redraw import _UNLIKE
 from tests.viewer.test_painting import _HOLD, Studio
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
@@ -124,6 +125,26 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(
 
 
 @needs_jit
+def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop: Workshop, page: Any) -> None:
+    ticked(page, height=1.0)
+    page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
+    page.evaluate("viewer.painting.set({ size: 8 })")
+    page.wait_for_function("viewer.isSharp", timeout=60_000)
+    first, near = page.evaluate("viewer.painting.sending.number"), 0
+    for number in range(1, 5):
+        looked_up, pictures = page.evaluate("[viewer.lookedUp, viewer.pictures]")
+        shop.drag(page, (10 * number, 0), (10 * number, 20))
+        shop.is_done(page, first + number)
+        page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
+        unlike, shown = page.evaluate(_UNLIKE)
+        assert unlike == 0
+        assert shown > 100
+        if looked_up == page.evaluate("viewer.lookedUp"):
+            near += page.evaluate("viewer.pictures") == pictures
+    assert near > 0
+
+
+@needs_jit
 def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop: Workshop, page: Any) -> None:
     ticked(page, roughness=0.0, moisture=1.0)
     page.evaluate("viewer.painting.set({ filled: 'all' })")
@@ -196,14 +217,21 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
 
 
 @needs_jit
-def test_relief_in_the_page_is_as_in_the_librarys_pictures(browser: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_posed", [False, True])
+def test_relief_in_the_page_is_as_in_the_librarys_pictures(
+    is_posed: bool, browser: Any, tmp_path: Path
+) -> None:
     size, relief = (240, 180), 0.05
     waves = {
         "base_color": lambda p: np.full_like(p, 0.5),
         "occlusion": lambda p: 0.5 + 0.4 * np.sin(9 * p[:, :1]) * np.sin(7 * p[:, 1:2] + 5 * p[:, 2:]),
         "roughness": 0.5,
     }
-    surface = ball(48).with_sources(waves)
+    surface = ball(48)
+    if is_posed:
+        turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+        surface = surface.with_rest(surface.vertices @ (turn * np.linalg.det(turn)).T)
+    surface = surface.with_sources(waves)
     texture = octex.convert(surface, depth=7)
     channels = dict(texture.channels)
     _, *parts = channels.pop("occlusion")
@@ -212,6 +240,7 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(browser: Any, tmp_pat
     write_page(texture, tmp_path / "page.html", surface)
     page = opened(browser, file_url(tmp_path / "page.html"), (912, 480))
     assert page.is_visible("#relief")
+    assert page.evaluate("Boolean(viewer.parts[0].header.mesh.posed)") == is_posed
     seen = Probe(page, texture, size).seen.reshape(size[1], size[0])[::-1]
     found, flat = (drawn(page, size, relief=own).astype(int) for own in (relief, 0.0))
     bump = ("height", relief * texture.placement.size)
@@ -221,8 +250,8 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(browser: Any, tmp_pat
         light = render_surface(surface, camera_of(page, size), look, 1, Environment.studio())
         pictures.append(encode(light, "uint8", "srgb").astype(int))
     rises, expected = (found - flat)[seen], (pictures[0] - pictures[1])[seen]
-    assert np.sqrt((expected**2).mean()) > 8
-    assert np.corrcoef(rises.ravel(), expected.ravel())[0, 1] > 0.98
+    assert np.sqrt((expected**2).mean()) > 6
+    assert np.corrcoef(rises.ravel(), expected.ravel())[0, 1] > 0.95
     assert np.sqrt(((rises - expected) ** 2).mean()) < 2
     assert page.complaints == []
     page.close()

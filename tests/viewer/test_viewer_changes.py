@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import octex
+from octex.editing.draft import Change, joined_change
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
@@ -20,6 +21,7 @@ from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, opened, served
 from tests.make.painted import ball
+from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
 
 #: All that the page holds of its octree, as numbers that tell any two apart.
@@ -228,7 +230,8 @@ def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed:
     texture = octex.convert(waves, depth=6 + seed % 2, max_error=3 if seed > 1 else None)
     painter = octex.Painter(texture, surface)
     low, high = surface.bounds
-    width, is_small = float((high - low).max()), 0
+    width, is_small, is_joined = float((high - low).max()), 0, 0
+    first, together = texture, list[Change]()
     for _ in range(12):
         middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
         before, move = painter.texture(), random.integers(4)
@@ -244,7 +247,16 @@ def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed:
             after = painter.texture()
             assert change_of(change, before, after) == change_between(before, after)
             is_small += change.tiles is not None
+        together += changes
+        if len(together) == 3:
+            after = painter.texture()
+            joined = joined_change(together, first, after)
+            assert change_of(joined, first, after) == change_between(first, after)
+            assert_same(joined.put_into(first), after)
+            is_joined += joined.tiles is not None
+            first, together = after, []
     assert is_small > 2
+    assert is_joined > 0
 
 
 def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ export class BrushDrag {
     this.dirty = null; // what of the picture has changed since the last frame
     const { below, offset } = painting, brush = { ...painting.brush, ...painting.paint, ...more };
     const camera = { width, height, K, pose }, at = brush.onePart ? below?.rest : undefined;
-    strokes.begin({ ...brush, camera, offset, at, look: painting.layers.look(brush) });
+    strokes.begin({ ...brush, camera, offset, at, begin: first, look: painting.layers.look(brush) });
     this.draw(first, first);
   }
 
@@ -25,10 +25,14 @@ export class BrushDrag {
 
   // Draw a part of the stroke; the picture has it in the next frame.
   draw(from, to) {
-    const box = this.painting.strokes.extend(from, to);
+    const { strokes, below, width } = this.painting, { mirror, current, view } = strokes, box = strokes.extend(from, to);
     if (!box) return;
-    const before = this.dirty ?? box;
-    this.dirty = { left: Math.min(before.left, box.left), top: Math.min(before.top, box.top), right: Math.max(before.right, box.right), bottom: Math.max(before.bottom, box.bottom) };
+    const last = this.other, isMirrored = mirror.key && mirror.keyOf(current, view) === mirror.key;
+    this.other = isMirrored && below ? mirror.around(below, width) : null;
+    for (const each of [box, last, this.other].filter(Boolean)) {
+      const before = this.dirty ?? each;
+      this.dirty = { left: Math.min(before.left, each.left), top: Math.min(before.top, each.top), right: Math.max(before.right, each.right), bottom: Math.max(before.bottom, each.bottom) };
+    }
     this.asked ||= requestAnimationFrame(() => {
       this.asked = 0;
       if (this.dirty) this.painting.viewer.drawPart(this.dirty);

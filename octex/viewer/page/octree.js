@@ -16,7 +16,7 @@ export function planes(bytes, count, at) {
 
 const rowsFor = (count) => Math.max(Math.ceil(count / ROW), 1);
 
-const MORE = 1 / 8; // of an array that has grown: the room behind it for more
+export const MORE = 1 / 8; // of an array or a texture that has grown: the room behind it for more
 
 // An array of another length that begins with the same numbers; where its buffer has room, the buffer is the same.
 function resized(array, length) {
