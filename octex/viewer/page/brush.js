@@ -27,8 +27,8 @@ export class BrushDrag {
   draw(from, to) {
     const { strokes, below, width } = this.painting, { mirror, current, view } = strokes, box = strokes.extend(from, to);
     if (!box) return;
-    const last = this.other, isMirrored = mirror.key && mirror.keyOf(current, view) === mirror.key;
-    this.other = isMirrored && below ? mirror.around(below, width) : null;
+    const last = this.other;
+    this.other = below && mirror.isOf(current, view) ? mirror.around(below, width) : null;
     for (const each of [box, last, this.other].filter(Boolean)) {
       const before = this.dirty ?? each;
       this.dirty = { left: Math.min(before.left, each.left), top: Math.min(before.top, each.top), right: Math.max(before.right, each.right), bottom: Math.max(before.bottom, each.bottom) };

@@ -26,8 +26,8 @@ function unfolded(flat, n) {
 }
 
 // Positions at rest in the root cell and in the world, normals, all (n, 3); triangles; of a mesh that moves the
-// surface's vertices, which own these, and if it is posed the normals at rest; of one with maps coordinates (n, 2), and colours (n, 3) in sRGB's codes; of
-// one that is painted and hangs together in parts their numbers.
+// surface's vertices, which own these, and if it is posed the normals at rest; of one with maps coordinates (n, 2), and
+// colours (n, 3) in sRGB's codes; of one that is painted the numbers of its parts, if it has several.
 export function unpackedMesh(header, bytes, source) {
   const { vertices: count, low, edge } = header;
   let at = 0;

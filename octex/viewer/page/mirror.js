@@ -1,12 +1,13 @@
 // What a mirror shows of the strokes' camera: where their other halves land.
 
-const entryOf = (a, b, n) => [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + (n % 4)] * b[4 * Math.floor(n / 4) + k], 0);
-
 // Of matrices, column after column.
-export const product = (a, b) => Float32Array.from({ length: 16 }, (_, n) => entryOf(a, b, n));
+export function product(a, b) {
+  const entry = (n) => [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + (n % 4)] * b[4 * Math.floor(n / 4) + k], 0);
+  return Float32Array.from({ length: 16 }, (_, n) => entry(n));
+}
 
 // The mirror across an axis at a place.
-function across(axis, place) {
+function reflection(axis, place) {
   const made = Float32Array.from({ length: 16 }, (_, n) => (n % 5 ? 0 : 1));
   made[5 * axis] = -1;
   made[12 + axis] = 2 * place;
@@ -19,10 +20,16 @@ export class Mirror {
     this.key = ""; // of what it was made for
   }
 
-  // What strokes are mirrored by; nothing for those that are not, or whose other half is not known before it is painted.
+  // What tells mirrors apart; nothing for strokes without one, and on posed models, whose other halves are not known
+  // before they are painted.
   keyOf({ mirror, offset = 0 }, view) {
     const { look, parts } = this.viewer;
     return mirror && !look.moved && !parts[0].header.mesh?.posed ? `${mirror} ${offset} ${view}` : "";
+  }
+
+  // Whether it is the mirror of a stroke on a view.
+  isOf(stroke, view) {
+    return this.key !== "" && this.keyOf(stroke, view) === this.key;
   }
 
   // Be ready for a stroke whose camera sees the root cell so, in a picture of a size.
@@ -31,7 +38,7 @@ export class Mirror {
     if (key === this.key || !key) return;
     this.key = key;
     const axis = "xyz".indexOf(stroke.mirror), [low, high] = viewer.bounds().map((corner) => corner[axis]), { origin, size } = parts[0].header;
-    const place = (low + high) / 2 + (stroke.offset ?? 0), inRoot = across(axis, (place - origin[axis]) / size);
+    const place = (low + high) / 2 + (stroke.offset ?? 0), inRoot = reflection(axis, (place - origin[axis]) / size);
     const projection = camera.projection(), reach = 2 * Math.abs(stroke.offset ?? 0); // that the model is nearer or farther in it
     const near = Math.max(projection[14] / (projection[10] - 1) - reach, 1e-3 * camera.distance), far = projection[14] / (projection[10] + 1) + reach;
     projection[10] = -(far + near) / (far - near);
@@ -39,7 +46,7 @@ export class Mirror {
     Object.assign(this, { axis, place, camera: product(seen, inRoot) });
     this.eye = camera.position.map((x, n) => ((n === axis ? 2 * place - x : x) - origin[n]) / size);
     this.places = gpu.target("mirror places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
-    const shown = { view: product(camera.view, across(axis, place)), projection: () => projection };
+    const shown = { view: product(camera.view, reflection(axis, place)), projection: () => projection };
     gpu.drawPlaces({ ...look, paint: true, asksPart: true }, shown, this.places, width, height);
   }
 

@@ -126,7 +126,7 @@ class Painting {
     element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % of the model` : "middle";
     element("mirror-at").disabled = !brush.mirror;
     element("tolerance").value = brush.tolerance;
-    element("tolerance-text").textContent = `${brush.tolerance}`;
+    element("tolerance-text").textContent = `up to ${brush.tolerance}`;
     element("tolerance").disabled = !brush.filled.startsWith("color");
     for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
     for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
@@ -140,8 +140,10 @@ class Painting {
 
   // How far the mirror is from the model’s middle.
   get offset() {
-    const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror), [low, high] = this.viewer.bounds();
-    return mirror ? (mirrorAt / 100) * (high[axis] - low[axis]) : 0;
+    const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror);
+    if (!mirror || !mirrorAt) return 0;
+    const [low, high] = this.viewer.bounds();
+    return (mirrorAt / 100) * (high[axis] - low[axis]);
   }
 
   get thousandth() {

@@ -168,9 +168,9 @@ export class Strokes {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4) coverage[n++] = read[at];
     }
     if (!coverage.some((each) => each > 0)) return null;
-    const isOnPart = current.part >= 0 && !this.mirror.keyOf(current, this.view);
+    const isOnPart = current.part >= 0 && !this.mirror.isOf(current, this.view);
     const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
-    const shown = coverage.map((each, n) => (!parts || parts[row(n) * width + (n % width)] === current.part ? each : 0));
+    const shown = parts ? coverage.map((each, n) => (parts[row(n) * width + (n % width)] === current.part ? each : 0)) : coverage;
     return { ...current, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
@@ -189,7 +189,7 @@ export class Strokes {
     gl.readBuffer(gl.COLOR_ATTACHMENT1);
     gl.readPixels(left, bottom, right - left, top - bottom, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return Int32Array.from({ length: read.length / 4 }, (_, n) => (read[4 * n] || read[4 * n + 1] ? read[4 * n + 3] : -1));
+    return Int32Array.from({ length: read.length / 4 }, (_, n) => read[4 * n + 3] - 1);
   }
 
   // Show a stroke until it is painted.
@@ -268,7 +268,7 @@ export class Strokes {
     gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
     gl.uniform3fv(program.at("u_strokesEye"), this.eye);
     gl.uniform1i(program.at("u_hidden"), hidden ? 1 : 0);
-    const { mirror } = this, isMirrored = (stroke) => mirror.key !== "" && mirror.keyOf(stroke, this.view) === mirror.key;
+    const { mirror } = this, isMirrored = (stroke) => mirror.isOf(stroke, this.view);
     const whole = this.sent.length > 0 && this.sent.every(isMirrored), own = isHere && current !== null && isMirrored(current);
     gl.uniform2f(program.at("u_mirrored"), whole ? 1 : 0, own ? opacity : 0);
     gl.uniform2i(program.at("u_parts"), shown.part ?? -1, shown.otherPart ?? -1);

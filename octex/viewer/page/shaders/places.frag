@@ -11,7 +11,7 @@ in vec3 v_normal;
 in vec3 v_restNormal;
 
 layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is; the last one: it faces away
-layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across, or the number of what hangs together
+layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across, or 1 and the part's number
 
 #ifdef LAYERED
 uniform bool u_footprints;  // as in surface.frag
@@ -66,6 +66,6 @@ void main() {
 #endif
   o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
 #ifdef PARTS
-  o_ways.w = v_part;
+  o_ways.w = v_part + 1u;
 #endif
 }

@@ -145,7 +145,7 @@ void findStrokes(vec4 place, vec3 normal, vec3 toward) {
   if (u_strokesView == 2) p_sent = takenBy(u_strokesCamera, u_strokesEye, u_strokesPlaces, place, outward);
   p_part = vec2(u_opacity * here.z * texture(u_stroke, at).r, u_mirrored.y * p_other.z * texture(u_stroke, p_other.xy).r);
   if (u_parts == ivec2(-1)) return;
-  int part = int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w);
+  int part = int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w) - 1;
   bvec2 isOther = notEqual(ivec2(part), u_parts);
   if (isOther.x) p_part.x = 0.0;
   if (isOther.y) p_part.y = 0.0;

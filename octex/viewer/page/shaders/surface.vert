@@ -10,7 +10,7 @@ uniform mat4 u_projection;  // of the whole picture, or of the pixel that is pic
 uniform mat4 u_view;
 
 #ifdef PARTS
-layout(location = 7) in uint a_part;  // what hangs together has one number
+layout(location = 7) in uint a_part;  // its number
 
 flat out uint v_part;
 #endif
