@@ -8,14 +8,17 @@ import hmac
 import json
 import os
 import secrets
+import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
 
 from octex.errors import OctexError, OutputError
 from octex.viewer.changes import change_between, change_of, is_like
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
+    from octex.viewer.downloads import Downloads
     from octex.viewer.session import Session
 
 _ADDRESS = "127.0.0.1"
@@ -53,6 +57,8 @@ _HEADERS = {
 }
 #: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
+#: Seconds that a browser may pause in a download, and bytes that are sent at once.
+_PAUSE, _PIECE = 600.0, 1 << 20
 #: By how much longer the first page is waited for: browsers may take long to start.
 _FIRST = 20
 #: Deflate's level for changes.
@@ -102,8 +108,13 @@ class Viewer:
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
         self._motion, self.session = motion, session
+        self.downloads: Downloads | None = None
         if session is not None:
+            from octex.viewer.downloads import Downloads
+
+            assert surface is not None
             session.changed = self.changed
+            self.downloads = Downloads(session, surface, motion, path.name)
         self._lock = threading.RLock()
         self._own = secrets.token_hex(4)  # in versions: the next viewer may show another texture of this path
         self._calls = 0  # of ``changed``
@@ -157,6 +168,8 @@ class Viewer:
             self._ended.set()
             self._server.shutdown()
             self._server.server_close()
+            if self.downloads is not None:
+                self.downloads.close()
 
     def refuse(self, line: str) -> None:
         """Log why a request is refused, once for those that are alike; of very many only the first."""
@@ -319,6 +332,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._follow()
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
+        elif path == "export" and self.viewer.downloads is not None:
+            self._export(self.viewer.downloads)
+        elif path.startswith("export/") and self.viewer.downloads is not None:
+            self._give(self.viewer.downloads.file(path.removeprefix("export/")))
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
@@ -431,7 +448,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _json(self, header: dict[str, Any]) -> None:
         self._answer(json.dumps(header).encode(), "application/json")
 
-    def _follow(self) -> None:
+    def _events(self) -> Callable[[str], None]:
+        """Begin an answer of events; return what sends them."""
         self.close_connection = True
         self._begin("text/event-stream")
         self.end_headers()
@@ -440,7 +458,45 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(text.encode())
             self.wfile.flush()
 
-        self.viewer.follow(send)
+        return send
+
+    def _follow(self) -> None:
+        self.viewer.follow(self._events())
+
+    def _export(self, downloads: Downloads) -> None:
+        """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""
+        send = self._events()
+
+        def tell(name: str, told: dict[str, Any]) -> None:
+            try:
+                send(f"event: {name}\ndata: {json.dumps(told)}\n\n")
+            except OSError:
+                raise _GoneError from None
+
+        with suppress(_GoneError):
+            downloads.make(self.path.partition("?")[2], tell)
+
+    def _give(self, path: Path | None) -> None:
+        """Answer with a file to be downloaded, piece by piece."""
+        try:
+            if path is None:
+                raise FileNotFoundError
+            file = path.open("rb")
+        except OSError:
+            self._refuse(HTTPStatus.NOT_FOUND, "that file is no longer there; export it again")
+            return
+        with file, suppress(OSError):
+            self.close_connection = True
+            self.connection.settimeout(_PAUSE)
+            self._begin("application/octet-stream")
+            self.send_header("Content-Length", str(os.fstat(file.fileno()).st_size))
+            self.send_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(path.name)}")
+            self.end_headers()
+            shutil.copyfileobj(file, self.wfile, _PIECE)
+
+
+class _GoneError(Exception):
+    """The page that waits for a file has gone."""
 
 
 def _printable(text: str) -> str:

@@ -142,6 +142,11 @@ class Session:
         )
 
     @property
+    def output(self) -> Path:
+        """Where it saves."""
+        return self._output
+
+    @property
     def _is_saved(self) -> bool:
         return self._painter.strokes == self._saved
 

@@ -1,6 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Exporting } from "./exporting.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -74,6 +75,7 @@ class Painting {
         ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
         ...choice("filled", "Fill", [["part", "the part that is clicked"], ["all", "the whole model"]], (filled) => this.set({ filled }))),
       section("history", "Steps", make("ol", { id: "steps" })),
+      new Exporting(this).section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
     element("history").open = true;
