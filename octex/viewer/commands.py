@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import decode
-from octex.checks import as_number, as_reals, as_whole
+from octex.checks import as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.picture import Projection
@@ -74,6 +74,12 @@ def fill_of(command: Command) -> tuple[Array, float, Array | None, int | None]:
     return color_of(command), opacity_of(command), at, mirror_of(command)
 
 
+def replaces_of(command: Command) -> bool:
+    """Return whether a save replaces a file that another program has written meanwhile."""
+    _no_content(command)
+    return as_flag(command.given.get("replace", False), "replace")
+
+
 def _no_content(command: Command) -> None:
     if command.content:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
@@ -85,7 +91,7 @@ _READERS: dict[str, Callable[[Command], Any]] = {
     "fill": fill_of,
     "undo": _no_content,
     "redo": _no_content,
-    "save": _no_content,
+    "save": replaces_of,
 }
 
 

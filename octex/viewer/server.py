@@ -120,6 +120,7 @@ class Viewer:
         self._calls = 0  # of ``changed``
         self._refused: set[str] = set()
         self._news = threading.Condition()
+        self._opened = self._file_stamp()
         self._state = self._read(self._stamp())
         is_alone = surface is not None and len(self._state.parts) == 1
         self._maps = maps_of(surface) if surface is not None and is_alone else None
@@ -210,7 +211,9 @@ class Viewer:
         """Return the version that is shown, and what is wrong with the file, if anything is."""
         try:
             with self._lock:
-                return self._now().version, ""
+                version = self._now().version
+            is_other = self.session is not None and self._file_stamp() != self._opened
+            return version, f"{self._path.name} has changed: you paint on what was opened" if is_other else ""
         except OctexError as error:
             return self._state.version, str(error)
 
@@ -240,16 +243,19 @@ class Viewer:
         return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
 
     def _stamp(self) -> str:
-        if self.session is not None:
-            return f"{self._calls}-{self._own}"
+        file = "" if self.session is not None else self._file_stamp()
+        return f"{self._calls}-{self._own}{file}"
+
+    def _file_stamp(self) -> str:
+        """Return what differs once the file or folder has changed."""
         try:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
             found = [path.stat() for path in paths]
             latest = max(status.st_mtime_ns for status in found)
             size = sum(status.st_size for status in found)
-            return f"{self._calls}-{self._own}-{latest}-{size}"
+            return f"-{latest}-{size}"
         except OSError:
-            return f"{self._calls}-{self._own}-gone"
+            return "-gone"
 
     def follow(self, send: Callable[[str], None]) -> None:
         """Tell a page of changes until it is gone."""
@@ -261,8 +267,9 @@ class Viewer:
             while not self._ended.is_set():
                 calls, now = self._calls, self.version()
                 if now != told:
-                    name, text = ("changing", now[1]) if now[1] else ("version", now[0])
-                    send(f"event: {name}\ndata: {' '.join(text.split())}\n\n")
+                    send(f"event: version\ndata: {now[0]}\n\n")
+                    if now[1]:
+                        send(f"event: changing\ndata: {' '.join(now[1].split())}\n\n")
                     told = now
                 else:
                     send(": alive\n\n")

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -25,7 +26,7 @@ from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, stroke_of
+from octex.viewer.commands import Command, command_of, fill_of, replaces_of, stroke_of
 from octex.viewer.journal import Journal
 
 #: Commands that wait for their turn; a page keeps more of them itself.
@@ -82,6 +83,8 @@ class Session:
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
         self._fault, self._is_ending = "", False
+        self._question = ""  # why the last save asks whether to replace OUTPUT
+        self._stamp = _stamp_of(output)  # of OUTPUT as this session knows it
         self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
@@ -170,6 +173,7 @@ class Session:
             "output": self._output.name,
             "isSaved": self._is_saved,
             "fault": self._fault,
+            "question": self._question,
         }
         return Shown(self._painter.texture(), told, self._before, self._changes)
 
@@ -244,9 +248,23 @@ class Session:
         )
         self._steps.append(step)
 
-    def _do_save(self, command: Command) -> None:  # noqa: ARG002
+    def _do_save(self, command: Command) -> None:
+        self._question = ""
+        if not replaces_of(command) and _stamp_of(self._output) not in (None, self._stamp):
+            self._question = f"Another program has changed {self._output.name}."
+            return
         self._painter.texture().save(self._output)
+        self._stamp = _stamp_of(self._output)
         self._saved = self._painter.strokes
+
+
+def _stamp_of(path: Path) -> tuple[int, ...] | None:
+    """Return what differs once another program has written a file; None if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return (status.st_mtime_ns, status.st_size, status.st_ino) if S_ISREG(status.st_mode) else None
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

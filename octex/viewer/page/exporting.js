@@ -77,6 +77,21 @@ export class Exporting {
     else bar.removeAttribute("value");
   }
 
+  // Ask what a save could not decide: a question of the server's, or none.
+  ask(question) {
+    const box = element("question"), { sending } = this.painting;
+    box.hidden = !question;
+    if (!question || box.firstChild?.textContent === question) return;
+    const answer = (text, id, run) => make("button", { type: "button", id, onclick: run }, text);
+    const copy = () => {
+      element("export").open = true;
+      element("export-kind").value = "octex";
+      this.set({ kind: "octex" });
+      this.begin();
+    };
+    box.replaceChildren(make("span", {}, question), make("div", { class: "buttons" }, answer("Replace it", "replace", () => sending.send({ kind: "save", replace: true })), answer("Keep it, download a copy", "copy", copy)));
+  }
+
   // No file is made any more; closing the line stops what the server does for it.
   end(text, isBad = false) {
     this.events?.close();

@@ -28,6 +28,7 @@ class Painting {
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
+    this.exporting = new Exporting(this);
     this.pen = null; // which pointer draws, and its drag
     this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
@@ -65,6 +66,7 @@ class Painting {
         act("store", "save", "Save (Ctrl+S)", () => this.save()),
         act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"))),
       make("p", { id: "saved", role: "status" }),
+      make("div", { id: "question", role: "alert", hidden: true }),
       make("div", { class: "colors" }, color, other, make("span", { id: "color-text" })),
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
@@ -75,7 +77,7 @@ class Painting {
         ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
         ...choice("filled", "Fill", [["part", "the part that is clicked"], ["all", "the whole model"]], (filled) => this.set({ filled }))),
       section("history", "Steps", make("ol", { id: "steps" })),
-      new Exporting(this).section,
+      this.exporting.section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
     element("history").open = true;
@@ -266,6 +268,7 @@ class Painting {
     element("undo").disabled = told.done === 0;
     element("redo").disabled = told.done === told.steps.length;
     element("saved").textContent = `${told.output}: ${told.isSaved ? "all is saved" : "not saved"}`;
+    this.exporting.ask(told.question);
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
     const list = element("steps"), rows = ["Opened", ...told.steps];
