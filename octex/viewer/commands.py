@@ -62,9 +62,21 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]
     given = command.given
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
+    moment_of(command)
     camera = camera_of(command)
     picture = Projection(picture_of(command, camera), camera, opacity=opacity_of(command))
     return picture, options, mirror_of(command)
+
+
+def moment_of(command: Command) -> tuple[int, float] | None:
+    """Return the animation and the second that a stroke was drawn in; None as the model stands."""
+    given = command.given.get("moved")
+    if given is None:
+        return None
+    if not isinstance(given, dict):
+        raise ArgumentError("moved must be an object")
+    number = as_whole(given.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
+    return number, as_number(given.get("time"), "time", 0.0, 1e9)  # type: ignore[arg-type]
 
 
 def fill_of(command: Command) -> tuple[Array, float, Array | None, int | None]:

@@ -24,10 +24,12 @@ from octex.nearest.triangles import Triangles
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, replaces_of, stroke_of
+from octex.viewer.commands import Command, command_of, fill_of, moment_of, replaces_of, stroke_of
 from octex.viewer.journal import Journal
+from octex.viewer.poses import Poses
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -63,18 +65,25 @@ class Session:
     """Paints what pages send with a `Painter`, in the order in which it came, on a thread of its own.
 
     ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
-    ``changed`` is called after each.
+    ``changed`` is called after each. ``motion`` is how the surface moves, to be painted at frames of that.
     Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
     repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
-        self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
+        self,
+        texture: OctreeTexture,
+        surface: Surface,
+        output: Path,
+        *,
+        motion: Motion | None = None,
+        recover: bool = False,
     ) -> None:
         format_of(texture, BASE_COLOR.name)
         texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
         self._painter = Painter(texture, surface)
         self._surface = surface.placed_in(texture)
+        self._poses = Poses(surface, motion)
         self._output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
         self._lock = threading.Lock()  # of what is known of commands that wait
@@ -90,7 +99,7 @@ class Session:
         self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
-        self._journal = Journal(output, texture, surface)
+        self._journal = Journal(output, texture, surface, motion)
         with self._journal.undone_on_failure():
             for body in self._journal.begin(recover):
                 command = command_of(body)
@@ -193,9 +202,11 @@ class Session:
 
     def _do_stroke(self, command: Command) -> None:
         projection, options, axis = stroke_of(command)
+        options["pose"] = pose = self._poses.at(moment_of(command))
         both = [projection]
         if axis is not None:
-            both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
+            vertices = (pose or self._surface).vertices
+            both.append(mirrored(projection, axis, self._middle(vertices)[axis]))
         self._did(command, [self._painter.paint(each, **options) for each in both])
 
     def _do_fill(self, command: Command) -> None:

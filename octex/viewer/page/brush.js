@@ -8,7 +8,7 @@ export class BrushDrag {
     this.painting = painting;
     this.at = painting.place(event);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, camera: { width, height, K, pose } });
+    strokes.begin({ ...painting.brush, moved: viewer.look.moved, camera: { width, height, K, pose } });
     this.draw(this.at, this.at);
   }
 
@@ -37,9 +37,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, moved, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, moved, box, color, opacity, maxAngle, backFaces, mirror };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

@@ -163,7 +163,6 @@ class Painting {
   // Why nothing can be painted on what is shown; or nothing.
   get hindrance() {
     const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
-    if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
     if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
     return "";
   }
@@ -185,6 +184,7 @@ class Painting {
     this.viewer.canvas.setPointerCapture(event.pointerId);
     this.viewer.look.marked = null;
     this.viewer.turn(false);
+    this.viewer.player?.play(false);
     element("turntable").checked = false;
     const drag = this.tool.down(this, event);
     if (drag) this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };

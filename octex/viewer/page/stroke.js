@@ -31,16 +31,23 @@ export class Strokes {
 
   // Be ready for strokes on the view as it is now. Those that were sent from another one are then no longer shown.
   fit() {
-    const { gpu, film, camera, look, parts } = this.viewer, { width, height } = film, view = String(camera.view);
+    const { gpu, film, camera, look, parts } = this.viewer, { width, height } = film, view = this.viewNow;
     const isLarge = this.size[0] === width && this.size[1] === height;
     if (isLarge && this.view === view) return;
     if (!isLarge) this.allocate(width, height);
     this.view = view;
+    this.isMoved = Boolean(look.moved);
     this.sent = [];
     this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
     gpu.drawPlaces({ ...look, paint: this }, camera, this.places, width, height);
     const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
     this.camera = product(camera.projection(), product(camera.view, root));
+  }
+
+  // What the picture is of: where the camera stands, and how the model is posed.
+  get viewNow() {
+    const { camera, look } = this.viewer;
+    return `${camera.view} ${JSON.stringify(look.moved)}`;
   }
 
   // Make the textures as large as the picture is.
@@ -161,13 +168,13 @@ export class Strokes {
   }
 
   set(program, width, height) {
-    const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
+    const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === this.viewNow;
     const { color = [0, 0, 0], opacity = 0, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
     const isWhole = angle >= 90;
     gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
-    const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;
+    const canTurn = !viewer.look.moved && !this.isMoved && !viewer.parts[0].header.mesh?.posed;
     gl.uniform1i(program.at("u_strokesView"), !this.sent.length ? 0 : isHere ? 1 : canTurn ? 2 : 0);
     gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
   }
