@@ -25,6 +25,21 @@ _LONGEST_NAME = 40
 _MOST_NUMBER = 2**53 - 1
 
 
+class Moment(NamedTuple):
+    """A frame of an animation, between frames too."""
+
+    animation: int
+    time: float  # seconds
+
+
+class Spot(NamedTuple):
+    """Where the surface is laid flat, as `octex.unwrap` takes it."""
+
+    center: tuple[float, float, float]
+    radius: float
+    up: tuple[float, float, float]
+
+
 class Command(NamedTuple):
     """What a page asks for; pages count their commands from 1."""
 
@@ -62,21 +77,36 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]
     given = command.given
     options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
     PaintOptions(**options)
-    moment_of(command)
+    moment_of(given)
+    spot_of(given)
     camera = camera_of(command)
     picture = Projection(picture_of(command, camera), camera, opacity=opacity_of(command))
     return picture, options, mirror_of(command)
 
 
-def moment_of(command: Command) -> tuple[int, float] | None:
-    """Return the animation and the second that a stroke was drawn in; None as the model stands."""
-    given = command.given.get("moved")
-    if given is None:
+def moment_of(given: dict[str, Any]) -> Moment | None:
+    """Return the frame that a page shows the model in; None as it stands."""
+    moved = _object_of(given, "moved")
+    if moved is None:
         return None
-    if not isinstance(given, dict):
-        raise ArgumentError("moved must be an object")
-    number = as_whole(given.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
-    return number, as_number(given.get("time"), "time", 0.0, 1e9)  # type: ignore[arg-type]
+    number = as_whole(moved.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
+    return Moment(number, as_number(moved.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
+
+
+def spot_of(given: dict[str, Any]) -> Spot | None:
+    """Return where the surface is laid flat that a page shows; None if it is not."""
+    patch = _object_of(given, "patch")
+    if patch is None:
+        return None
+    center, up = (tuple(numbers(patch, name, (3,)).tolist()) for name in ("center", "up"))
+    return Spot(center, as_number(patch.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
+
+
+def _object_of(given: dict[str, Any], name: str) -> dict[str, Any] | None:
+    found = given.get(name)
+    if found is not None and not isinstance(found, dict):
+        raise ArgumentError(f"{name} must be an object")
+    return found
 
 
 def fill_of(command: Command) -> tuple[Array, float, Array | None, int | None]:

@@ -18,7 +18,7 @@ from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 from octex.errors import OctexError, OutputError
 from octex.viewer.changes import change_between, change_of, is_like
@@ -305,6 +305,7 @@ def _change(before: _State, after: _State) -> Packed | None:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
+    request_queue_size = 128  # of connections that wait to be accepted
     # A port whose server has ended is free at once; elsewhere this would let two servers share it.
     allow_reuse_address = os.name == "posix"
 
@@ -339,6 +340,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._follow()
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
+        elif path == "patch" and self.viewer.session is not None:
+            self._patch(self.viewer.session)
         elif path == "export" and self.viewer.downloads is not None:
             self._export(self.viewer.downloads)
         elif path.startswith("export/") and self.viewer.downloads is not None:
@@ -469,6 +472,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _follow(self) -> None:
         self.viewer.follow(self._events())
+
+    def _patch(self, session: Session) -> None:
+        """Answer with a piece of the surface, laid flat."""
+        try:
+            body = session.patch(unquote(self.path.partition("?")[2]))
+        except OctexError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        else:
+            self._answer(body, "application/octet-stream")
 
     def _export(self, downloads: Downloads) -> None:
         """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""

@@ -19,7 +19,7 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.errors import ArgumentError, OctexError
+from octex.errors import ArgumentError, ModelError, OctexError
 from octex.nearest.triangles import Triangles
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
@@ -27,9 +27,9 @@ from octex.painting.picture import Projection
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, moment_of, replaces_of, stroke_of
+from octex.viewer.commands import Command, command_of, fill_of, moment_of, replaces_of, spot_of, stroke_of
 from octex.viewer.journal import Journal
-from octex.viewer.poses import Poses
+from octex.viewer.poses import Poses, mirrored_spot
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -134,6 +134,13 @@ class Session:
             self._queue.put(command)
         return command.number
 
+    def patch(self, asked: str) -> bytes:
+        """Return what a page shows of the surface laid flat: a line of JSON, and the mesh's stream.
+
+        ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
+        """
+        return self._poses.packed(asked, self.shown.texture)
+
     def wait(self) -> None:
         """Wait until all that was taken is done."""
         self._queue.join()
@@ -202,11 +209,17 @@ class Session:
 
     def _do_stroke(self, command: Command) -> None:
         projection, options, axis = stroke_of(command)
-        options["pose"] = pose = self._poses.at(moment_of(command))
-        both = [projection]
+        moment, spot = moment_of(command.given), spot_of(command.given)
+        options["pose"] = pose = self._poses.at(moment)
+        both = [projection if spot is None else self._poses.flat(projection, moment, spot)]
         if axis is not None:
-            vertices = (pose or self._surface).vertices
-            both.append(mirrored(projection, axis, self._middle(vertices)[axis]))
+            middle = self._middle((pose or self._surface).vertices)[axis]
+            if spot is None:
+                both.append(mirrored(projection, axis, middle))
+            else:
+                other = mirrored(projection, 0, 0.0)
+                with suppress(ModelError):  # there is no surface in the mirror
+                    both.append(self._poses.flat(other, moment, mirrored_spot(spot, axis, middle)))
         self._did(command, [self._painter.paint(each, **options) for each in both])
 
     def _do_fill(self, command: Command) -> None:

@@ -4,11 +4,11 @@ import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event) {
-    const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
+    const { strokes } = painting;
     this.painting = painting;
     this.at = painting.place(event);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, moved: viewer.look.moved, camera: { width, height, K, pose } });
+    strokes.begin({ ...painting.brush, ...strokes.seen });
     this.draw(this.at, this.at);
   }
 
@@ -37,9 +37,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, moved, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, moved, patch, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, moved, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, moved, patch, box, color, opacity, maxAngle, backFaces, mirror };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

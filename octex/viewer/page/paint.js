@@ -2,6 +2,7 @@
 
 import { element } from "./elements.js";
 import { Exporting } from "./exporting.js";
+import { Flat } from "./flat.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -29,6 +30,7 @@ class Painting {
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
     this.exporting = new Exporting(this);
+    this.flat = new Flat(this);
     this.pen = null; // which pointer draws, and its drag
     this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
@@ -54,7 +56,7 @@ class Painting {
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.ring = make("div", { id: "ring", hidden: true });
-    this.main.append(this.tools, this.ring);
+    this.main.append(this.tools, this.flat.bar, this.ring);
     const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
@@ -87,7 +89,9 @@ class Painting {
   }
 
   choose(name) {
-    this.tool = TOOLS.find((tool) => tool.name === name);
+    const tool = TOOLS.find((tool) => tool.name === name);
+    if (tool.chosen?.(this)) return;
+    this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
@@ -184,7 +188,7 @@ class Painting {
     this.viewer.canvas.setPointerCapture(event.pointerId);
     this.viewer.look.marked = null;
     this.viewer.turn(false);
-    this.viewer.player?.play(false);
+    this.viewer.player?.stop();
     element("turntable").checked = false;
     const drag = this.tool.down(this, event);
     if (drag) this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };
@@ -238,6 +242,7 @@ class Painting {
     const tools = {
       ...Object.fromEntries(TOOLS.map((tool) => [tool.key, () => this.choose(tool.name)])),
       x: () => this.swap(),
+      ...(this.flat.before && { escape: () => this.flat.close() }),
       "[": () => this.set({ size: Math.min(Math.round(size / STEP), size - 1) }),
       "]": () => this.set({ size: Math.max(Math.round(size * STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),

@@ -36,7 +36,7 @@ export class Strokes {
     if (isLarge && this.view === view) return;
     if (!isLarge) this.allocate(width, height);
     this.view = view;
-    this.isMoved = Boolean(look.moved);
+    this.isMoved = Boolean(look.moved ?? look.patch);
     this.sent = [];
     this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
     gpu.drawPlaces({ ...look, paint: this }, camera, this.places, width, height);
@@ -47,7 +47,13 @@ export class Strokes {
   // What the picture is of: where the camera stands, and how the model is posed.
   get viewNow() {
     const { camera, look } = this.viewer;
-    return `${camera.view} ${JSON.stringify(look.moved)}`;
+    return `${camera.view} ${JSON.stringify([look.moved, look.patch])}`;
+  }
+
+  // The same as strokes carry it.
+  get seen() {
+    const { film: { width, height }, camera, look: { patch, moved } } = this.viewer, [{ K, pose }] = camera.file("", width, height).cameras;
+    return { camera: { width, height, K, pose }, moved: patch ? patch.moved : moved, patch: patch?.spot };
   }
 
   // Make the textures as large as the picture is.

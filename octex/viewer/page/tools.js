@@ -1,5 +1,5 @@
 // The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
-// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
+// does. `chosen` says whether choosing it was all that it does. `down` may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
 
 import { BrushDrag } from "./brush.js";
 
@@ -7,6 +7,7 @@ export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event) },
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
+  { name: "flat", text: "Flat", key: "u", isAnywhere: true, chosen: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
 ];
 
 // Take the colour of the surface, and go on with the brush.

@@ -1,15 +1,18 @@
-"""Painting sessions where disks and files are not as they were: full, changed meanwhile, or gone."""
+"""Painting where things fail: a full disk, files changed meanwhile, a lost GPU, a flood of requests."""
 
 from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import octex
@@ -20,7 +23,9 @@ from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
-from tests.viewer.test_session import canvas, plain, stroke
+from tests.viewer.test_paint_export import served as served
+from tests.viewer.test_painting import Studio, pictured
+from tests.viewer.test_session import Served, canvas, plain, stroke
 
 
 def touched(path: Path) -> bytes:
@@ -180,3 +185,51 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(
         assert page.complaints == []
         page.close()
     session.close()
+
+
+@needs_jit
+def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(browser: Any, tmp_path: Path) -> None:
+    studio = Studio(browser, tmp_path)
+    with serving(studio.viewer):
+        page = studio.page()
+        before = pictured(page)
+        box = page.locator("#picture").bounding_box()
+        middle = box["width"] / 2, box["height"] / 2
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + 20, middle[1])
+        page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')")
+        page.evaluate("lose.loseContext()")
+        page.wait_for_function("viewer.isLost")
+        page.mouse.move(middle[0] + 40, middle[1], steps=3)
+        page.mouse.up()
+        page.evaluate("lose.restoreContext()")
+        page.wait_for_function("!viewer.isLost && viewer.isSharp")
+        assert (pictured(page) == before).all()
+        studio.drag(page, (0, 20), (30, 20))
+        studio.is_done(page, 1)
+        assert studio.session.shown.told["done"] == 1
+        assert np.abs(pictured(page) - before).max() > 60
+        assert page.complaints == []
+        page.close()
+    studio.session.close()
+
+
+def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server._Handler, "timeout", 3.0)
+    address = "127.0.0.1", served.viewer.port
+    refused = f"GET /{'a' * 22}/ HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n\r\n".encode()
+    with ExitStack() as held:
+        lines = (socket.create_connection(address, timeout=20) for _ in range(200))
+        idle = [held.enter_context(each) for each in lines]
+        for each in idle[::2]:
+            each.sendall(refused)
+        for number in range(1, 6):
+            assert served.post(stroke(number))[0] == 200
+        served.session.wait()
+        assert served.session.shown.told["done"] == 5
+        for n, each in enumerate(idle):  # each is answered, or given up
+            assert each.recv(4096).startswith(b"HTTP/1.1 403" if n % 2 == 0 else b"")
+    assert len(served.lines) == 1
