@@ -72,9 +72,9 @@ class Poses:
         if spot is None:
             raise ArgumentError("patch is missing")
         patch = self.patch(moment_of(given), spot)
-        flat = patch.surface.part(patch.triangles).placed_in(texture)
+        flat = patch.surface.placed_in(texture).part(patch.triangles)
         header, stream = packed_mesh(texture, flat, False, None)
-        line = {"mesh": header, "radius": patch.radius, "faults": patch.faults}
+        line = {"mesh": header, "faults": patch.faults}
         return json.dumps(line).encode() + b"\n" + deflated(stream, 1)
 
 

@@ -15,11 +15,13 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError, ModelError
+from octex.source.surface import Surface
 from octex.viewer.commands import command_of, stroke_of
 from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
+from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
@@ -222,3 +224,31 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.complaints == []
         page.close()
     studio.session.close()
+
+
+def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path: Path) -> None:
+    balls = ball(8), ball(8)
+    whole = Surface.from_arrays(
+        np.concatenate([each.vertices + np.array([1.5 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
+        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
+        factor=(0.5, 0.5, 0.5),
+    )
+    texture = octex.convert(octex.separate(whole, depth=5).surface, depth=5)
+    motion, expected = bending(whole), texture
+    session = Session(texture, whole, tmp_path / "out.octex", motion=motion)
+    posed = whole.with_pose(motion.positions_at(1, 0.5))
+    header, _, _ = session.patch(json.dumps({"patch": SPOT})).partition(b"\n")
+    assert json.loads(header)["mesh"]["triangles"] > 0
+    for number, fields in enumerate([{"moved": {"animation": 1, "time": 0.5}}, {"patch": SPOT}, {}], 1):
+        body = stroke(number, **fields, **({"camera": flat_camera()} if "patch" in fields else {}))
+        session.take(body)
+        picture, options, _ = stroke_of(command_of(body))
+        if "patch" in fields:
+            patch = octex.unwrap(whole, SPOT["center"], SPOT["radius"], up=SPOT["up"])
+            picture = replace(picture, camera=replace(patch, camera=picture.camera))
+        expected = octex.paint(expected, posed if "moved" in fields else whole, picture, **options)
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        assert session.shown.told["done"] == number
+        assert_same(session.shown.texture, expected)
+    session.close()

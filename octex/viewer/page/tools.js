@@ -1,5 +1,6 @@
 // The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
-// does. `chosen` says whether choosing it was all that it does. `down` may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
+// does. `down` may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up. A tool may have
+// `chosen`, which says whether choosing it was all that it does.
 
 import { BrushDrag } from "./brush.js";
 
