@@ -234,6 +234,9 @@ def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(
         download.save_as(tmp_path / "saved.octz")
         assert_same(octex.open(tmp_path / "saved.octz"), session.shown.texture)
         assert session.shown.told["done"] == 1
+        with page.expect_download() as waited:
+            page.keyboard.press("Control+Shift+S")
+        assert waited.value.suggested_filename == "Kugel ä.octex"
         page.select_option("#export-kind", "glb")
         page.select_option("#export-uv", "keep")
         page.click("#export-begin")

@@ -67,6 +67,15 @@ export class Exporting {
     });
   }
 
+  // Download a copy of the texture.
+  copy() {
+    if (this.events) return;
+    element("export").open = true;
+    element("export-kind").value = "octex";
+    this.set({ kind: "octex" });
+    this.begin();
+  }
+
   show(text, share = null) {
     const bar = element("export-progress");
     element("export-begin").textContent = "Cancel";
@@ -83,13 +92,9 @@ export class Exporting {
     box.hidden = !question;
     if (!question || box.firstChild?.textContent === question) return;
     const answer = (text, id, run) => make("button", { type: "button", id, onclick: run }, text);
-    const copy = () => {
-      element("export").open = true;
-      element("export-kind").value = "octex";
-      this.set({ kind: "octex" });
-      this.begin();
-    };
-    box.replaceChildren(make("span", {}, question), make("div", { class: "buttons" }, answer("Replace it", "replace", () => sending.send({ kind: "save", replace: true })), answer("Keep it, download a copy", "copy", copy)));
+    const replace = answer("Replace it", "replace", () => sending.send({ kind: "save", replace: true }));
+    const copy = answer("Keep it, download a copy", "copy", () => this.copy());
+    box.replaceChildren(make("span", {}, question), make("div", { class: "buttons" }, replace, copy));
   }
 
   // No file is made any more; closing the line stops what the server does for it.

@@ -238,7 +238,7 @@ class Painting {
   key(event) {
     const isTyping = event.target.matches?.("select, input:not([type=range]):not([type=checkbox]):not([type=color])");
     const { size, hardness } = this.brush, key = event.key.toLowerCase();
-    const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => this.save() };
+    const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => (event.shiftKey ? this.exporting.copy() : this.save()) };
     const tools = {
       ...Object.fromEntries(TOOLS.map((tool) => [tool.key, () => this.choose(tool.name)])),
       x: () => this.swap(),
