@@ -35,10 +35,10 @@ _HOLD = """() => {
 class Studio:
     """A ball that is painted in a page."""
 
-    def __init__(self, browser: Any, folder: Path) -> None:
+    def __init__(self, browser: Any, folder: Path, depth: int = 6) -> None:
         self.surface: Surface = ball(32)
         grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture: OctreeTexture = octex.convert(grey, depth=6)
+        self.texture: OctreeTexture = octex.convert(grey, depth=depth)
         self.output = folder / "out.octex"
         self.session = Session(self.texture, self.surface, self.output)
         self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)
@@ -57,14 +57,14 @@ class Studio:
             timeout=60_000,
         )
 
-    def drag(self, page: Any, *places: tuple[float, float], **options: Any) -> None:
+    def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
         """Press a button at the first place, from the middle of the picture, and drag it on."""
         box = page.locator("#picture").bounding_box()
         places = [(box["width"] / 2 + x, box["height"] / 2 + y) for x, y in places]
         page.mouse.move(*places[0])
         page.mouse.down(**options)
         for place in places[1:]:
-            page.mouse.move(*place, steps=5)
+            page.mouse.move(*place, steps=steps)
         page.mouse.up(**options)
 
 

@@ -1,23 +1,24 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event) {
     const { strokes } = painting;
     this.painting = painting;
-    this.at = painting.place(event);
+    const at = painting.place(event);
+    this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, ...strokes.seen });
-    this.draw(this.at, this.at);
+    const { brush, paint, below, offset } = painting;
+    strokes.begin({ ...brush, ...paint, ...strokes.seen, offset, at: brush.onePart ? below?.rest : undefined });
+    this.draw(at, at);
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      const at = this.painting.place(each);
-      this.draw(this.at, at);
-      this.at = at;
+      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
     }
   }
 
@@ -37,9 +38,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, moved, patch, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+    const { camera, moved, patch, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset } = stroke;
     const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, moved, patch, box, color, opacity, maxAngle, backFaces, mirror };
+    const command = { kind: "stroke", name, camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

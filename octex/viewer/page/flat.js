@@ -55,7 +55,7 @@ export class Flat {
     viewer.turn(false);
     element("turntable").checked = false;
     if (element("beside").checked) element("beside").click();
-    this.before ??= { mesh: part.mesh, header: part.header.mesh, camera: camera.state };
+    this.before ??= { mesh: part.mesh, header: part.header.mesh, camera: camera.state, bounds: viewer.bounds() };
     part.header.mesh = mesh;
     part.takeMesh(unpacked);
     Object.assign(look, { patch: asked, moved: null, marked: null });
