@@ -73,7 +73,7 @@ class Poses:
             raise ArgumentError("patch is missing")
         patch = self.patch(moment_of(given), spot)
         flat = patch.surface.placed_in(texture).part(patch.triangles)
-        header, stream = packed_mesh(texture, flat, False, None)
+        header, stream = packed_mesh(texture, flat)
         line = {"mesh": header, "faults": patch.faults}
         return json.dumps(line).encode() + b"\n" + deflated(stream, 1)
 

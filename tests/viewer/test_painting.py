@@ -39,6 +39,9 @@ class Studio:
         self.surface: Surface = ball(32)
         grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
         self.texture: OctreeTexture = octex.convert(grey, depth=depth)
+        self.start(browser, folder)
+
+    def start(self, browser: Any, folder: Path) -> None:
         self.output = folder / "out.octex"
         self.session = Session(self.texture, self.surface, self.output)
         self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)
