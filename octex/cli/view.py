@@ -51,7 +51,7 @@ def view(options: Options, program: str) -> int:
             from octex.viewer.key import user_key
 
             port, key = options.port or 0, user_key()
-            session = None if options.paint is None else _session(options, read(), surface, progress)
+            session = None if options.paint is None else _session(options, read(), surface, motion, progress)
             try:
                 viewer = Viewer(
                     read,
@@ -87,13 +87,17 @@ def view(options: Options, program: str) -> int:
 
 
 def _session(
-    options: Options, texture: OctreeTexture | TextureSet, surface: Surface | None, progress: Reporter
+    options: Options,
+    texture: OctreeTexture | TextureSet,
+    surface: Surface | None,
+    motion: Motion | None,
+    progress: Reporter,
 ) -> Session:
     """Return the session that paints the texture."""
     from octex.viewer.session import Session
 
     assert surface is not None and not isinstance(texture, octex.TextureSet)
-    session = Session(texture, surface, options.paint, recover=options.recover)
+    session = Session(texture, surface, options.paint, motion=motion, recover=options.recover)
     if session.repeated:
         what = "command is" if session.repeated == 1 else "commands are"
         progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")

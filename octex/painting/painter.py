@@ -43,6 +43,7 @@ class Painter:
         self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
+        self._pose: tuple[Surface, PaintedSurface] | None = None  # the last one that was painted
         self._done, self._undone = History(), History()
 
     def texture(self) -> OctreeTexture:
@@ -83,6 +84,7 @@ class Painter:
         self,
         projections: Projection | Sequence[Projection],
         *,
+        pose: Surface | None = None,
         channel: str = BASE_COLOR.name,
         max_depth: int | None = None,
         max_angle: float | None = None,
@@ -100,7 +102,8 @@ class Painter:
     ) -> Stroke:
         """Paint pictures as ``octex.paint`` does, with its options; return the changes.
 
-        They are empty where nothing is painted. Undone strokes can then no longer be redone. Raises what
+        ``pose`` is the surface in another pose (``Surface.with_pose``), which the cameras see instead. The
+        changes are empty where nothing is painted. Undone strokes can then no longer be redone. Raises what
         ``octex.paint`` raises; the texture then stays as it was.
         """
         options = PaintOptions(
@@ -110,7 +113,7 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._painted, options, pool, run.report, NOT_STORED, self._merging)
+            job = Job(self._posed(pose), options, pool, run.report, NOT_STORED, self._merging)
             given = check_projections(projections)
             try:
                 for texture, change in painted(job, self._texture, given, put=self._put):
@@ -169,6 +172,14 @@ class Painter:
             self._texture = self._put(change, self._texture)
         self._done.append(stroke)
         return True
+
+    def _posed(self, pose: Surface | None) -> PaintedSurface:
+        if pose is None:
+            return self._painted
+        if self._pose is None or self._pose[0] is not pose:
+            surface = as_surface(pose, "pose").placed_in(self._texture)
+            self._pose = pose, self._painted.posed(surface)
+        return self._pose[1]
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
         made = change.put_into(texture, self._shared)

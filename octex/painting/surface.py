@@ -37,14 +37,38 @@ _COARSE = 7
 class PaintedSurface:
     """A surface, and what painting reads of it; in a session normals and last sights are cached."""
 
-    def __init__(self, surface: Surface, *, in_session: bool = False) -> None:
+    def __init__(
+        self, surface: Surface, *, in_session: bool = False, other: PaintedSurface | None = None
+    ) -> None:
         self.surface = surface
         self._in_session = in_session
+        self._other = other  # the same surface in another pose
         self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
+        self._flat: tuple[Surface, PaintedSurface] | None = None  # the last one
+
+    def posed(self, surface: Surface) -> PaintedSurface:
+        """Return another pose of the surface, which shares what is known of it at rest.
+
+        Raises ArgumentError for a surface with other triangles or rest positions.
+        """
+        mine = self.surface
+        for name in "triangles", "rest":
+            if not np.array_equal(getattr(surface, name), getattr(mine, name)):
+                raise ArgumentError(f"{surface.name} is no pose of {mine.name}: it has other {name}")
+        return PaintedSurface(surface, in_session=self._in_session, other=self)
+
+    def flat(self, patch: Patch, texture: OctreeTexture | None) -> PaintedSurface:
+        """Return the surface laid flat, which shares what is known of it at rest."""
+        if self._flat is None or self._flat[0] is not patch.surface or not self._in_session:
+            flat = patch.surface if texture is None else patch.surface.placed_in(texture)
+            self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, other=self)
+        return self._flat[1]
 
     def grid(self, placement: Placement) -> TriangleGrid:
         """Return where the triangles lie in a root cell."""
+        if self._other is not None:
+            return self._other.grid(placement)
         if self._grid is None or self._grid[0] != placement:
             self._grid = placement, TriangleGrid(self.surface, placement)
         return self._grid[1]
@@ -124,8 +148,8 @@ def laid_flat(
         raise ArgumentError("paint the pictures of each patch in a call of their own")
     if len(patch.surface.triangles) != len(surface.surface.triangles):
         raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
-    flat = patch.surface if texture is None else patch.surface.placed_in(texture)
-    return PaintedSurface(flat), [replace(each, camera=patch.camera) for each in projections]
+    flat = surface.flat(patch, texture)
+    return flat, [replace(each, camera=patch.camera) for each in projections]
 
 
 def key_of(camera: Camera) -> bytes:

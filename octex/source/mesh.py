@@ -97,6 +97,21 @@ class Mesh:
             made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
         return made
 
+    def with_pose(self, vertices: npt.ArrayLike) -> Mesh:
+        """Return the same mesh at other posed positions (n, 3); it rests where it does.
+
+        Raises ModelError for another number of them, or if they are not finite.
+        """
+        posed = as_positions(vertices, f"{self.name}: posed positions")
+        if len(posed) != len(self.vertices):
+            raise ModelError(
+                f"{self.name}: {len(posed)} posed positions for {len(self.vertices)} vertices; give one each"
+            )
+        return Mesh(
+            posed, self.triangles, rest=self.rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
+            creases=self.creases, name=self.name,
+        )  # fmt: skip
+
     def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
         """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
 

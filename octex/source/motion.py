@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from octex.arrays import Float64s, Int64s
 
 
@@ -13,6 +15,11 @@ class Links(NamedTuple):
     first: Int64s  # (n + 1,)
     numbers: Int64s  # (entries,)   of bones, or of targets
     shares: Float64s  # (entries,) of bones, which sum to 1; or (entries, 3), what targets add to positions
+
+    @property
+    def owners(self) -> Int64s:
+        """The vertex of each entry (entries,)."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
 
 class Animation(NamedTuple):
@@ -36,3 +43,22 @@ class Motion(NamedTuple):
     turns: Float64s  # (entries, 3)   of targets: what they add to the vertices' unit normals
     animations: list[Animation]
     faults: list[str]  # of animations that are broken, a line each
+
+    def positions_at(self, animation: int, time: float) -> Float64s:
+        """Return where the vertices (n, 3) are at a time in seconds, linear between frames.
+
+        Before the first frame and after the last they stay.
+        """
+        chosen = self.animations[animation]
+        last = len(chosen.bones) - 1
+        place = min(max(time / chosen.length, 0.0), 1.0) * last if chosen.length > 0 else 0.0
+        before = min(int(place), max(last - 1, 0))
+        after, share = min(before + 1, last), place - before
+        bones, weights = (
+            (1.0 - share) * each[before] + share * each[after] for each in (chosen.bones, chosen.weights)
+        )
+        found = self.positions.copy()
+        np.add.at(found, self.targets.owners, weights[self.targets.numbers, None] * self.targets.shares)
+        moves = np.zeros((len(found), 3, 4))
+        np.add.at(moves, self.bones.owners, self.bones.shares[:, None, None] * bones[self.bones.numbers])
+        return np.asarray(np.einsum("nij,nj->ni", moves[..., :3], found) + moves[..., 3])

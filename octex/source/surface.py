@@ -226,6 +226,13 @@ class Surface(Mesh):
         surface.provenance.pop(SEPARATION, None)
         return surface
 
+    def with_pose(self, vertices: npt.ArrayLike) -> Surface:
+        """Return the same surface at other posed positions (n, 3); it rests where it does, with its values.
+
+        Raises ModelError for a wrong number of positions, or if they are not finite.
+        """
+        return self._with(self.source, super().with_pose(vertices))
+
     def with_channels(self, channels: Sequence[str]) -> Surface:
         """Return the same surface with only these channels, and ``alpha`` if their sources have gaps.
 

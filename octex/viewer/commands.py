@@ -37,6 +37,21 @@ _FIELDS = {
 }
 
 
+class Moment(NamedTuple):
+    """A frame of an animation, between frames too."""
+
+    animation: int
+    time: float  # seconds
+
+
+class Spot(NamedTuple):
+    """Where the surface is laid flat, as `octex.unwrap` takes it."""
+
+    center: tuple[float, float, float]
+    radius: float
+    up: tuple[float, float, float]
+
+
 class Command(NamedTuple):
     """What a page asks for; pages count their commands from 1."""
 
@@ -87,10 +102,37 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
         "hidden": given.get("hidden", False),
     }
     PaintOptions(**options)
+    moment_of(given)
+    spot_of(given)
     camera = camera_of(command)
     image = picture_of(command, camera)
     picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
     return picture, options, where_of(command)
+
+
+def moment_of(given: dict[str, Any]) -> Moment | None:
+    """Return the frame that a page shows the model in; None as it stands."""
+    moved = _object_of(given, "moved")
+    if moved is None:
+        return None
+    number = as_whole(moved.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
+    return Moment(number, as_number(moved.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
+
+
+def spot_of(given: dict[str, Any]) -> Spot | None:
+    """Return where the surface is laid flat that a page shows; None if it is not."""
+    patch = _object_of(given, "patch")
+    if patch is None:
+        return None
+    center, up = (tuple(numbers(patch, name, (3,)).tolist()) for name in ("center", "up"))
+    return Spot(center, as_number(patch.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
+
+
+def _object_of(given: dict[str, Any], name: str) -> dict[str, Any] | None:
+    found = given.get(name)
+    if found is not None and not isinstance(found, dict):
+        raise ArgumentError(f"{name} must be an object")
+    return found
 
 
 class Alike(NamedTuple):
@@ -140,6 +182,12 @@ def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
     return action, wanted
 
 
+def replaces_of(command: Command) -> bool:
+    """Return whether a save replaces a file that another program has written meanwhile."""
+    _no_content(command)
+    return as_flag(command.given.get("replace", False), "replace")
+
+
 def _no_content(command: Command) -> None:
     if command.content:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
@@ -153,7 +201,7 @@ _READERS: dict[str, Callable[[Command], Any]] = {
     "channel": channel_of,
     "undo": _no_content,
     "redo": _no_content,
-    "save": _no_content,
+    "save": replaces_of,
 }
 
 

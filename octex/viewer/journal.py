@@ -12,6 +12,7 @@ from pathlib import Path
 
 from octex.errors import OutputError
 from octex.painting.resume import digest_of
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 
@@ -31,12 +32,14 @@ class Journal:
     A record that was half written when the process ended is no record.
     """
 
-    def __init__(self, output: Path, texture: OctreeTexture, surface: Surface) -> None:
+    def __init__(
+        self, output: Path, texture: OctreeTexture, surface: Surface, motion: Motion | None = None
+    ) -> None:
         self.path = output.with_name(output.name + _ENDING)
         channels = [(name, *channel[1:]) for name, channel in sorted(texture.channels.items())]
         tree = texture.tree
         made_of = [[*tree.arrays], [*tree.split], [*tree.kept], channels, str(texture.placement)]
-        model = [surface.vertices, surface.rest, surface.triangles]
+        model = [surface.vertices, surface.rest, surface.triangles, *(motion or ())]
         head = {
             "octex_strokes": _VERSION,
             "texture": digest_of(made_of).hex(),

@@ -40,7 +40,7 @@ class PackedMotion(NamedTuple):
 def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None) -> PackedMotion:
     """Pack animations, with fewer frames beyond ``room`` bytes; ``notes`` say what is left out."""
     notes = list(motion.faults)
-    start = _start(motion, surface)
+    start = start_of(motion, surface)
     if not motion.animations:
         return PackedMotion({}, b"", notes)
     if start is None:
@@ -60,7 +60,7 @@ def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None
     return PackedMotion({}, b"", [*notes, f"no animations: they take {len(packed):,} bytes"])
 
 
-def _start(motion: Motion, surface: Surface) -> str | None:
+def start_of(motion: Motion, surface: Surface) -> str | None:
     """Say which of the surface's positions the bones move: "rest" or "position"; None for neither."""
     edge = float(np.ptp(motion.positions, axis=0).max())
     for name, positions in (("position", surface.vertices), ("rest", surface.rest)):

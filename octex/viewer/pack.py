@@ -182,7 +182,7 @@ def pack(
             header["source"] = maps.header
             streams |= {f"map-{number}": image for number, image in enumerate(maps.images)}
             notes += maps.notes
-        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams, maps, paints)
+        header["mesh"], stream = packed_mesh(texture, surface, "motion" in streams, maps, paints)
         streams["mesh"] = deflated(stream, level)
         header["mesh"]["bytes"] = len(streams["mesh"])
     return Packed(header, streams)
@@ -345,8 +345,12 @@ def _apart(values: Array) -> Uint8s:
     return np.stack([values[:, 0] - green, green, values[:, 2] - green], axis=1)
 
 
-def _packed_mesh(
-    texture: OctreeTexture, surface: Surface, moves: bool, maps: Maps | None, paints: bool
+def packed_mesh(
+    texture: OctreeTexture,
+    surface: Surface,
+    moves: bool = False,
+    maps: Maps | None = None,
+    paints: bool = False,
 ) -> tuple[dict[str, Any], bytes]:
     """Return what a mesh's stream holds, and the stream.
 

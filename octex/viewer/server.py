@@ -8,14 +8,17 @@ import hmac
 import json
 import os
 import secrets
+import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote, unquote
 
 from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
+    from octex.viewer.downloads import Downloads
     from octex.viewer.session import Session
 
 _ADDRESS = "127.0.0.1"
@@ -54,6 +58,8 @@ _HEADERS = {
 }
 #: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
+#: Seconds that a browser may pause in a download, and bytes that are sent at once.
+_PAUSE, _PIECE = 600.0, 1 << 20
 #: By how much longer the first page is waited for: browsers may take long to start.
 _FIRST = 20
 #: Deflate's level for changes: they stay on this machine, and packing them takes longer than sending them.
@@ -104,13 +110,19 @@ class Viewer:
     ) -> None:
         self._open, self._path, self._surface, self._log = open_texture, path, surface, log
         self._motion, self.session = motion, session
+        self.downloads: Downloads | None = None
         if session is not None:
+            from octex.viewer.downloads import Downloads
+
+            assert surface is not None
             session.changed = self.changed
+            self.downloads = Downloads(session, surface, motion, path.name)
         self._lock = threading.RLock()
         self._own = secrets.token_hex(4)  # in versions: the next viewer may show another texture of this path
         self._calls = 0  # of ``changed``
         self._refused: set[str] = set()
         self._news = threading.Condition()
+        self._opened = self._file_stamp()
         self._state = self._read(self._stamp())
         is_alone = surface is not None and len(self._state.parts) == 1
         self._maps = maps_of(surface) if surface is not None and is_alone else None
@@ -159,6 +171,8 @@ class Viewer:
             self._ended.set()
             self._server.shutdown()
             self._server.server_close()
+            if self.downloads is not None:
+                self.downloads.close()
 
     def refuse(self, line: str) -> None:
         """Log why a request is refused, once for those that are alike; of very many only the first."""
@@ -201,7 +215,9 @@ class Viewer:
         """Return the version that is shown, and what is wrong with the file, if anything is."""
         try:
             with self._lock:
-                return self._now().version, ""
+                version = self._now().version
+            is_other = self.session is not None and self._file_stamp() != self._opened
+            return version, f"{self._path.name} has changed: you paint on what was opened" if is_other else ""
         except OctexError as error:
             return self._state.version, str(error)
 
@@ -233,16 +249,19 @@ class Viewer:
         return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
 
     def _stamp(self) -> str:
-        if self.session is not None:
-            return f"{self._calls}-{self._own}"
+        file = "" if self.session is not None else self._file_stamp()
+        return f"{self._calls}-{self._own}{file}"
+
+    def _file_stamp(self) -> str:
+        """Return what differs once the file or folder has changed."""
         try:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
             found = [path.stat() for path in paths]
             latest = max(status.st_mtime_ns for status in found)
             size = sum(status.st_size for status in found)
-            return f"{self._calls}-{self._own}-{latest}-{size}"
+            return f"-{latest}-{size}"
         except OSError:
-            return f"{self._calls}-{self._own}-gone"
+            return "-gone"
 
     def follow(self, send: Callable[[str], None]) -> None:
         """Tell a page of changes until it is gone."""
@@ -254,8 +273,9 @@ class Viewer:
             while not self._ended.is_set():
                 calls, now = self._calls, self.version()
                 if now != told:
-                    name, text = ("changing", now[1]) if now[1] else ("version", now[0])
-                    send(f"event: {name}\ndata: {' '.join(text.split())}\n\n")
+                    send(f"event: version\ndata: {now[0]}\n\n")
+                    if now[1]:
+                        send(f"event: changing\ndata: {' '.join(now[1].split())}\n\n")
                     told = now
                 else:
                     send(": alive\n\n")
@@ -297,6 +317,7 @@ def _size_of(change: tuple[str, Packed]) -> int:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
+    request_queue_size = 128  # of connections that wait to be accepted
     # A port whose server has ended is free at once; elsewhere this would let two servers share it.
     allow_reuse_address = os.name == "posix"
 
@@ -332,6 +353,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._follow()
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
+        elif path == "patch" and self.viewer.session is not None:
+            self._patch(self.viewer.session)
+        elif path == "export" and self.viewer.downloads is not None:
+            self._export(self.viewer.downloads)
+        elif path.startswith("export/") and self.viewer.downloads is not None:
+            self._give(self.viewer.downloads.file(path.removeprefix("export/")))
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
@@ -444,7 +471,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _json(self, header: dict[str, Any]) -> None:
         self._answer(json.dumps(header).encode(), "application/json")
 
-    def _follow(self) -> None:
+    def _events(self) -> Callable[[str], None]:
+        """Begin an answer of events; return what sends them."""
         self.close_connection = True
         self._begin("text/event-stream")
         self.end_headers()
@@ -453,7 +481,54 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(text.encode())
             self.wfile.flush()
 
-        self.viewer.follow(send)
+        return send
+
+    def _follow(self) -> None:
+        self.viewer.follow(self._events())
+
+    def _patch(self, session: Session) -> None:
+        """Answer with a piece of the surface, laid flat."""
+        try:
+            body = session.patch(unquote(self.path.partition("?")[2]))
+        except OctexError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        else:
+            self._answer(body, "application/octet-stream")
+
+    def _export(self, downloads: Downloads) -> None:
+        """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""
+        send = self._events()
+
+        def tell(name: str, told: dict[str, Any]) -> None:
+            try:
+                send(f"event: {name}\ndata: {json.dumps(told)}\n\n")
+            except OSError:
+                raise _GoneError from None
+
+        with suppress(_GoneError):
+            downloads.make(self.path.partition("?")[2], tell)
+
+    def _give(self, path: Path | None) -> None:
+        """Answer with a file to be downloaded, piece by piece."""
+        try:
+            if path is None:
+                raise FileNotFoundError
+            file = path.open("rb")
+        except OSError:
+            self._refuse(HTTPStatus.NOT_FOUND, "that file is no longer there; export it again")
+            return
+        with file, suppress(OSError):
+            self.close_connection = True
+            self.connection.settimeout(_PAUSE)
+            self._begin("application/octet-stream")
+            self.send_header("Content-Length", str(os.fstat(file.fileno()).st_size))
+            self.send_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(path.name)}")
+            self.end_headers()
+            shutil.copyfileobj(file, self.wfile, _PIECE)
+
+
+class _GoneError(Exception):
+    """The page that waits for a file has gone."""
 
 
 def _printable(text: str) -> str:

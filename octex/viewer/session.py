@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.errors import ArgumentError, OctexError, OutputError
+from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
 from octex.painting.layers import Layers
@@ -26,11 +27,24 @@ from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
 from octex.source.corners import at_corners
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, Where, command_of, fill_of, layer_of, stroke_of, target_of
+from octex.viewer.commands import (
+    Command,
+    Where,
+    command_of,
+    fill_of,
+    layer_of,
+    moment_of,
+    replaces_of,
+    spot_of,
+    stroke_of,
+    target_of,
+)
 from octex.viewer.journal import Journal, layers_file
 from octex.viewer.material import paint_of, pictures_of, with_channel
+from octex.viewer.poses import Poses, mirrored_spot
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -67,18 +81,25 @@ class Session:
     """Paints what pages send with a `Painter`, in the order in which it came, on a thread of its own.
 
     ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
-    ``changed`` is called after each.
+    ``changed`` is called after each. ``motion`` is how the surface moves, to be painted at frames of that.
     Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
     repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
-        self, texture: OctreeTexture, surface: Surface, output: Path, *, recover: bool = False
+        self,
+        texture: OctreeTexture,
+        surface: Surface,
+        output: Path,
+        *,
+        motion: Motion | None = None,
+        recover: bool = False,
     ) -> None:
         format_of(texture, BASE_COLOR.name)
         texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
         self._painter = Layers(texture, surface)
         self._surface = surface.placed_in(texture)
+        self._poses = Poses(surface, motion)
         self._output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
         self._lock = threading.Lock()  # of what is known of commands that wait
@@ -87,13 +108,15 @@ class Session:
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
         self._fault, self._is_ending, self._count = "", False, 0
+        self._question = ""  # why the last save asks whether to replace OUTPUT
+        self._stamp = _stamp_of(output)  # of OUTPUT as this session knows it
         self._saved: list[int] | None = []  # the steps that OUTPUT has, or the texture given for none
         self._has_layers_file = False  # saved by this session
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
-        self._journal = Journal(output, texture, surface)
+        self._journal = Journal(output, texture, surface, motion)
         with self._journal.undone_on_failure():
             for body in self._journal.begin(recover):
                 command = command_of(body)
@@ -129,6 +152,13 @@ class Session:
             self._queue.put(command)
         return command.number
 
+    def patch(self, asked: str) -> bytes:
+        """Return what a page shows of the surface laid flat: a line of JSON, and the mesh's stream.
+
+        ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
+        """
+        return self._poses.packed(asked, self.shown.texture)
+
     def wait(self) -> None:
         """Wait until all that was taken is done."""
         self._queue.join()
@@ -147,6 +177,11 @@ class Session:
             f"{steps} painted {what} not saved: the same command with --recover paints {again} again, "
             f"from {self._journal.path}"
         )
+
+    @property
+    def output(self) -> Path:
+        """Where it saves."""
+        return self._output
 
     @property
     def _is_saved(self) -> bool:
@@ -189,6 +224,7 @@ class Session:
                 for layer in self._painter.layers
             ],
             "fault": self._fault,
+            "question": self._question,
         }
         return Shown(self._painter.texture(), told, self._before, self._changes)
 
@@ -210,9 +246,17 @@ class Session:
 
     def _do_stroke(self, command: Command) -> None:
         projection, options, where = stroke_of(command)
-        both = [projection]
+        moment, spot = moment_of(command.given), spot_of(command.given)
+        pose = self._poses.at(moment)
+        both = [projection if spot is None else self._poses.flat(projection, moment, spot)]
         if where.axis is not None:
-            both.append(mirrored(projection, where.axis, self._mirror(where, self._surface.vertices)))
+            middle = self._mirror(where, (pose or self._surface).vertices)
+            if spot is None:
+                both.append(mirrored(projection, where.axis, middle))
+            else:
+                other = mirrored(projection, 0, 0.0)
+                with suppress(ModelError):  # there is no surface in the mirror
+                    both.append(self._poses.flat(other, moment, mirrored_spot(spot, where.axis, middle)))
         regions: list[Any] = [None, None]
         if where.point is not None:
             regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
@@ -221,7 +265,9 @@ class Session:
         for each, region in zip(both, regions, strict=False):
             pictures = [(name, each) for name in covered or ()] or pictures_of(command, each, texture)
             for name, picture in pictures:
-                strokes.append(self._painter.paint(picture, channel=name, region=region, **options))
+                strokes.append(
+                    self._painter.paint(picture, pose=pose, channel=name, region=region, **options)
+                )
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
@@ -312,8 +358,13 @@ class Session:
             self._changes += self._painter.changes
         self._steps.append(step)
 
-    def _do_save(self, command: Command) -> None:  # noqa: ARG002
+    def _do_save(self, command: Command) -> None:
+        self._question = ""
+        if not replaces_of(command) and _stamp_of(self._output) not in (None, self._stamp):
+            self._question = f"Another program has changed {self._output.name}."
+            return
         self._painter.texture().save(self._output)
+        self._stamp = _stamp_of(self._output)
         path = layers_file(self._output)
         if self._painter.layers:
             self._painter.save(path)
@@ -321,6 +372,15 @@ class Session:
         elif self._has_layers_file:
             path.unlink(missing_ok=True)
         self._saved = [step.number for step in self._steps]
+
+
+def _stamp_of(path: Path) -> tuple[int, ...] | None:
+    """Return what differs once another program has written a file; None if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return (status.st_mtime_ns, status.st_size, status.st_ino) if S_ISREG(status.st_mode) else None
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

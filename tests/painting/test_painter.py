@@ -18,6 +18,7 @@ from octex.painting import history
 from octex.painting.merge import merged
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.sight import sight_of
+from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
 from tests.make.painted import ball
 from tests.make.same import assert_same
@@ -54,8 +55,10 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(
             before = states[at]
             if move == "paint":
                 given, max_depth = shots(surface, random), int(random.integers(depth - 1, depth + 2))
-                stroke = painter.paint(given, max_depth=max_depth)
-                expected = octex.paint(before, surface, given, max_depth=max_depth)
+                pose = surface.with_pose(surface.vertices * random.uniform(0.7, 1.3, 3))
+                pose, seen = (None, surface) if random.random() < 0.5 else (pose, pose)
+                stroke = painter.paint(given, max_depth=max_depth, pose=pose)
+                expected = octex.paint(before, seen, given, max_depth=max_depth)
             else:
                 middle = surface.rest[surface.triangles[random.integers(len(surface.triangles))]].mean(axis=0)
                 sphere = octex.Sphere(tuple(middle.tolist()), 0.1 * float(np.ptp(surface.rest, axis=0).max()))
@@ -241,3 +244,26 @@ def test_a_refused_stroke_leaves_all_as_it_was() -> None:
     assert painter.texture() is texture
     with pytest.raises(ArgumentError, match=r"must be an octex\.OctreeTexture"):
         octex.Painter(None, surface)  # type: ignore[arg-type]
+
+
+def test_what_is_no_pose_of_the_surface_is_refused() -> None:
+    surface = ball(8)
+    painter = octex.Painter(octex.convert(surface, depth=4), surface)
+    for other, what in ((ball(9), "triangles"), (surface.with_rest(surface.rest * 2.0), "rest")):
+        with pytest.raises(ArgumentError, match=f"surface is no pose of surface: it has other {what}"):
+            painter.paint(shots(surface, np.random.default_rng(0)), pose=other)
+    with pytest.raises(ArgumentError, match=r"pose must be an octex\.Surface"):
+        painter.paint([], pose=surface.vertices)  # type: ignore[arg-type]
+    assert painter.strokes == ()
+
+
+def test_poses_share_what_is_known_of_the_surface_at_rest() -> None:
+    surface = ball(8)
+    painter = octex.Painter(octex.convert(surface, depth=4), surface)
+    random, grids = np.random.default_rng(0), []
+    init = TriangleGrid.__init__
+    with mock.patch.object(TriangleGrid, "__init__", lambda *given: grids.append(given) or init(*given)):
+        for scale in (1.0, 0.9, 1.1):
+            assert painter.paint(shots(surface, random), pose=surface.with_pose(surface.vertices * scale))
+        assert painter.paint(shots(surface, random))
+    assert len(grids) == 1

@@ -629,16 +629,25 @@ def draw_fill_all(random: Random, run: Run) -> Step:
 
 
 def draw_session(random: Random, run: Run) -> Step:
-    """Paint in a session, forth and back: textures that it gives stay; it ends as a single call does."""
+    """Paint in a session, forth and back: textures that it gives stay; it ends as a single call does.
+
+    Pictures may be of another pose.
+    """
     step, other = one_of(random, (draw_paint, draw_fill))(random, run), draw_fill(random, run).lines[-1]
     *first, single = (line.replace(", run=octex.Run(memory=1)", "") for line in step.lines)
     painted, passing = (
         re.sub(r"^texture = octex\.(\w+)\(texture, surface, ", r"painter.\1(", line)
         for line in (single, other)
     )
+    stretches = [some(random, 0.6, 1.5) for _ in range(3)]
+    is_posed = painted.startswith("painter.paint") and random.random() < 0.5
+    if is_posed:
+        painted = f"{painted[:-1]}, pose=posed)"
+        single = single.replace("(texture, surface, ", "(texture, posed, ")
     passing += " and painter.undo()"  # what paints nothing is no stroke
     lines = (
         *first,
+        f"posed = surface.with_pose(surface.vertices * {stretches})",
         "painter = octex.Painter(texture, surface)",
         *(passing, f"changes = {painted}", "held = painter.texture()", passing),
         *("changes and painter.undo()", "undone = painter.texture()", "changes and painter.redo()"),
@@ -651,10 +660,13 @@ def draw_session(random: Random, run: Run) -> Step:
         for texture in after, run.names["held"]:
             assert claims.digest(texture) == claims.digest(names["texture"]), "a session ends otherwise"
         assert claims.digest(run.names["undone"]) == claims.digest(before), "a session undoes otherwise"
-        if step.claim is not None:
+        if step.claim is not None and not is_posed:
             step.claim(run, before, after)
 
-    return step._replace(lines=lines, claim=claim)
+    seen = "(posed, " if is_posed else "(surface, "
+    return step._replace(
+        lines=lines, claim=claim, layers=tuple(code.replace("(surface, ", seen) for code in step.layers)
+    )
 
 
 def draw_map(random: Random, run: Run) -> Step:

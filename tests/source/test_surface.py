@@ -224,6 +224,25 @@ def test_samples_keep_their_values_at_other_rest_positions() -> None:
     assert (moved.name, moved.provenance) == ("quad", {"source": "quad.glb"})
 
 
+def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values() -> None:
+    triangles, plain = SQUARE_TRIANGLES.astype(np.int32), square(uv=SQUARE_UV, image=random_image(4, 4))
+    normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
+    tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
+    surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    posed = surface.with_pose(SQUARE @ turn.T).with_pose(SQUARE @ turn)
+    np.testing.assert_array_equal(posed.vertices, SQUARE @ turn)
+    assert posed.rest is surface.rest is surface.vertices
+    frames = posed.posed_frames()
+    assert frames is not None
+    np.testing.assert_allclose(frames.normals.values, [turn.T @ [0, 0.6, 0.8]] * 6, atol=1e-6)
+    samples, posed_samples = surface.scatter(30), posed.scatter(30)
+    np.testing.assert_array_equal(posed_samples.rest, samples.rest)
+    np.testing.assert_array_equal(posed.evaluate(posed_samples), surface.evaluate(samples))
+    with pytest.raises(ModelError, match="surface: 3 posed positions for 4 vertices; give one each"):
+        surface.with_pose(SQUARE[:3])
+
+
 @given(st.integers(0, 40), st.floats(0, 1))
 def test_each_channel_is_its_columns_of_all(count: int, width: float) -> None:
     surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))

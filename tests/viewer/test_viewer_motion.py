@@ -53,6 +53,24 @@ def test_frames_are_where_poses_are(tmp_path: Path, path: str) -> None:
         np.testing.assert_allclose(naive(motion, animation, frame), surface.vertices, atol=1e-5)
 
 
+@pytest.mark.parametrize("path", ["rotation", "translation", "scale", "weights"])
+def test_between_frames_vertices_move_straight_on(tmp_path: Path, path: str) -> None:
+    motion = load_motion(moving(path, "LINEAR").save(tmp_path / "a.glb"), 7.0)
+    assert motion is not None
+    (animation,) = motion.animations
+    frames = [naive(motion, animation, frame) for frame in (0, 3, 4, 16)]
+    for time, expected in (
+        *((-1.0, frames[0]), (0.0, frames[0]), (3 / 8, frames[1]), (4 / 8, frames[2])),
+        *((2.0, frames[3]), (9.0, frames[3])),
+    ):
+        np.testing.assert_allclose(motion.positions_at(0, time), expected, rtol=0, atol=1e-12)
+    between = animation._replace(
+        bones=(animation.bones[3:4] + animation.bones[4:5]) / 2,
+        weights=(animation.weights[3:4] + animation.weights[4:5]) / 2,
+    )
+    np.testing.assert_allclose(motion.positions_at(0, 3.5 / 8), naive(motion, between, 0), rtol=0, atol=1e-12)
+
+
 def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> None:
     gltf = broken(WAVY)
     sound = moving("rotation", "LINEAR").json["animations"][0]

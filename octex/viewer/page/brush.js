@@ -5,14 +5,14 @@ import { deflated } from "./sending.js";
 
 export class BrushDrag {
   constructor(painting, event, more = {}) {
-    const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
+    const { strokes } = painting;
     this.painting = painting;
     const first = painting.place(event);
     this.path = new Path(first);
     this.dirty = null; // what of the picture has changed since the last frame
     const { below, offset } = painting, brush = { ...painting.brush, ...painting.paint, ...more };
-    const camera = { width, height, K, pose }, at = brush.onePart ? below?.rest : undefined;
-    strokes.begin({ ...brush, camera, offset, at, begin: first, look: painting.layers.look(brush) });
+    const at = brush.onePart ? below?.rest : undefined, look = painting.layers.look(brush);
+    strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
     this.draw(first, first);
   }
 
@@ -43,9 +43,9 @@ export class BrushDrag {
   up() {
     const { strokes, sending } = this.painting, stroke = strokes.end();
     if (!stroke) return;
-    const { camera, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset, erases } = stroke;
+    const { camera, moved, patch, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset, erases } = stroke;
     const tool = erases ? "Eraser" : "Brush", name = mirror ? `${tool}, mirrored` : tool;
-    const command = { kind: "stroke", name, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
+    const command = { kind: "stroke", name, camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
     stroke.number = sending.send(command, deflated(coverage));
     strokes.keep(stroke);
   }

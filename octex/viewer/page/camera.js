@@ -16,6 +16,7 @@ export class Camera {
     this.tilt = 0.3;
     this.fov = 0.6;
     this.aspect = 4 / 3;
+    this.isFlat = false;
     this.reset();
   }
 
@@ -25,8 +26,7 @@ export class Camera {
 
   // See the whole model from the same side, or from a given one.
   reset(turn = this.turn, tilt = this.tilt) {
-    this.turn = turn;
-    this.tilt = tilt;
+    [this.turn, this.tilt] = this.isFlat ? [0, 0] : [turn, tilt];
     this.target = this.low.map((x, n) => (x + this.high[n]) / 2);
     const narrow = Math.min(1, this.aspect);
     this.distance = (1.02 * this.radius) / Math.sin(Math.atan(Math.tan(this.fov / 2) * narrow));
@@ -80,7 +80,9 @@ export class Camera {
     return { octex_cameras: 1, cameras: [camera] };
   }
 
+  // Of what is flat only the front is seen: it is moved instead.
   orbit(turn, tilt) {
+    if (this.isFlat) return this.pan(-turn / 4, -tilt / 4);
     this.turn += turn;
     this.tilt = Math.min(Math.max(this.tilt + tilt, -MOST_TILT), MOST_TILT);
   }

@@ -2,7 +2,7 @@
 
 import { reload } from "./kept.js";
 
-async function inflated(stream) {
+export async function inflated(stream) {
   const unpacked = stream.pipeThrough(new DecompressionStream("deflate-raw"));
   return new Uint8Array(await new Response(unpacked).arrayBuffer());
 }

@@ -1,6 +1,8 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Exporting } from "./exporting.js";
+import { Flat } from "./flat.js";
 import { Layers } from "./layers.js";
 import { Material, fromHex, toHex } from "./material.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
@@ -33,6 +35,8 @@ class Painting {
     this.layers = new Layers(this);
     this.sending = new Sending((text) => this.say(text), () => this.layers.target);
     this.strokes = new Strokes(viewer);
+    this.exporting = new Exporting(this);
+    this.flat = new Flat(this);
     this.pen = null; // which pointer draws, and its drag
     this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
@@ -58,7 +62,7 @@ class Painting {
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.ring = make("div", { id: "ring", hidden: true }, make("i"));
-    this.main.append(this.tools, this.ring);
+    this.main.append(this.tools, this.flat.bar, this.ring);
     const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
@@ -71,6 +75,7 @@ class Painting {
         act("store", "save", "Save (Ctrl+S)", () => this.save()),
         act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"))),
       make("p", { id: "saved", role: "status" }),
+      make("div", { id: "question", role: "alert", hidden: true }),
       make("div", { class: "colors" }, color, other, make("span", { id: "color-text" })),
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
@@ -94,6 +99,7 @@ class Painting {
         ...slider("tolerance", "Colours that differ by", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
       this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps" })),
+      this.exporting.section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
     element("history").open = true;
@@ -104,7 +110,9 @@ class Painting {
   }
 
   choose(name) {
-    this.tool = TOOLS.find((tool) => tool.name === name);
+    const tool = TOOLS.find((tool) => tool.name === name);
+    if (tool.chosen?.(this)) return;
+    this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
@@ -142,7 +150,7 @@ class Painting {
   get offset() {
     const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror);
     if (!mirror || !mirrorAt) return 0;
-    const [low, high] = this.viewer.bounds();
+    const [low, high] = this.flat.before?.bounds ?? this.viewer.bounds();
     return (mirrorAt / 100) * (high[axis] - low[axis]);
   }
 
@@ -227,8 +235,6 @@ class Painting {
 
   // Why nothing can be painted on what is shown; or nothing.
   get hindrance() {
-    const { look } = this.viewer;
-    if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
     return this.material.hindrance || this.layers.hindrance;
   }
 
@@ -249,6 +255,7 @@ class Painting {
     this.viewer.canvas.setPointerCapture(event.pointerId);
     this.viewer.look.marked = null;
     this.viewer.turn(false);
+    this.viewer.player?.stop();
     element("turntable").checked = false;
     const drag = this.tool.down(this, event);
     if (drag) this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };
@@ -300,10 +307,11 @@ class Painting {
   key(event) {
     const isTyping = event.target.matches?.("select, input:not([type=range]):not([type=checkbox]):not([type=color])");
     const { size, hardness } = this.brush, key = event.key.toLowerCase();
-    const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => this.save() };
+    const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => (event.shiftKey ? this.exporting.copy() : this.save()) };
     const tools = {
       ...Object.fromEntries(TOOLS.map((tool) => [tool.key, () => this.choose(tool.name)])),
       x: () => this.swap(),
+      ...(this.flat.before && { escape: () => this.flat.close() }),
       "[": () => this.set({ size: Math.min(Math.round(size / STEP), size - 1) }),
       "]": () => this.set({ size: Math.max(Math.round(size * STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),
@@ -340,6 +348,7 @@ class Painting {
     element("undo").disabled = told.done === 0;
     element("redo").disabled = told.done === told.steps.length;
     element("saved").textContent = `${told.output}: ${told.isSaved ? "all is saved" : "not saved"}`;
+    this.exporting.ask(told.question);
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
     const list = element("steps"), rows = ["Opened", ...told.steps];

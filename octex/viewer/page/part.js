@@ -53,7 +53,7 @@ export class Part {
     const entries = [0, octree.entries.length / 2];
     if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
     if (this.mesh) this.takeMesh(this.mesh);
-    if (this.motion) this.takeMotion(this.motion);
+    if (this.motion && this.mesh.owners) this.takeMotion(this.motion);
     this.source?.build(gl);
     this.cubes = null;
   }

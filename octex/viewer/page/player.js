@@ -41,6 +41,10 @@ export class Player {
     this.seek(this.time);
   }
 
+  stop() {
+    if (this.since !== null) this.play(false);
+  }
+
   seek(time) {
     this.time = time;
     element("time").value = time;

@@ -39,17 +39,24 @@ export class Strokes {
 
   // Be ready for strokes on the view as it is now. Those that were sent from another one are then no longer shown.
   fit() {
-    const { gpu, film, camera, look, parts } = this.viewer, { width, height } = film, view = String(camera.view);
+    const { gpu, film, camera, look, parts } = this.viewer, { width, height } = film, view = this.viewer.viewed;
     const isLarge = this.size[0] === width && this.size[1] === height;
     if (isLarge && this.view === view) return;
     if (!isLarge) this.allocate(width, height);
     this.view = view;
+    this.isMoved = Boolean(look.moved ?? look.patch);
     this.sent = [];
     this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
     gpu.drawPlaces({ ...look, paint: this, asksPart: true }, camera, this.places, width, height);
     const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
     this.camera = product(camera.projection(), product(camera.view, root));
     this.eye = camera.position.map((x, n) => (x - origin[n]) / size);
+  }
+
+  // What the picture is of, as strokes carry it.
+  get seen() {
+    const { film: { width, height }, camera, look: { patch, moved } } = this.viewer, [{ K, pose }] = camera.file("", width, height).cameras;
+    return { camera: { width, height, K, pose }, moved: patch ? patch.moved : moved, patch: patch?.spot };
   }
 
   // Make the textures as large as the picture is.
@@ -248,7 +255,7 @@ export class Strokes {
   }
 
   set(program, width, height, planes) {
-    const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
+    const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === viewer.viewed;
     const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false } = shown;
     const isWhole = angle >= 90, paint = current ? this.paintOf(seen(current)) : new Map(), layers = [...this.sums.keys()];
     gl.activeTexture(gl.TEXTURE0 + UNIT);
@@ -263,7 +270,7 @@ export class Strokes {
     gl.uniform1f(program.at("u_opacity"), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
-    const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;
+    const canTurn = !viewer.look.moved && !this.isMoved && !viewer.parts[0].header.mesh?.posed;
     gl.uniform1i(program.at("u_strokesView"), !this.sent.length ? 0 : isHere ? 1 : canTurn ? 2 : 0);
     gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
     gl.uniform3fv(program.at("u_strokesEye"), this.eye);

@@ -1,5 +1,6 @@
 // The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
-// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
+// does. `down` may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up. A tool may have
+// `chosen`, which says whether choosing it was all that it does.
 
 import { BrushDrag } from "./brush.js";
 import { eraser } from "./layers.js";
@@ -9,6 +10,7 @@ export const TOOLS = [
   eraser,
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
+  { name: "flat", text: "Flat", key: "u", isAnywhere: true, chosen: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
 ];
 
 // Take what the surface has of all that is painted, and go on with the brush.

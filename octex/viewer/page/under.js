@@ -27,6 +27,6 @@ export function under(viewer, x, y) {
   if (!(width > 0)) return null;
   const { origin, size, mesh } = parts[0].header, { view } = camera;
   const rest = [a, b, c].map((at, n) => origin[n] + size * at), [p, q, r] = rest;
-  const away = mesh.posed ? gpu.awayAt(viewer.look, camera, [x, y], [canvas.clientWidth, canvas.clientHeight]) : -(view[2] * p + view[6] * q + view[10] * r + view[14]);
+  const away = mesh.posed || viewer.look.moved ? gpu.awayAt(viewer.look, camera, [x, y], [canvas.clientWidth, canvas.clientHeight]) : -(view[2] * p + view[6] * q + view[10] * r + view[14]);
   return { rest, normal: unpacked(ways[0]), toward: unpacked(ways[1]), away };
 }

@@ -332,6 +332,12 @@ class Viewer {
     if (width > 0 && height > 0) gpu.draw(this.look, this.camera, canvas.width, canvas.height, [x, y, width, height]);
   }
 
+  // What the picture is of: where the camera stands, and how the model is posed.
+  get viewed() {
+    const { camera, look } = this;
+    return `${camera.view} ${JSON.stringify([look.moved, look.patch])}`;
+  }
+
   // How textures are looked up: where that stays, a picture does so that is not near a change.
   get lookedUp() {
     return JSON.stringify([this.look.level, ...this.parts.map(({ header: { depth, isMixed, kept, split } }) => [depth, isMixed, kept > 0, split[0] > 0])]);
@@ -339,8 +345,8 @@ class Viewer {
 
   // Draw anew what is near a box of the root cell, if one is touched, and where strokes were that are now in the texture.
   redraw(touched, strokes) {
-    const { camera, gpu, parts, painting, view } = this, [far] = NOWHERE[0];
-    const isSame = this.isDrawn && !this.isLost && view === String(camera.view) && strokes.every(() => painting.strokes.view === view);
+    const { gpu, parts, painting, view } = this, [far] = NOWHERE[0];
+    const isSame = this.isDrawn && !this.isLost && view === this.viewed && strokes.every(() => painting.strokes.view === view);
     if (!isSame || gpu.showsCubes(this.look) || parts.some((part) => part.hasAlpha)) return this.move();
     const boxes = touched.length ? [[[...touched[0], far, far], [...touched[1], -far, -far]]] : [];
     for (const { box: [left, top, right, bottom] } of strokes) {
@@ -356,7 +362,7 @@ class Viewer {
 
   draw(scale) {
     this.near = null;
-    this.view = String(this.camera.view);
+    this.view = this.viewed;
     const width = Math.max(Math.round(this.canvas.clientWidth * scale), 1);
     const height = Math.max(Math.round(this.canvas.clientHeight * scale), 1);
     this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;

@@ -1,0 +1,85 @@
+"""The surface as animations pose it, or laid flat around a point, to be painted there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import cast
+
+from octex.cameras.camera import Camera
+from octex.errors import ArgumentError
+from octex.painting.picture import Projection
+from octex.painting.unwrap import Patch, unwrap
+from octex.source.motion import Motion
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer.commands import Moment, Spot, moment_of, spot_of
+from octex.viewer.moves import start_of
+from octex.viewer.pack import packed_mesh
+from octex.viewer.streams import deflated
+
+#: Patches that are kept: one that is painted on, and the one in a mirror.
+_MOST_PATCHES = 2
+
+
+class Poses:
+    """A surface at moments of its animations and in patches; the last ones are kept for the next strokes."""
+
+    def __init__(self, surface: Surface, motion: Motion | None) -> None:
+        is_moved = motion is not None and start_of(motion, surface) is not None
+        self._surface, self._motion = surface, motion if is_moved else None
+        self._last: tuple[Moment, Surface] | None = None
+        self._patches: tuple[tuple[tuple[Moment | None, Spot], Patch], ...] = ()
+
+    def at(self, moment: Moment | None) -> Surface | None:
+        """Return the surface at an animation's second as the page draws it; None as it stands.
+
+        Raises ArgumentError for an animation that it does not have.
+        """
+        if moment is None:
+            return None
+        count = 0 if self._motion is None else len(self._motion.animations)
+        if self._motion is None or moment.animation >= count:
+            raise ArgumentError(f"there is no animation {moment.animation}; {self._surface.name} has {count}")
+        last = self._last
+        if last is None or last[0] != moment:
+            self._last = last = moment, self._surface.with_pose(self._motion.positions_at(*moment))
+        return last[1]
+
+    def patch(self, moment: Moment | None, spot: Spot) -> Patch:
+        """Return the surface laid flat. Raises ArgumentError and ModelError as ``octex.unwrap`` does."""
+        key, known = (moment, spot), self._patches
+        found = next((patch for own, patch in known if own == key), None)
+        if found is None:
+            found = unwrap(self.at(moment) or self._surface, spot.center, spot.radius, up=spot.up)
+            self._patches = ((key, found), *known)[:_MOST_PATCHES]
+        return found
+
+    def flat(self, projection: Projection, moment: Moment | None, spot: Spot) -> Projection:
+        """Return a picture through a patch, as the projection's camera sees that."""
+        camera = cast(Camera, projection.camera)
+        return replace(projection, camera=replace(self.patch(moment, spot), camera=camera))
+
+    def packed(self, asked: str, texture: OctreeTexture) -> bytes:
+        """Return a patch as pages take it: a line of JSON, and the mesh's stream."""
+        try:
+            given = json.loads(asked)
+        except (ValueError, RecursionError):
+            given = None
+        if not isinstance(given, dict):
+            raise ArgumentError("a patch is asked for by a JSON object")
+        spot = spot_of(given)
+        if spot is None:
+            raise ArgumentError("patch is missing")
+        patch = self.patch(moment_of(given), spot)
+        flat = patch.surface.placed_in(texture).part(patch.triangles)
+        header, stream = packed_mesh(texture, flat)
+        line = {"mesh": header, "faults": patch.faults}
+        return json.dumps(line).encode() + b"\n" + deflated(stream, 1)
+
+
+def mirrored_spot(spot: Spot, axis: int, middle: float) -> Spot:
+    """Return where a mirror across an axis shows a spot: its picture is that seen in a mirror across x."""
+    center, up = list(spot.center), list(spot.up)
+    center[axis], up[axis] = 2 * middle - center[axis], -up[axis]
+    return Spot((center[0], center[1], center[2]), spot.radius, (up[0], up[1], up[2]))

@@ -1,0 +1,235 @@
+"""Painting where things fail: a full disk, files changed meanwhile, a lost GPU, a flood of requests."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError
+from octex.viewer import Viewer, server
+from octex.viewer.session import Session
+from tests.conftest import needs_jit
+from tests.make.browser import opened
+from tests.make.browser import served as serving
+from tests.make.same import assert_same
+from tests.viewer.test_paint_export import served as served
+from tests.viewer.test_painting import Studio, pictured
+from tests.viewer.test_session import Served, canvas, plain, stroke
+
+
+def touched(path: Path) -> bytes:
+    """Have another program write a file; return its bytes."""
+    octex.convert(canvas()[1], depth=3).save(path)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(
+    there: bool, tmp_path: Path
+) -> None:
+    output = tmp_path / "out.octex"
+    if there:
+        canvas()[0].save(output)
+    session = Session(*canvas(), output)
+    if there:
+        session.take(stroke(1))
+        session.take(plain("save", 2))  # --force was said
+        session.wait()
+        assert session.shown.told["isSaved"]
+    first = 3 if there else 1
+    session.take(stroke(first))
+    other = touched(output)
+    session.take(plain("save", first + 1))
+    session.wait()
+    assert session.shown.told["question"] == "Another program has changed out.octex."
+    assert not session.shown.told["isSaved"]
+    assert output.read_bytes() == other
+    session.take(stroke(first + 2))
+    session.wait()
+    assert session.shown.told["question"]  # it stays asked
+    session.take(plain("save", first + 3, replace=True))
+    session.wait()
+    assert session.shown.told["question"] == ""
+    assert session.shown.told["isSaved"]
+    assert_same(octex.open(output), session.shown.texture)
+    session.take(stroke(first + 4))
+    session.take(plain("save", first + 5))  # now it is this session's again
+    session.wait()
+    assert session.shown.told["isSaved"]
+    with pytest.raises(ArgumentError, match="replace must be True or False"):
+        session.take(plain("save", first + 6, replace="yes"))
+    assert session.close() == ""
+
+
+def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octex")
+    for body in (stroke(1), plain("save", 2)):
+        session.take(body)
+    session.wait()
+    (tmp_path / "out.octex").unlink()
+    session.take(plain("save", 3))
+    session.wait()
+    assert session.shown.told["question"] == ""
+    assert_same(octex.open(tmp_path / "out.octex"), session.shown.texture)
+    assert session.close() == ""
+
+
+def test_pages_hear_that_the_texture_which_was_opened_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_BEAT", 0.05)
+    path, (texture, surface) = tmp_path / "ball.octex", canvas()
+    texture.save(path)
+    session = Session(texture, surface, tmp_path / "out.octex")
+    viewer = Viewer(lambda: octex.open(path), path, surface, session=session)
+    before = viewer.version()
+    assert before[1] == ""
+    with serving(viewer):
+        connection = HTTPConnection("127.0.0.1", viewer.port, timeout=20)
+        connection.request("GET", f"/{viewer.token}/events")
+        line = connection.getresponse()
+        touched(path)
+        seen = b""
+        while b"event: changing" not in seen:
+            seen += line.readline()
+        assert line.readline() == b"data: ball.octex has changed: you paint on what was opened\n"
+        session.take(stroke(1))
+        session.wait()
+        while b"version\ndata: 1-" not in seen:  # strokes are told nevertheless
+            seen += line.readline()
+        line.close()
+        connection.close()
+    assert viewer.version()[0] != before[0]
+    session.close()
+
+
+#: Paints and saves with files of at most so many bytes, and says what it hears.
+_FULL = """
+import json, resource, sys; sys.path.insert(0, '.')
+from pathlib import Path
+from tests.viewer.test_session import *
+most, session = int(sys.argv[2]), Session(*canvas(), Path(sys.argv[1]))
+session.take(stroke(1))
+session.wait()
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, hard))
+said = []
+def tried(body):
+    try:
+        session.take(body)
+        session.wait()
+        said.append(session.shown.told['fault'])
+    except OutputError as error:
+        said.append(str(error))
+tried(plain('save', 2))
+for _ in range(2):
+    tried(stroke(3, name='x' * 40, filler='y' * 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+number = 3 if 'File too large' in said[1] else 4
+tried(stroke(number))
+tried(plain('save', number + 1))
+told = session.shown.told
+print(json.dumps([said, told['done'], told['isSaved'], session.close()]))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="POSIX systems limit files")
+def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_path: Path) -> None:
+    output = tmp_path / "out.octex"
+    words = [sys.executable, "-c", _FULL, str(output), "20000"]
+    root = Path(octex.__file__).parents[1]
+    done = subprocess.run(words, cwd=root, timeout=300, capture_output=True, text=True, check=True)
+    said, steps, is_saved, left = json.loads(done.stdout)
+    assert said[0] == f"{output}: cannot be written: File too large; make room or choose another place"
+    assert said[1] == said[2] == f"{output}.strokes: File too large"  # refused, to be sent again
+    assert said[3:] == ["", ""]
+    assert (steps, is_saved, left) == (2, True, "")
+    assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
+
+
+@needs_jit
+def test_the_page_asks_whether_to_replace_what_another_program_has_written(
+    browser: Any, tmp_path: Path
+) -> None:
+    texture, surface = canvas()
+    output = tmp_path / "out.octex"
+    session = Session(texture, surface, output)
+    viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)
+    with serving(viewer):
+        page = opened(browser, viewer.url, (800, 400))
+        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        session.take(stroke(1))
+        other = touched(output)
+        page.keyboard.press("Control+s")
+        page.wait_for_selector("#question:visible")
+        with page.expect_download() as waited:
+            page.click("#copy")
+        waited.value.save_as(tmp_path / "copy.octex")
+        assert_same(octex.open(tmp_path / "copy.octex"), session.shown.texture)
+        assert output.read_bytes() == other
+        page.click("#replace")
+        page.wait_for_function("viewer.painting.last.isSaved", timeout=60_000)
+        assert page.locator("#question").is_hidden()
+        assert_same(octex.open(output), session.shown.texture)
+        assert page.complaints == []
+        page.close()
+    session.close()
+
+
+@needs_jit
+def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(browser: Any, tmp_path: Path) -> None:
+    studio = Studio(browser, tmp_path)
+    with serving(studio.viewer):
+        page = studio.page()
+        before = pictured(page)
+        box = page.locator("#picture").bounding_box()
+        middle = box["width"] / 2, box["height"] / 2
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + 20, middle[1])
+        page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')")
+        page.evaluate("lose.loseContext()")
+        page.wait_for_function("viewer.isLost")
+        page.mouse.move(middle[0] + 40, middle[1], steps=3)
+        page.mouse.up()
+        page.evaluate("lose.restoreContext()")
+        page.wait_for_function("!viewer.isLost && viewer.isSharp")
+        assert (pictured(page) == before).all()
+        studio.drag(page, (0, 20), (30, 20))
+        studio.is_done(page, 1)
+        assert studio.session.shown.told["done"] == 1
+        assert np.abs(pictured(page) - before).max() > 60
+        assert page.complaints == []
+        page.close()
+    studio.session.close()
+
+
+def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server._Handler, "timeout", 3.0)
+    address = "127.0.0.1", served.viewer.port
+    refused = f"GET /{'a' * 22}/ HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n\r\n".encode()
+    with ExitStack() as held:
+        lines = (socket.create_connection(address, timeout=20) for _ in range(200))
+        idle = [held.enter_context(each) for each in lines]
+        for each in idle[::2]:
+            each.sendall(refused)
+        for number in range(1, 6):
+            assert served.post(stroke(number))[0] == 200
+        served.session.wait()
+        assert served.session.shown.told["done"] == 5
+        for n, each in enumerate(idle):  # each is answered, or given up
+            assert each.recv(4096).startswith(b"HTTP/1.1 403" if n % 2 == 0 else b"")
+    assert len(served.lines) == 1

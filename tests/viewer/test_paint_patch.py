@@ -1,0 +1,254 @@
+"""Painting a surface that is laid flat: as the library paints through a patch of ``octex.unwrap``."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import replace
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError, ModelError
+from octex.source.surface import Surface
+from octex.viewer.commands import command_of, stroke_of
+from octex.viewer.session import Session, mirrored
+from tests.conftest import needs_jit
+from tests.make.browser import opened
+from tests.make.browser import served as serving
+from tests.make.painted import ball
+from tests.make.same import assert_same
+from tests.viewer.test_paint_export import served as served
+from tests.viewer.test_paint_poses import Bending, bending
+from tests.viewer.test_painting import _HOLD, pictured
+from tests.viewer.test_session import NAN, SIZE, Served, canvas, plain, stroke
+
+SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
+
+
+def flat_camera(radius: float = 0.6) -> dict[str, Any]:
+    """A camera that sees a patch from the front, as pages send it."""
+    found = octex.Camera.fitted(np.array([[-radius, -radius, 0], [radius, radius, 0]]), (0, 0, 1), size=SIZE)
+    pose, K = found.world_to_camera.tolist(), found.K.tolist()
+    return {"width": SIZE[0], "height": SIZE[1], "K": K, "pose": pose}
+
+
+def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(tmp_path: Path) -> None:
+    texture, surface = canvas()
+    motion, expected = bending(surface), texture
+    session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
+    far = {**SPOT, "center": [-0.4, 0.2, 0.9]}
+    moved = {"animation": 0, "time": 1.0}
+    given: list[dict[str, Any]] = [{"patch": SPOT}, {"patch": SPOT}, {"patch": far, "moved": moved}, {}]
+    given.append({"patch": SPOT, "mirror": "x"})
+    for number, fields in enumerate(given, 1):
+        seen_by = {"camera": flat_camera()} if "patch" in fields else {}
+        body = stroke(number, **fields, **seen_by)
+        session.take(body)
+        picture, options, _ = stroke_of(command_of(body))
+        posed = surface if "moved" not in fields else surface.with_pose(motion.positions_at(0, 1.0))
+        if "patch" in fields:
+            spot = fields["patch"]
+            patch = octex.unwrap(posed, spot["center"], spot["radius"], up=spot["up"])
+            through = replace(picture, camera=replace(patch, camera=picture.camera))
+            before, expected = expected, octex.paint(expected, posed, through, **options)
+            assert expected.tree.n_cells != before.tree.n_cells or number > 1
+        else:
+            expected = octex.paint(expected, posed, picture, **options)
+        if "mirror" in fields:
+            middle = (surface.vertices[:, 0].min() + surface.vertices[:, 0].max()) / 2
+            center = [2 * middle - SPOT["center"][0], *SPOT["center"][1:]]
+            patch = octex.unwrap(surface, center, 0.6, up=[0.0, 1.0, 0.1])
+            other = mirrored(picture, 0, 0.0)
+            other = replace(other, camera=replace(patch, camera=other.camera))
+            expected = octex.paint(expected, surface, other, **options)
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        assert_same(session.shown.texture, expected)
+    session.take(plain("undo", 6))
+    session.take(plain("redo", 7))
+    session.wait()
+    assert_same(session.shown.texture, expected)
+    session.close()
+    again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
+    assert_same(again.shown.texture, expected)
+    again.close()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis: int, tmp_path: Path) -> None:
+    texture, surface = canvas()
+    session = Session(texture, surface, tmp_path / "out.octex")
+    spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
+    session.take(stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
+    session.wait()
+    assert session.shown.told["fault"] == ""
+    points = np.random.default_rng(0).normal(size=(6000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    image = points.copy()
+    image[:, axis] *= -1
+
+    def is_painted(points: Any) -> Any:
+        apart = session.shown.texture.sample(points) - texture.sample(points)
+        return np.abs(apart).max(axis=1) > 0.1
+
+    here, there = is_painted(points), is_painted(image)
+    assert 30 < here.sum() < 2000
+    assert (here != there).sum() < 0.2 * here.sum()
+    assert here[points[:, axis] > 0.2].any()
+    assert here[points[:, axis] < -0.2].any()
+    session.close()
+
+
+BAD: list[tuple[Any, str]] = [
+    ([1], "patch must be an object"),
+    ({}, "center"),
+    ({**SPOT, "center": [1, 2]}, "center"),
+    ({**SPOT, "center": [1, 2, NAN]}, "center"),
+    ({**SPOT, "radius": 0}, "radius"),
+    ({**SPOT, "radius": NAN}, "radius"),
+    ({**SPOT, "radius": 1e300}, "radius"),
+    ({**SPOT, "up": "y"}, "up"),
+]
+
+
+@pytest.mark.parametrize(("patch", "why"), BAD)
+def test_what_is_no_patch_is_refused(patch: Any, why: str, tmp_path: Path) -> None:
+    session = Session(*canvas(), tmp_path / "out.octex")
+    with pytest.raises(ArgumentError, match=why):
+        session.take(stroke(1, patch=patch))
+    with pytest.raises(ArgumentError, match=why):
+        session.patch(json.dumps({"patch": patch}))
+    for asked in ("", "{", "[]", "{}", "[" * 100_000):
+        with pytest.raises(ArgumentError, match="patch"):
+            session.patch(asked)
+    session.close()
+
+
+def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path: Path) -> None:
+    texture, surface = canvas()
+    session = Session(texture, surface, tmp_path / "out.octex")
+    beside = {**SPOT, "center": [9.0, 0.0, 0.0]}
+    with pytest.raises(ModelError, match="farther than the radius"):
+        session.patch(json.dumps({"patch": beside}))
+    session.take(stroke(1, patch=beside, camera=flat_camera()))
+    session.wait()
+    assert "farther than the radius" in session.shown.told["fault"]
+    assert_same(session.shown.texture, texture)
+    session.close()
+
+
+def test_pages_are_sent_a_patch_as_a_mesh(served: Served) -> None:
+    connection = HTTPConnection("127.0.0.1", served.viewer.port, timeout=60)
+    asked = quote(json.dumps({"patch": SPOT, "moved": None}))
+    connection.request("GET", f"/{served.viewer.token}/patch?{asked}")
+    answer = connection.getresponse()
+    line, _, stream = answer.read().partition(b"\n")
+    assert answer.status == 200
+    told = json.loads(line)
+    patch = octex.unwrap(canvas()[1], SPOT["center"], SPOT["radius"], up=SPOT["up"])
+    assert told["mesh"]["triangles"] == len(patch.triangles)
+    assert told["mesh"]["posed"]
+    assert told["faults"] == patch.faults == []
+    assert len(zlib.decompress(stream, -15)) == 4 * (
+        8 * told["mesh"]["vertices"] + 3 * told["mesh"]["triangles"]
+    )
+    connection.request("GET", f"/{served.viewer.token}/patch?nothing")
+    answer = connection.getresponse()
+    assert (answer.status, answer.read()) == (400, b"a patch is asked for by a JSON object\n")
+    connection.close()
+
+
+@needs_jit
+def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(
+    browser: Any, tmp_path: Path
+) -> None:
+    studio = Bending(browser, tmp_path)
+    with serving(studio.viewer):
+        page = opened(browser, studio.viewer.url, (900, 420))
+        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
+        model, camera = pictured(page), page.evaluate("JSON.stringify(viewer.camera.state)")
+        page.keyboard.press("u")
+        studio.drag(page, (300, 150))  # beside the model
+        studio.drag(page, (20, 20))
+        page.wait_for_selector("#flat:visible")
+        assert page.evaluate("viewer.painting.tool.name") == "brush"
+        radius = page.evaluate("viewer.look.patch.spot.radius")
+        for _ in range(2):  # at once
+            page.click("#flat-wider")
+        page.wait_for_function("(most) => viewer.look.patch.spot.radius > most", arg=1.9 * radius)
+        for _ in range(2):
+            page.click("#flat-narrower")
+        page.wait_for_function("(most) => viewer.look.patch.spot.radius < most", arg=1.1 * radius)
+        page.evaluate("viewer.camera.orbit(0.2, 0.1)")
+        assert page.evaluate("[viewer.camera.turn, viewer.camera.tilt]") == [0, 0]  # it is moved
+        page.evaluate("viewer.camera.reset(1, 1)")
+        before = pictured(page)
+        page.evaluate(_HOLD)
+        studio.drag(page, (-60, 0), (0, -50), (60, 20))
+        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        sent = page.evaluate("viewer.painting.sending.waiting[0]")
+        assert sent["moved"] == {"animation": 0, "time": 0.9}
+        assert 0.1 < sent["patch"]["radius"] < 1
+        drawn_flat = pictured(page)
+        is_painted = np.abs(drawn_flat - before).max(axis=2) > 60
+        assert 0.02 < is_painted.mean() < 0.3
+        page.keyboard.press("Escape")
+        assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
+        assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted
+        page.evaluate("release()")
+        studio.is_done(page, 1)
+        assert studio.session.shown.told["fault"] == ""
+        assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
+        spot = [sent["patch"], sent["moved"]]
+        page.evaluate("([spot, moved]) => viewer.painting.flat.show(spot, moved)", spot)
+        page.evaluate("viewer.camera.reset()")
+        inside = (drawn_flat - pictured(page))[is_painted]
+        assert np.sqrt((inside**2).mean()) <= 2
+        page.evaluate(
+            "globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
+        )
+        page.wait_for_function("viewer.isLost")
+        page.evaluate("lose.restoreContext()")
+        page.wait_for_function("!viewer.isLost && viewer.isSharp")
+        page.keyboard.press("u")  # back to the model, which moves again
+        assert page.locator("#flat").is_hidden()
+        assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
+        assert page.evaluate("viewer.look.moved") == sent["moved"]
+        assert page.complaints == []
+        page.close()
+    studio.session.close()
+
+
+def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path: Path) -> None:
+    balls = ball(8), ball(8)
+    whole = Surface.from_arrays(
+        np.concatenate([each.vertices + np.array([1.5 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
+        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
+        factor=(0.5, 0.5, 0.5),
+    )
+    texture = octex.convert(octex.separate(whole, depth=5).surface, depth=5)
+    motion, expected = bending(whole), texture
+    session = Session(texture, whole, tmp_path / "out.octex", motion=motion)
+    posed = whole.with_pose(motion.positions_at(1, 0.5))
+    header, _, _ = session.patch(json.dumps({"patch": SPOT})).partition(b"\n")
+    assert json.loads(header)["mesh"]["triangles"] > 0
+    for number, fields in enumerate([{"moved": {"animation": 1, "time": 0.5}}, {"patch": SPOT}, {}], 1):
+        body = stroke(number, **fields, **({"camera": flat_camera()} if "patch" in fields else {}))
+        session.take(body)
+        picture, options, _ = stroke_of(command_of(body))
+        if "patch" in fields:
+            patch = octex.unwrap(whole, SPOT["center"], SPOT["radius"], up=SPOT["up"])
+            picture = replace(picture, camera=replace(patch, camera=picture.camera))
+        expected = octex.paint(expected, posed if "moved" in fields else whole, picture, **options)
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        assert session.shown.told["done"] == number
+        assert_same(session.shown.texture, expected)
+    session.close()

@@ -1,0 +1,152 @@
+"""Painting frames of animations: as the library paints the posed surface, at rest on the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError
+from octex.source.motion import Animation, Links, Motion
+from octex.source.surface import Surface
+from octex.viewer import Viewer
+from octex.viewer.commands import command_of, stroke_of
+from octex.viewer.session import Session, mirrored
+from tests.conftest import needs_jit
+from tests.make.browser import opened
+from tests.make.browser import served as serving
+from tests.make.painted import ball
+from tests.make.same import assert_same
+from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.viewer.test_session import NAN, canvas, plain, stroke
+
+FRAMES = 9
+
+
+def bending(surface: Surface) -> Motion:
+    """The upper half of a surface bends to the side and back; a second animation stretches it."""
+    vertices = surface.vertices
+    upper = np.clip(0.5 + vertices[:, 1], 0.0, 1.0)
+    shares = np.column_stack([1 - upper, upper])
+    count = len(vertices)
+    bones = Links(np.arange(0, 2 * count + 1, 2), np.tile([0, 1], count), shares.ravel())
+    targets = Links(np.zeros(count + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+    angles = np.sin(np.linspace(0, np.pi, FRAMES))
+    moves = np.tile(np.eye(4)[:3], (2, FRAMES, 2, 1, 1))
+    for n, angle in enumerate(angles):
+        moves[0, n, 1, :2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        moves[0, n, :, 0, 3] = 0.2 * angle
+        moves[1, n, :, 1, 1] = 1 + 0.5 * angle
+    none = np.zeros((FRAMES, 0))
+    animations = [Animation("bend", 2.0, moves[0], none), Animation("stretch", 1.0, moves[1], none)]
+    return Motion(vertices.copy(), bones, targets, np.zeros((0, 3)), animations, [])
+
+
+@pytest.mark.parametrize("mirror", ["", "x"])
+def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_surface(
+    mirror: str, tmp_path: Path
+) -> None:
+    texture, surface = canvas()
+    motion, expected = bending(surface), texture
+    session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
+    moments: list[tuple[int, float] | None] = [(0, 0.61), (0, 0.61), (1, 0.5), None, (0, 1.0), (0, 99.0)]
+    for number, moment in enumerate(moments, 1):
+        moved = None if moment is None else {"animation": moment[0], "time": moment[1]}
+        body = stroke(number, moved=moved, mirror=mirror)
+        session.take(body)
+        posed = surface
+        if moment is not None:
+            posed = surface.with_pose(motion.positions_at(*moment))
+        picture, options, _ = stroke_of(command_of(body))
+        expected = octex.paint(expected, posed, picture, **options)
+        if mirror:
+            used = posed.vertices[np.unique(posed.triangles)]
+            middle = float((used[:, 0].min() + used[:, 0].max()) / 2)
+            expected = octex.paint(expected, posed, mirrored(picture, 0, middle), **options)
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        assert_same(session.shown.texture, expected)
+    before = session.shown.texture
+    session.take(plain("undo", 7))
+    session.take(plain("redo", 8))
+    session.wait()
+    assert_same(session.shown.texture, before)
+    assert "--recover" in session.close()
+    again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
+    assert_same(again.shown.texture, expected)
+    again.close()
+
+
+def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    texture, surface = canvas()
+    session = Session(texture, surface, tmp_path / "a.octex", motion=bending(surface))
+    session.take(stroke(1, moved={"animation": 2, "time": 0.0}))
+    session.wait()
+    assert session.shown.told["fault"] == f"there is no animation 2; {surface.name} has 2"
+    bad: list[tuple[Any, str]] = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
+    bad += [({"animation": number, "time": 0.0}, "animation") for number in (0.5, -1, "A", 1e9)]
+    bad += [({"animation": 0, "time": time}, "time") for time in (NAN, -1.0, 1e300)]
+    for moved, field in bad:
+        with pytest.raises(ArgumentError, match=field):
+            session.take(stroke(2, moved=moved))
+    assert session.take(stroke(2)) == 2
+    session.close()
+    still = Session(texture, surface, tmp_path / "b.octex")
+    still.take(stroke(1, moved={"animation": 0, "time": 0.0}))
+    still.wait()
+    assert still.shown.told["fault"] == f"there is no animation 0; {surface.name} has 0"
+    still.close()
+
+
+class Bending(Studio):
+    """A ball that bends, in a page."""
+
+    def __init__(self, browser: Any, folder: Path) -> None:
+        self.surface = ball(32)
+        grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
+        self.texture = octex.convert(grey, depth=6)
+        self.output, self.browser = folder / "out.octex", browser
+        motion = bending(self.surface)
+        self.session = Session(self.texture, self.surface, self.output, motion=motion)
+        self.viewer = Viewer(
+            lambda: self.texture, folder / "ball.octex", self.surface, motion=motion, session=self.session
+        )
+
+
+@needs_jit
+def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the_model(
+    browser: Any, tmp_path: Path
+) -> None:
+    studio = Bending(browser, tmp_path)
+    with serving(studio.viewer):
+        page = opened(browser, studio.viewer.url, (900, 420))
+        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
+        plain_picture = pictured(page)
+        page.evaluate(_HOLD)
+        page.evaluate("viewer.player.play(true)")
+        studio.drag(page, (-60, 0), (0, -40), (40, -60))
+        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        moved = page.evaluate("viewer.painting.sending.waiting[0].moved")
+        assert moved["animation"] == 0
+        assert page.evaluate("viewer.player.since") is None  # the pen stops it
+        page.evaluate("(time) => viewer.player.seek(time)", 0.9)
+        assert (pictured(page) == plain_picture).all()  # of another pose nothing is shown until it is painted
+        page.evaluate("(time) => viewer.player.seek(time)", moved["time"])
+        before, plain_picture = pictured(page), pictured(page, paint=None)
+        is_painted = np.abs(before - plain_picture).max(axis=2) > 60
+        assert 0.01 < is_painted.mean() < 0.3
+        page.evaluate("release()")
+        studio.is_done(page, 1)
+        inside = (before - pictured(page))[is_painted]
+        assert np.sqrt((inside**2).mean()) <= 2
+        assert studio.session.shown.told["fault"] == ""
+        page.evaluate("viewer.player.choose(-1)")
+        studio.drag(page, (-30, 30), (30, 30))
+        studio.is_done(page, 2)
+        assert page.complaints == []
+        page.close()
+    studio.session.close()
