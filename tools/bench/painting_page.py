@@ -45,7 +45,9 @@ def session(setup: Setup, report: Report) -> None:
     for size, target in zip(sizes, (0.08, 0.15, 0.5), strict=False):
         small, large = (spent[leaves, size] for leaves in counts)
         report.at_most(f"session: a stroke of {size}² pixels", large.wall, target, "s")
-        report.at_most(f"session: {size}² pixels, growth with the texture", large.cpu / max(small.cpu, 0.01), 1.2, "×")
+        report.at_most(
+            f"session: {size}² pixels, growth with the texture", large.cpu / max(small.cpu, 0.01), 1.2, "×"
+        )
 
 
 def _strokes(server: PaintServer, surface: octex.Surface, cell: float, sizes: list[int]) -> Iterator[Spent]:
