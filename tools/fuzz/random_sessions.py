@@ -88,8 +88,10 @@ def _memory_of(process: int) -> float:
 
 def kills(count: int, seed: int = 0) -> None:
     """Kill the server while strokes are sent, in sessions of five kills."""
-    total = sum(killed(min(count - first, 5), seed + first) for first in range(0, count, 5))
-    print(f"{count} kills, {total} strokes: none is lost, none painted twice")
+    for first in range(0, count, 5):
+        own = min(count - first, 5)
+        number = killed(own, seed + first)
+        print(f"{first + own} kills: of {number} strokes none is lost, none painted twice", flush=True)
 
 
 def killed(count: int, seed: int) -> int:
@@ -172,11 +174,13 @@ def strokes(count: int, seed: int = 0) -> None:
         def measure(what: str) -> None:
             devtools.send("HeapProfiler.collectGarbage")
             held = "viewer.parts[0].held.reduce((sum, { array }) => sum + array.buffer.byteLength, 0)"
-            heap = devtools.send("Runtime.getHeapUsage")
+            heap, octree = devtools.send("Runtime.getHeapUsage"), page.evaluate(held) / 2**20
             used = (heap["usedSize"] + heap.get("backingStorageSize", 0)) / 2**20
-            now = [_memory_of(studio.process.pid), used]
-            print(f"{what}: server {now[0]:.0f} MB, page {now[1]:.0f} MB", end="", flush=True)
-            print(f" (of which octree {page.evaluate(held) / 2**20:.0f} MB)", flush=True)
+            now = [_memory_of(studio.process.pid), used - octree]  # finer strokes have more cells
+            print(
+                f"{what}: server {now[0]:.0f} MB, page {now[1]:.1f} MB and its octree {octree:.0f} MB",
+                flush=True,
+            )
             if what == f"{_FIRST} strokes":
                 first[:] = now
             for name, mine, before in zip(("server", "page"), now, first, strict=True):
