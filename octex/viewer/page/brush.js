@@ -2,13 +2,29 @@
 
 import { deflated } from "./sending.js";
 
+// The camera of the view as it is now, as commands have it.
+export function cameraOf({ film: { width, height }, camera }) {
+  const [{ K, pose }] = camera.file("", width, height).cameras;
+  return { width, height, K, pose };
+}
+
+// End the stroke that is drawn, and send it.
+export function send({ strokes, sending }) {
+  const stroke = strokes.end();
+  if (!stroke) return;
+  const { name, camera, box, color, colors = new Uint8Array(), opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
+  const command = { kind: "stroke", name: mirror ? `${name}, mirrored` : name, camera, box, color, opacity, maxAngle, backFaces, mirror };
+  stroke.number = sending.send(command, deflated(new Blob([colors, coverage])));
+  strokes.keep(stroke);
+}
+
 export class BrushDrag {
-  constructor(painting, event) {
-    const { viewer, strokes } = painting, { width, height } = viewer.film, [{ K, pose }] = viewer.camera.file("", width, height).cameras;
+  // `own` replaces what the brush is set to: its name, and a picture instead of its colour.
+  constructor(painting, event, own = {}) {
     this.painting = painting;
     this.at = painting.place(event);
     this.dirty = null; // what of the picture has changed since the last frame
-    strokes.begin({ ...painting.brush, camera: { width, height, K, pose } });
+    painting.strokes.begin({ name: "Brush", ...painting.brush, ...own, camera: cameraOf(painting.viewer) });
     this.draw(this.at, this.at);
   }
 
@@ -35,13 +51,7 @@ export class BrushDrag {
   }
 
   up() {
-    const { strokes, sending } = this.painting, stroke = strokes.end();
-    if (!stroke) return;
-    const { camera, box, color, opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
-    const name = mirror ? "Brush, mirrored" : "Brush";
-    const command = { kind: "stroke", name, camera, box, color, opacity, maxAngle, backFaces, mirror };
-    stroke.number = sending.send(command, deflated(coverage));
-    strokes.keep(stroke);
+    send(this.painting);
   }
 
   giveUp() {

@@ -1,8 +1,10 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { onDrop } from "./images.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Sending } from "./sending.js";
+import { Stencil } from "./stencil.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
 import { TOOLS, pick } from "./tools.js";
 
@@ -39,6 +41,8 @@ class Painting {
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
     this.build();
+    this.stencil = new Stencil(this);
+    onDrop((file) => this.stencil.read(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
     const dark = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
@@ -87,6 +91,7 @@ class Painting {
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
+    this.tool.chosen?.(this);
   }
 
   set(change) {
@@ -151,7 +156,7 @@ class Painting {
 
   // Whether a pointer is for the tool; else it turns or moves the view. Beside the model it turns.
   isForTool(event) {
-    if (event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
+    if (this.tool.turns || event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
     this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
     return this.isOnModel;
   }
@@ -238,6 +243,7 @@ class Painting {
       "]": () => this.set({ size: Math.max(Math.round(size * STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),
       "}": () => this.set({ hardness: hardness + 0.1 }),
+      ...this.tool.keys?.(this, event),
     };
     const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
     if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view

@@ -13,11 +13,14 @@ function product(a, b) {
   return Float32Array.from({ length: 16 }, (_, n) => entry(n));
 }
 
+// The smallest box around two (left, bottom, right, top), of which the first may be none.
+export const around = (a, b) => (a ? [Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.max(a[2], b[2]), Math.max(a[3], b[3])] : b);
+
 export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
     this.channel = "base_color";
-    this.current = null; // color, opacity, hardness, box
+    this.current = null; // color or picture, opacity, hardness, box
     this.sent = []; // what is not painted yet: number, box, coverage, opacity, color or planes of colors
     this.size = [0, 0];
   }
@@ -85,6 +88,7 @@ export class Strokes {
     const bottom = Math.max(Math.floor(Math.min(...ends.map((p) => p[1])) - reach), 0);
     const top = Math.min(Math.ceil(Math.max(...ends.map((p) => p[1])) + reach), height);
     if (left >= right || bottom >= top) return null;
+    current.picture?.ready?.([left, bottom, right, top], low, high, [from[2] * times, to[2] * times]);
     const program = viewer.gpu.program("stroke", viewer.parts[0], viewer.look, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, width, height);
@@ -100,26 +104,46 @@ export class Strokes {
     gl.disable(gl.BLEND);
     gl.disable(gl.SCISSOR_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    const box = current.box ?? [left, bottom, right, top];
-    current.box = [Math.min(box[0], left), Math.min(box[1], bottom), Math.max(box[2], right), Math.max(box[3], top)];
+    current.box = around(current.box, [left, bottom, right, top]);
     return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
   }
 
-  // End the stroke; returns its box in pixels from the upper left and the coverage in it, or null for none.
+  // Cover all of a box (left, bottom, right, top).
+  cover(box) {
+    const { gl } = this.viewer.gpu, [left, bottom, right, top] = box;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, right - left, top - bottom);
+    gl.clearBufferfv(gl.COLOR, 0, [1, 0, 0, 0]);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.current.box = box;
+  }
+
+  // End the stroke; returns its box in pixels from the upper left, the coverage in it, and of a picture the planes of
+  // its colors; or null for none.
   end() {
     const { gl } = this.viewer.gpu, { current, size } = this;
     this.current = null;
     if (!current?.box) return null;
     const [left, bottom, right, top] = current.box, width = right - left, height = top - bottom;
-    const read = new Uint8Array(4 * width * height), coverage = new Uint8Array(width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
-    gl.readPixels(left, bottom, width, height, gl.RGBA, gl.UNSIGNED_BYTE, read);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const read = ({ buffer }) => {
+      const codes = new Uint8Array(4 * width * height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+      gl.readPixels(left, bottom, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      return codes;
+    };
+    const drawn = read(this.target), picture = current.picture && read(current.picture), pixels = width * height;
+    const coverage = new Uint8Array(pixels), colors = picture && new Uint8Array(3 * pixels);
     for (let row = 0, n = 0; row < height; row++) {
-      for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4) coverage[n++] = read[at];
+      for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4, n++) {
+        coverage[n] = picture ? Math.round((drawn[at] * picture[at + 3]) / 255) : drawn[at];
+        if (picture && coverage[n]) for (let k = 0; k < 3; k++) colors[k * pixels + n] = picture[at + k];
+      }
     }
     if (!coverage.some((each) => each > 0)) return null;
-    return { ...current, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    return { ...current, picture: null, color: picture ? undefined : current.color, colors, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // Show a stroke until it is painted.
@@ -157,7 +181,8 @@ export class Strokes {
   // What the picture is drawn with.
   get textures() {
     const [u_strokesPlaces, u_strokesWays] = this.places.textures;
-    return { u_strokes: this.texture, u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays };
+    const u_colors = this.current?.picture?.texture ?? this.texture;
+    return { u_strokes: this.texture, u_stroke: this.target.textures[0], u_colors, u_strokesPlaces, u_strokesWays };
   }
 
   set(program, width, height) {
@@ -165,6 +190,7 @@ export class Strokes {
     const { color = [0, 0, 0], opacity = 0, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
     const isWhole = angle >= 90;
     gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere && current ? opacity : 0);
+    gl.uniform1i(program.at("u_isPicture"), current?.picture ? 1 : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
     const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;

@@ -1,11 +1,14 @@
 // The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
-// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up.
+// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up. `turns`: presses turn the
+// view; `chosen` is called when it is chosen; `keys` returns what keys do then.
 
 import { BrushDrag } from "./brush.js";
+import { through } from "./stencil.js";
 
 export const TOOLS = [
-  { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event) },
+  { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, through(painting)) },
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
+  { name: "stencil", text: "Stencil", key: "d", turns: true, chosen: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event) },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
 ];
 

@@ -76,6 +76,8 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 uniform sampler2D u_strokes;  // what is sent and not yet painted: light times coverage, and coverage
 uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
 uniform vec4 u_paint;  // its light and opacity
+uniform bool u_isPicture;  // its colours are a picture's
+uniform sampler2D u_colors;  // which has them in sRGB, and alpha, a texel a pixel of the stroke
 uniform vec2 u_picture;  // pixels
 uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
 uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: this view, 2: another one, of which
@@ -87,6 +89,20 @@ uniform highp usampler2D u_strokesWays;
 float paintable(bool isAway, float cosine) {
   float share = clamp((min(cosine, 1.0) - u_angles.y) / (u_angles.x - u_angles.y), 0.0, 1.0);
   return isAway && u_angles.z < 0.5 ? 0.0 : share * share * (3.0 - 2.0 * share);
+}
+
+// Light times alpha of the picture, and alpha, between texels.
+vec4 pictured(vec2 at) {
+  ivec2 size = textureSize(u_colors, 0);
+  vec2 place = at * vec2(size) - 0.5, shares = fract(place);
+  vec4 sum = vec4(0.0);
+  for (int n = 0; n < 4; n++) {
+    ivec2 side = ivec2(n & 1, n >> 1);
+    vec4 color = texelFetch(u_colors, clamp(ivec2(floor(place)) + side, ivec2(0), size - 1), 0);
+    float share = (side.x == 1 ? shares.x : 1.0 - shares.x) * (side.y == 1 ? shares.y : 1.0 - shares.y) * color.a;
+    sum += share * vec4(toLight(color.rgb), 1.0);
+  }
+  return sum;
 }
 
 vec3 painted(vec3 light, vec4 place, float cosine) {
@@ -105,7 +121,9 @@ vec3 painted(vec3 light, vec4 place, float cosine) {
     vec4 sent = before * texture(u_strokes, from);
     light = light * (1.0 - sent.a) + sent.rgb;
   }
-  return mix(light, u_paint.rgb, share * u_paint.a * texture(u_stroke, at).r);
+  share *= u_paint.a * texture(u_stroke, at).r;
+  vec4 paint = u_isPicture && share > 0.0 ? pictured(at) : vec4(u_paint.rgb, 1.0);
+  return light * (1.0 - share * paint.a) + share * paint.rgb;
 }
 #endif
 
