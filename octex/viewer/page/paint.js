@@ -3,6 +3,7 @@
 import { element } from "./elements.js";
 import { onDrop } from "./images.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
+import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
@@ -36,12 +37,13 @@ class Painting {
 
   async open() {
     const { viewer } = this, { gpu } = viewer;
-    gpu.shaders["stroke.frag"] = await (await fetch("shaders/stroke.frag")).text();
+    for (const name of ["stroke.frag", "retouch.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
     document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
     this.build();
     this.stencil = new Stencil(this);
+    this.retouch = new Retouch(this);
     onDrop((file) => this.stencil.read(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
@@ -87,6 +89,7 @@ class Painting {
   }
 
   choose(name) {
+    this.tool?.left?.(this);
     this.tool = TOOLS.find((tool) => tool.name === name);
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
@@ -178,7 +181,7 @@ class Painting {
     event.stopPropagation();
     event.preventDefault();
     document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
-    if (event.altKey) return pick(this, event);
+    if (event.altKey) return (this.tool.alt ?? pick)(this, event);
     if (this.tool.isAnywhere) return this.tool.down(this, event);
     const why = this.hindrance;
     if (why !== this.hindered) this.say((this.hindered = why));
@@ -256,6 +259,7 @@ class Painting {
   outline(at) {
     const { ring } = this;
     this.at = at;
+    this.tool.hovered?.(this, at);
     ring.hidden = at === null || !this.tool.hasRing;
     if (ring.hidden) return;
     const [x, y, radius] = [at[0], at[1], this.brush.size / 2];
