@@ -31,7 +31,7 @@ viewer
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules and styles of pages that paint, which files never do.
 PAINTING = ["paint.js", "panel.js", "tools.js", "brush.js", "stroke.js", "sending.js", "paint.css"]
-PAINTING += ["images.js", "stencil.js", "retouch.js"]
+PAINTING += ["images.js", "stencil.js", "retouch.js", "elsewhere.js"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"

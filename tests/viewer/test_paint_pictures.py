@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import zlib
@@ -19,7 +20,7 @@ import octex
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
-from tests.make.browser import drawn, served
+from tests.make.browser import camera_of, drawn, served
 from tests.make.painted import square, together
 from tests.make.same import assert_same
 from tests.viewer.test_painting import _HOLD, Studio
@@ -35,7 +36,12 @@ class Easel(Studio):
         super().__init__(browser, folder, surface, depth=8)  # about as fine as the view
         self.bodies: list[bytes] = []
         take = self.session.take
-        self.session.take = lambda body: (self.bodies.append(body), take(body))[1]  # type: ignore[method-assign]
+
+        def taken(body: bytes) -> int:
+            self.bodies.append(body)
+            return take(body)
+
+        self.session.take = taken  # type: ignore[method-assign]
 
     def open(self) -> None:
         self.shown = self.page()
@@ -230,7 +236,9 @@ def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean: Easel) -> None:
     before = page.evaluate("String(viewer.camera.view)")
 
     def stands() -> list[float]:
-        return page.evaluate("(({ x, y, angle, scale }) => [x, y, angle, scale])(viewer.painting.stencil)")
+        code = "(({ x, y, angle, scale }) => [x, y, angle, scale])(viewer.painting.stencil)"
+        found: list[float] = page.evaluate(code)
+        return found
 
     clean.drag(page, (0, 0), (30, -20))
     np.testing.assert_allclose(stands(), [30, -20, 0, 1])
@@ -405,10 +413,11 @@ def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(
     browser: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     points, triangles = together(square(0.4, 1.0), square(-0.4, 2.0))
-    is_near = lambda p: p[:, 2:] > 0  # noqa: E731
-    surface = Surface.from_arrays(points, triangles).with_sources(
-        {"base_color": lambda p: np.where(is_near(p), [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])}
-    )
+
+    def colors_at(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.where(points[:, 2:] > 0, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+
+    surface = Surface.from_arrays(points, triangles).with_sources({"base_color": colors_at})
     with painted_in_a_page(browser, tmp_path_factory.mktemp("squares"), surface) as easel:
         page = easel.shown
         page.evaluate("viewer.camera.reset(0.2, 0.1); viewer.move()")
@@ -421,3 +430,82 @@ def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(
             _, sent, _ = easel.sent()
             colors = np.unique(sent[sent[..., 3] > 0][:, :3], axis=0)
             assert colors.tolist() == [[0, 0, 255], [255, 0, 0]]
+
+
+def drop(easel: Easel, name: str, content: bytes) -> None:
+    """Drop a file on the page."""
+    easel.shown.evaluate(
+        """([name, codes]) => {
+          const bytes = Uint8Array.from(atob(codes), (c) => c.charCodeAt(0));
+          const dataTransfer = new DataTransfer();
+          dataTransfer.items.add(new File([bytes], name));
+          document.body.dispatchEvent(new DragEvent("drop", { bubbles: true, dataTransfer }));
+        }""",
+        [name, base64.b64encode(content).decode()],
+    )
+
+
+def saved_view(easel: Easel) -> tuple[str, Codes]:
+    """Save the view for another program; return the name and the picture of the file."""
+    easel.shown.locator("#elsewhere").evaluate("(section) => section.open = true")
+    with easel.shown.expect_download() as found:
+        easel.shown.click("#save-view")
+    with PIL.Image.open(found.value.path()) as image:
+        return found.value.suggested_filename, np.asarray(image).copy()
+
+
+def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_again(clean: Easel) -> None:
+    page = clean.shown
+    name, before = saved_view(clean)
+    camera = camera_of(page, before.shape[1::-1])
+    assert name.startswith("ball-view-")
+    is_seen = before[..., 3] == 255
+    assert (before[is_seen][:, :3] == 188).all()
+    assert (before[~is_seen] == 0).all()
+    assert 0.1 < is_seen.mean() < 0.4
+    edited = before.copy()
+    rows, columns = np.s_[180:230], np.s_[280:340]
+    edited[rows, columns, :3] = np.random.default_rng(1).integers(0, 256, (50, 60, 3))
+    edited[rows, columns, 3] = np.linspace(10, 255, 60).astype(np.uint8)
+    edited[300:310, 200:400] = 188, 188, 188, 0  # rubbed out
+    edited[100:110, 250:350] = 255, 255, 0, 255  # and some of it beside the model
+    page.evaluate("viewer.camera.orbit(0.7, 0.2)")
+    page.reload()
+    page.wait_for_function("globalThis.viewer?.painting && viewer.isSharp", timeout=60_000)
+    drop(clean, name.replace(".png", " (1).png"), png(edited))
+    page.wait_for_function("viewer.painting.sending.number === 1")
+    clean.done()
+    assert clean.sent()[0]["name"] == "Painted elsewhere"
+    assert_same(clean.session.shown.texture, clean.painted(edited, camera, since=before))
+    assert not clean.shown.locator("#stencil").is_visible()
+
+
+def test_a_view_that_comes_back_to_where_it_was_seen_is_shown_as_it_is_baked(clean: Easel) -> None:
+    name, before = saved_view(clean)
+    y, x = np.mgrid[:80, :120]
+    edited = before.copy()
+    fading = np.clip(12 * np.minimum(40 - np.abs(y - 40), 60 - np.abs(x - 60)), 0, 255)
+    edited[170:250, 250:370] = np.dstack([x, 2 * y, np.full_like(x, 60), fading])
+    plain = seen(clean)
+    clean.shown.evaluate(_HOLD)
+    drop(clean, name, png(edited))
+    assert_shown_as_baked(clean, plain)
+
+
+def test_what_does_not_come_back_as_it_went_is_said(clean: Easel) -> None:
+    name, before = saved_view(clean)
+    rgb = PIL.Image.fromarray(before[..., :3])
+    other = name.replace(name[-12:-4], "0" * 8)
+    drop(clean, name, png(before))
+    clean.says("is the view as it was saved")
+    drop(clean, name, png(before[:-1]))
+    clean.says("keep its size")
+    drop(clean, name.replace("png", "jpg"), encoded(rgb, "JPEG"))
+    clean.says("save it as PNG")
+    drop(clean, name, b"nothing")
+    clean.says("is no PNG, JPEG or WebP image")
+    assert clean.shown.evaluate("viewer.painting.stencil.bitmap") is None
+    drop(clean, other, png(before))
+    clean.says("it lies over the model as a stencil")
+    assert clean.shown.locator("#stencil").is_visible()
+    assert clean.bodies == []

@@ -8,14 +8,13 @@ export function cameraOf({ film: { width, height }, camera }) {
   return { width, height, K, pose };
 }
 
-// End the stroke that is drawn, and send it.
-export function send({ strokes, sending }) {
-  const stroke = strokes.end();
+// Send a stroke, if there is one; show it until it is painted.
+export function send({ strokes, sending }, stroke, isShown = true) {
   if (!stroke) return;
   const { name, camera, box, color, colors = new Uint8Array(), opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
   const command = { kind: "stroke", name: mirror ? `${name}, mirrored` : name, camera, box, color, opacity, maxAngle, backFaces, mirror };
   stroke.number = sending.send(command, deflated(new Blob([colors, coverage])));
-  strokes.keep(stroke);
+  if (isShown) strokes.keep(stroke);
 }
 
 export class BrushDrag {
@@ -51,7 +50,7 @@ export class BrushDrag {
   }
 
   up() {
-    send(this.painting);
+    send(this.painting, this.painting.strokes.end());
   }
 
   giveUp() {

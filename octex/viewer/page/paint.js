@@ -1,6 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Elsewhere } from "./elsewhere.js";
 import { onDrop } from "./images.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
@@ -44,7 +45,8 @@ class Painting {
     this.build();
     this.stencil = new Stencil(this);
     this.retouch = new Retouch(this);
-    onDrop((file) => this.stencil.read(file), (text) => this.say(text));
+    this.elsewhere = new Elsewhere(this);
+    onDrop((file) => this.elsewhere.take(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
     const dark = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";

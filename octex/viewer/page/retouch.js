@@ -18,7 +18,7 @@ const grown = ([left, bottom, right, top], x, y) => [left - x, bottom - y, right
 const moved = ([left, bottom, right, top], [x, y]) => [left + x, bottom + y, right + x, top + y];
 
 // The colours of the surface without light, as the view sees them; drawn where they are needed. Alpha 0: none.
-class Seen {
+export class Seen {
   // `drawn` is called with each square that gets drawn.
   constructor({ viewer, strokes }, drawn = () => {}) {
     const { gpu, look, parts } = viewer;

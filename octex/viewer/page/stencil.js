@@ -203,7 +203,7 @@ export class Stencil {
     if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
     strokes.begin({ ...brush, ...own, camera: cameraOf(viewer) });
     strokes.cover(own.picture.box);
-    send(painting);
+    send(painting, strokes.end());
     viewer.move();
   }
 }
