@@ -14,8 +14,9 @@ export class Elsewhere {
   constructor(painting) {
     this.painting = painting;
     element("history").before(section("elsewhere", "Paint in another program",
-      make("p", { class: "hint" }, "Save the view, paint on it in any program, save that as PNG under the same name, and drop it on this page. Only what you changed is painted, wherever you have turned the view."),
-      make("div", { class: "buttons" }, make("button", { type: "button", id: "save-view", onclick: () => this.save() }, "Save the view"))));
+      make("p", { class: "hint" }, "Save the view, paint on it in any program, save that as PNG under the same name, and drop it on this page or choose it here. Only what you changed is painted, wherever you have turned the view."),
+      make("div", { class: "buttons" }, make("button", { type: "button", id: "save-view", onclick: () => this.save() }, "Save the view"),
+        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Take it back …"))));
   }
 
   // Save the colours of the view without light, transparent beside the model.

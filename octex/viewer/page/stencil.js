@@ -32,7 +32,7 @@ export class Stencil {
     this.shown = make("canvas", { "aria-hidden": "true" });
     this.frame = make("div", { id: "stencil", hidden: true }, this.shown, ...corners);
     main.append(this.frame);
-    this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.read(target.files[0]) });
+    this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
     this.controls = make("div", { hidden: true },
       ...slider("stencil-opacity", "Seen over the model", { min: 0.05, max: 1, step: 0.01 }, (opacity) => this.set({ opacity })),
