@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.directions import unit
-from octex.baking.layout import Layout, charts_of, doubled_areas, neighbors
-from octex.baking.texels import draw_texels
+from octex.arrays import Bools, Float64s, Floats, Int64s
+from octex.baking.charts import SIDE, laid_flat
+from octex.baking.layout import Layout, charts_of, doubled_areas
 from octex.errors import ModelError
 from octex.jit import kernel
-from octex.source.corners import Corners, area_vectors
+from octex.source.corners import Corners
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal, welded
 
-#: The least cosine between the normals of a chart's triangles and the direction that it is projected along.
-_LEAST_COSINE = 0.7
-#: Charts are told apart where the model's longest side is so many texels.
-_SIDE = 1024.0
 #: Triangles that xatlas cuts into charts at once: of ten times as many each takes some four times as long.
 _PIECE = 4_000
 #: Charts fit at their scale, and not at one that is more than so much larger.
 _CLOSE = 1.03
+#: Of so many of the largest charts the best of four ways to lie is taken.
+_MOST_TURNED = 100
 #: How much of a map charts fill at best, and how much at least where padding is chosen.
 _FULL, _ENOUGH = 0.92, 0.25
 #: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
@@ -33,31 +31,28 @@ _PADDINGS, _WIDE_PADDINGS = (8, 4, 2, 1, 0), (8, 4, 2)
 _ALIGNMENTS = (8, 4, 2, 1)
 #: Blocks of texels along a side of a map, at most, where charts start at multiples of less than 8.
 _MOST_BLOCKS = 1024
-#: Overlaps of a projected chart are looked for in a map of so many texels a side ...
-_PROBE = 256
-#: ... and are there if charts cover so much less than their triangles have area.
-_OVERLAPPING = 0.01
+#: Seconds that xatlas may take.
+_PATIENCE = 60.0
 
 
-def atlas_layout(mesh: Mesh, sizes: Sequence[int], padding: int | None, texel: float) -> Layout:
+def atlas_layout(
+    mesh: Mesh, sizes: Sequence[int], padding: int | None, texel: float, *, by_xatlas: bool = False
+) -> Layout:
     """Lay a surface out in a square map of charts with ``padding`` texels around each.
 
-    Charts are those of the extra ``atlas`` (xatlas) if it is installed; else parts that face about one way,
-    projected along it. The map has the first of ``sizes`` whose texels are at most ``texel`` wide, in rest
-    units, or the last. Without a ``padding`` it is the widest, 8 to 2, with which texels are that small; in
-    the last size the widest, 8 to 0, with which charts fill a quarter of the map. Raises ModelError if that
-    size is too small for so many charts.
+    Charts are those of `charts.laid_flat`, or of xatlas. The map has the first of ``sizes`` whose texels are
+    at most ``texel`` wide, in rest units, or the last. Without a ``padding`` it is the widest, 8 to 2, with
+    which texels are that small; in the last size the widest, 8 to 0, with which charts fill a quarter of the
+    map. Raises ModelError if that size is too small for so many charts.
     """
-    flat = _unwrapped(mesh)
-    if flat is None:
-        flat = projected(mesh)
+    flat = _by_xatlas(mesh) if by_xatlas else laid_flat(mesh)
     charts, edges = charts_of(mesh, flat)
     order = np.argsort(charts, kind="stable")
     starts = np.flatnonzero(np.diff(charts[order], prepend=-1))  # in that order, chart by chart
-    flat = _upright(flat[order], starts)
+    flat = _upright(flat[order], edges[order], starts)
     area = _area(flat)
     low, high = mesh.bounds
-    wanted = float((high - low).max()) / (_SIDE * texel)
+    wanted = float((high - low).max()) / (SIDE * texel)
     for size in sizes:
         is_last = size == sizes[-1]
         least = wanted if not is_last else area**-0.5 if area > 0.0 else 1.0
@@ -113,27 +108,33 @@ def _fitted(
     return placed
 
 
-def _unwrapped(mesh: Mesh) -> Float64s | None:
-    """Return flattened corners (m, 3, 2) by xatlas, 1024 for the longest side; None without it."""
+def _by_xatlas(mesh: Mesh) -> Float64s:
+    """Return flattened corners (m, 3, 2) by xatlas, `SIDE` for the longest side; charts lie apart.
+
+    Raises ModelError without the extra, and where it would take long.
+    """
     try:
         import xatlas
     except ImportError:
-        return None
-    positions = _unit_positions(mesh).astype(np.float32)
+        raise ModelError('uv="xatlas" needs xatlas: pip install "octex[atlas]"; or choose "atlas"') from None
+    low, high = mesh.bounds
+    positions = ((mesh.rest - low) / (float((high - low).max()) or 1.0)).astype(np.float32)
     triangles = first_equal(mesh.rest)[mesh.triangles]
-    pieces = _pieces(positions[triangles].mean(axis=1), np.arange(len(triangles)))
-    atlas = xatlas.Atlas()
-    for piece in pieces:
-        used, faces = np.unique(triangles[piece], return_inverse=True)
-        atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()
-    options.texels_per_unit = _SIDE
-    options.bruteForce = False
-    atlas.generate(xatlas.ChartOptions(), options)
-    corners = np.empty((len(triangles), 3, 2))
-    for number, piece in enumerate(pieces):
-        _, rows, coordinates = atlas[number]
-        corners[piece] = coordinates[rows].astype(np.float64) * (atlas.width, atlas.height)
+    options.texels_per_unit, options.bruteForce = SIDE, False
+    corners, right, done = np.empty((len(triangles), 3, 2)), 0.0, 0
+    began = time.perf_counter()
+    for piece in _pieces(positions[triangles].mean(axis=1), np.arange(len(triangles))):
+        used, faces = np.unique(triangles[piece], return_inverse=True)
+        atlas = xatlas.Atlas()
+        atlas.add_mesh(positions[used], faces.reshape(-1, 3).astype(np.uint32))
+        atlas.generate(xatlas.ChartOptions(), options)
+        _, rows, coordinates = atlas[0]
+        corners[piece] = coordinates[rows].astype(np.float64) * (atlas.width, atlas.height) + (right, 0.0)
+        right, done = right + atlas.width + 1.0, done + len(piece)
+        needs = (time.perf_counter() - began) * len(triangles) / done
+        if needs > _PATIENCE:
+            raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
     return corners
 
 
@@ -149,108 +150,27 @@ def _pieces(middles: Floats, some: Int64s) -> list[Int64s]:
     ]
 
 
-def projected(mesh: Mesh) -> Float64s:
-    """Return flattened corners (m, 3, 2) of charts that face about one way, 1024 for the longest side."""
-    rest = (_SIDE * _unit_positions(mesh))[mesh.triangles]
-    crosses = area_vectors(rest)
-    areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
-    others, _ = neighbors(mesh)
-    charts = np.full(len(rest), -1, np.int32)
-    axes = np.zeros((len(rest), 3))
-    order = np.argsort(-areas, kind="stable")
-    _grow(others, normals, order, _LEAST_COSINE, charts, axes)
-    flat = _project(rest, axes[charts])
-    for chart in _overlapping(flat, charts).tolist():
-        own = np.flatnonzero(charts == chart)  # each triangle by itself
-        charts[own[1:]] = int(charts.max()) + 1 + np.arange(own.size - 1)
-        flat[own] = _project(rest[own], normals[own])
-    # What is apart must not look joined: charts are moved off each other.
-    across = float(np.ptp(flat, axis=(0, 1)).max()) + 1.0
-    moved: Float64s = flat + (charts * across * 2.0)[:, None, None] * (1.0, 0.0)
-    return moved
-
-
-def _unit_positions(mesh: Mesh) -> Float64s:
-    """Return rest positions (n, 3) of which the longest side is 1: charts do not depend on units."""
-    low, high = mesh.bounds
-    positions: Float64s = (mesh.rest - low) / (float((high - low).max()) or 1.0)
-    return positions
-
-
-@kernel
-def _grow(
-    others: Int32s, normals: Float64s, order: Int64s, least: float, charts: Int32s, axes: Float64s
-) -> None:
-    """Grow charts from the largest triangles, over neighbours that face about as their first one does."""
-    stack = np.empty(charts.size, np.int64)
-    count = 0
-    for n in range(order.size):
-        seed = order[n]
-        if charts[seed] >= 0:
-            continue
-        axes[count] = normals[seed]
-        charts[seed] = count
-        stack[0], top = seed, 1
-        while top > 0:
-            top -= 1
-            triangle = stack[top]
-            for side in range(3):
-                other = others[triangle, side]
-                if other < 0 or charts[other] >= 0:
-                    continue
-                cosine = 0.0
-                for axis in range(3):
-                    cosine += normals[other, axis] * axes[count, axis]
-                if cosine >= least:
-                    charts[other] = count
-                    stack[top] = other
-                    top += 1
-        count += 1
-
-
-def _project(rest: Float64s, directions: Float64s) -> Float64s:
-    """Project triangles (m, 3, 3) along directions (m, 3): to the right and down, seen from their tips."""
-    helper = np.where(np.abs(directions[:, 1:2]) < 0.9, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    right = unit(np.cross(helper, directions))
-    down = np.cross(right, directions)
-    return np.stack([np.einsum("mkx,mx->mk", rest, right), np.einsum("mkx,mx->mk", rest, down)], axis=-1)
-
-
-def _overlapping(flat: Float64s, charts: Int32s) -> Int64s:
-    """Return the charts that overlap themselves."""
-    found = []
-    order = np.argsort(charts, kind="stable")
-    for own in np.split(order, np.flatnonzero(np.diff(charts[order])) + 1):
-        if own.size < 2:
-            continue
-        corners = flat[own] - flat[own].min(axis=(0, 1))
-        corners *= _PROBE / max(float(corners.max()), 1e-300)
-        every = np.ones((own.size, 3), np.bool_)
-        drawn = draw_texels(corners, np.zeros(own.size, np.int32), every, _PROBE + 1, 0, _PROBE + 1)
-        area = _area(corners)
-        if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
-            found.append(int(charts[own[0]]))
-    return np.array(found, np.int64)
-
-
 def _area(flat: Float64s) -> float:
     return float(np.abs(doubled_areas(flat)).sum() / 2)
 
 
-def _upright(flat: Float64s, starts: Int64s) -> Float64s:
+def _upright(flat: Float64s, edges: Bools, starts: Int64s) -> Float64s:
     """Turn charts until their boxes are small and wide; ``starts`` are their first triangles."""
     turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
     least = np.full(len(starts), np.inf)
     best = np.zeros(len(starts), np.int64)
-    points = flat.reshape(-1, 2)
+    sizes = np.diff(starts, append=len(flat))
+    is_closed = ~np.logical_or.reduceat(edges.any(axis=1), starts)
+    edges = edges | np.repeat(is_closed, sizes)[:, None]  # without area
+    border = flat[edges]
+    firsts = np.searchsorted(np.nonzero(edges)[0], starts)
     quarter = len(turns) // 2  # where sides change places
     for n, turn in enumerate(turns[:quarter]):
-        low, high = _boxes((points @ turn).reshape(flat.shape), starts)
-        width, height = (high - low).T
+        points = border @ turn
+        width, height = (np.maximum.reduceat(points, firsts) - np.minimum.reduceat(points, firsts)).T
         found = width * height < least
         least[found] = (width * height)[found]
         best[found] = np.where(width < height, n + quarter, n)[found]
-    sizes = np.diff(starts, append=len(flat))
     turned = flat @ turns[np.repeat(best, sizes)]
     low, _ = _boxes(turned, starts)
     upright: Float64s = turned - np.repeat(low, sizes, axis=0)[:, None]
@@ -278,21 +198,36 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int)
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
     placed = np.empty_like(flat)
-    for group in np.argsort(-reaches.max(axis=1), kind="stable").tolist():
+    for n, group in enumerate(np.argsort(-reaches.max(axis=1), kind="stable").tolist()):
         own = groups[group]
-        shape = np.floor((reaches[group] + 2 * padding) / block).astype(np.int64) + 1
-        if (shape > blocks).any():
+        best: tuple[int, ...] = ()
+        for turn in range(4 if n < _MOST_TURNED else 1):
+            corners = _turned(flat[own], reaches[group], turn)
+            across, down = (corners.max(axis=(0, 1)) + 2 * padding) // block + 1
+            if max(across, down) > blocks:
+                continue
+            mask = np.zeros((int(down), int(across)), np.bool_)
+            _mark((corners + padding) / block, padding / block, mask)
+            last, before = tried.get(mask.shape, (-1, mask))
+            at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
+            if at >= 0 and (not best or (at // blocks + len(mask), at % blocks) < best):
+                row, column = divmod(at, blocks)
+                best, chosen = (row + len(mask), column), mask
+                placed[own] = np.array([column, row]) * block + padding + corners
+        if not best:
             return None
-        mask = np.zeros((int(shape[1]), int(shape[0])), np.bool_)
-        _mark((flat[own] + padding) / block, padding / block, mask)
-        last, before = tried.get(mask.shape, (-1, mask))
-        at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
-        if at < 0:
-            return None
-        tried[mask.shape] = at, mask
-        row, column = divmod(at, blocks)
-        placed[own] = flat[own] + (column * block + padding, row * block + padding)
+        row = best[0] - len(chosen)
+        tried[chosen.shape] = row * blocks + best[1], chosen
+        _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
     return placed
+
+
+def _turned(corners: Float64s, reach: Float64s, quarters: int) -> Float64s:
+    """Turn a chart by quarters; it reaches from 0 to ``reach`` (2,)."""
+    for _ in range(quarters):
+        corners = np.stack([reach[1] - corners[..., 1], corners[..., 0]], axis=-1)
+        reach = reach[::-1]
+    return corners
 
 
 @kernel
@@ -345,7 +280,6 @@ def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
                     step = runs[y, x]
                     break
             if step == 0:
-                _take(free[row : row + height], longest[row : row + height], mask, column)
                 return int(row * blocks + column)
             column += step
         row, column = row + 1, 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from octex.source.parts import join
 from octex.source.welding import first_equal, sides_across
 
 #: Where texture coordinates come from.
-Layouts = Literal["auto", "keep", "atlas"]
-LAYOUTS: tuple[Layouts, ...] = ("auto", "keep", "atlas")
+Layouts = Literal["auto", "keep", "atlas", "xatlas"]
+LAYOUTS: tuple[Layouts, ...] = get_args(Layouts)
 #: Coordinates nearer to whole numbers than this are these.
 BEYOND = 1e-4
 #: Texels around charts that are filled, where no number is given.

@@ -60,7 +60,7 @@ def sheets_of(
     materials, owners = [Material()], np.zeros(len(surface.triangles), np.int32)
     if isinstance(surface.source, MaterialSource):
         materials, owners = surface.source.materials, surface.source.triangle_materials
-    if uv != "atlas":
+    if uv not in ("atlas", "xatlas"):
         try:
             kept = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
             for sheet in kept:
@@ -76,7 +76,7 @@ def sheets_of(
         except ModelError:
             if uv == "keep":
                 raise
-    layout = _atlas(texture, surface, names, size, padding)
+    layout = _atlas(texture, surface, names, size, padding, by_xatlas=uv == "xatlas")
     every = np.arange(len(surface.triangles), dtype=np.int32)
     kinds: dict[tuple[str, bool], list[int]] = {}
     for number in np.unique(owners).tolist():
@@ -162,8 +162,9 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
 
 
 def _atlas(
-    texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None
-) -> Layout:
+    texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None,
+    *, by_xatlas: bool = False,
+) -> Layout:  # fmt: skip
     """Return an atlas of a size, or of the first that keeps the texture's leaves and reads like it."""
     leaf, sizes = leaf_of(texture, mesh), [size or _LARGEST]
     texel = _ABOUT * leaf
@@ -174,7 +175,7 @@ def _atlas(
         texel /= fineness(texture, mesh, names, leaf, areas_of(mesh), steps)
         first = _size_for(texel, areas_of(mesh).sum(), 0.6)
         sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())]
-    return atlas_layout(mesh, sizes, padding, texel)
+    return atlas_layout(mesh, sizes, padding, texel, by_xatlas=by_xatlas)
 
 
 def _fitted(

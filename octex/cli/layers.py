@@ -52,7 +52,7 @@ class Painting:
             if getattr(options, name) is not None:
                 settings[name] = getattr(options, name)
         if options.max_angle is not None:
-            settings["max_angle"], settings["back_faces"] = options.max_angle
+            settings["max_angle"], settings["back_faces"], settings["hidden"] = options.max_angle
         given = [self._projection(shot) for shot in shots]
         background = _value_of(options) if isinstance(options.holes, tuple) else None
         layer = octex.project(surface, given, like=texture, **settings)

@@ -11,7 +11,7 @@ from octex.cli.parser import Command, File, Option
 
 DEFAULT_CHANNEL = "base_color"  # what is painted
 DRAWN = "panels", "view", "paint", "cells", "difference"
-UV = "auto", "keep", "atlas"
+UV = "auto", "keep", "atlas", "xatlas"
 IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
 UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
@@ -58,7 +58,8 @@ _TABLE = """
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
 --max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
---max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces
+--max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces;
+                      75,hidden: also what other surface hides
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
 --pictures MODE       how pictures combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting
@@ -83,7 +84,8 @@ _TABLE = """
 --camera-out JSON     write the camera of the picture, to paint it back
 --empty-layer PNG     also write a transparent picture of the same size, to draw on
 
---uv MODE             auto (default): keep UVs unless they overlap; keep; or atlas: new ones
+--uv MODE             auto (default): keep UVs unless they overlap; keep; atlas: new ones; or xatlas:
+                      new ones, cut by xatlas (slow for scans)
 --texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
                       to 4 where images would differ from the texture by more than 3/255, RMS)
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it

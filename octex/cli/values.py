@@ -173,10 +173,12 @@ def edge_length(text: str) -> float | str:
     return text if text == "auto" else float(length(text))
 
 
-def angle_and_sides(text: str) -> tuple[float | None, bool]:
-    """Read DEGREES, "both", or DEGREES,both: the angle, and whether surface that faces away counts too."""
-    number, _, both = text.rpartition(",") if text.endswith("both") else (text, "", "")
-    return (None if both and not number else angle(number)), bool(both)
+def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
+    """Read DEGREES, both, hidden, with commas: the angle, and whether back faces and hidden surface count."""
+    words = text.split(",")
+    both, hidden = ("both" in words, "hidden" in words)
+    numbers = [word for word in words if word not in ("both", "hidden")]
+    return (angle(",".join(numbers)) if numbers else None), both, hidden
 
 
 def near(text: str) -> tuple[float | None, float | None]:

@@ -58,6 +58,14 @@ class Change(NamedTuple):
         """Bytes of both drafts."""
         return self.before.nbytes + self.after.nbytes
 
+    @property
+    def has_same_cells(self) -> bool:
+        """Whether it leaves all cells, split cells and kept nodes where they were."""
+        before, after = self.before.tree, self.after.tree
+        arrays: list[list[Array]] = [[*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before, after)]
+        is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
+        return is_same and self.before.channels.keys() == self.after.channels.keys()
+
     def inverted(self) -> Change:
         """Return the change that undoes this one."""
         return Change(self.tiles, self.after, self.before)
@@ -83,7 +91,7 @@ class Change(NamedTuple):
         """
         if self.tiles is None:
             return self.after
-        if _is_same(self.before, self.after) and texture.channels.keys() == self.after.channels.keys():
+        if self.has_same_cells and texture.channels.keys() == self.after.channels.keys():
             return _overwritten(texture, self.tiles, self.before, self.after, shared)
         return put_back(texture, self.tiles, self.after)
 
@@ -106,6 +114,19 @@ def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Chan
     if not _is_small(before.tree, tiles):
         return Change(None, before, after)
     return Change(tiles, cut_out(before, tiles), cut_out(after, tiles))
+
+
+def joined_change(changes: Sequence[Change], before: OctreeTexture, after: OctreeTexture) -> Change:
+    """Return changes that followed on each other as one, from the first one's texture to the last one's."""
+    tiles = [change.tiles for change in changes if change.tiles is not None]
+    if len(changes) == 1:
+        return changes[0]
+    if len(tiles) < len(changes):
+        return Change(None, before, after)
+    level = min(each.level for each in tiles)
+    parents = distinct(np.concatenate([each.codes >> 3 * (each.level - level + 1) for each in tiles]))
+    siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed one is a leaf to its parent
+    return change_in(Tiles(level, siblings), before, after)
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
@@ -230,15 +251,6 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
         texture = with_alpha(texture)
     return put_together(draft, texture, [(tiles, draft)])
-
-
-def _is_same(before: OctreeTexture, after: OctreeTexture) -> bool:
-    """Say whether an edit has left all cells, split cells and kept nodes where they were."""
-    arrays: list[list[Array]] = [
-        [*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before.tree, after.tree)
-    ]
-    is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
-    return is_same and before.channels.keys() == after.channels.keys()
 
 
 def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:

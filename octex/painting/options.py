@@ -6,6 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
+import numpy as np
+import numpy.typing as npt
+
+from octex.arrays import Bools
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
 from octex.errors import ArgumentError
@@ -40,11 +44,18 @@ class PaintOptions:
     reference: int | None = None
     back_faces: bool = False
     fit: bool = True
+    hidden: bool = False
+    region: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         """Check them; the default angle and the reference depend on the pictures."""
         for name, value in self._checked().items():
             object.__setattr__(self, name, value)
+        if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
+            raise ArgumentError(
+                "hidden cannot be used with balance, or with pictures that are robust or best: these compare "
+                "what cameras see"
+            )
 
     def _checked(self) -> dict[str, object]:
         angle, depth = self.max_angle, self.max_depth
@@ -56,6 +67,7 @@ class PaintOptions:
             "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
             "back_faces": as_flag(self.back_faces, "back_faces"),
             "fit": as_flag(self.fit, "fit"),
+            "hidden": as_flag(self.hidden, "hidden"),
         }
 
     def of(self, pictures: Sequence[Projection]) -> PaintOptions:
@@ -63,7 +75,24 @@ class PaintOptions:
         usual = DRAWN_ANGLE if all(each.since is not None for each in pictures) else TAKEN_ANGLE
         if self.reference is not None:
             as_whole(self.reference, "reference", 0, len(pictures) - 1)
-        return replace(self, max_angle=usual if self.max_angle is None else self.max_angle)
+        angle = usual if self.max_angle is None else self.max_angle
+        return replace(self, max_angle=angle, pictures="average" if self.hidden else self.pictures)
+
+
+def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
+    """Return which of ``count`` triangles a region has, given as numbers or bools; None for another kind."""
+    try:
+        part = np.asarray(region)
+    except ValueError:  # rows of unequal lengths
+        return None
+    if part.dtype == np.bool_ and part.shape == (count,):
+        return part
+    is_whole = part.ndim == 1 and part.dtype.kind in "iu"
+    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < count):
+        return None
+    chosen = np.zeros(count, np.bool_)
+    chosen[part] = True
+    return chosen
 
 
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:

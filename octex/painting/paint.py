@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat
@@ -59,6 +60,8 @@ def paint(
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
+    hidden: bool = False,
+    region: npt.ArrayLike | None = None,
     holes: Holes | None = None,
     coverage: bool = False,
     fit: bool = True,
@@ -85,24 +88,28 @@ def paint(
                   removes vignetting. Overexposed pixels are ignored where a darker exposure exists
     reference     number of the picture that ``balance`` does not change. Default: the median gain is 1
     back_faces    also paint surface that faces away
+    hidden        also paint surface that other surface hides from the camera
+    region        triangles to paint, as numbers or one bool each; others still hide. Default: all
     holes         what a new texture has where no picture sees: "smooth" (default) continues the colours
                   harmonically over the surface; "leave" stores no cells
     coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
     fit           choose leaf values so that lookups match the pictures; False stores plain averages
     run           how to work (octex.Run)
 
-    Only surface that the camera sees is painted: not hidden, and not facing away. Where nothing is painted
-    the texture itself is returned.
+    By default only surface that the camera sees is painted: not hidden, and not facing away. Where nothing
+    is painted the texture itself is returned.
 
     Raises ArgumentError for a channel that the texture does not have, a surface outside of its root cell,
-    numbers out of range and pictures that do not fit their cameras; ImageError for files that are no
-    pictures. (Benson & Davis 2002, 4.1 and 4.2.)
+    numbers out of range, a region that is no triangles, hidden with pictures that must be compared, and
+    pictures that do not fit their cameras; ImageError for files that are no pictures. (Benson & Davis 2002,
+    4.1 and 4.2.)
     """
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
-    )
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
+        region,
+    )  # fmt: skip
     filling: Holes = "smooth" if holes is None else as_choice(holes, HOLES, "holes")
     layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
     given = check_projections(projections)
@@ -153,6 +160,8 @@ def project(
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
+    hidden: bool = False,
+    region: npt.ArrayLike | None = None,
     fit: bool = True,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -168,8 +177,9 @@ def project(
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
-    )
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
+        region,
+    )  # fmt: skip
     given = check_projections(projections)
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
     model, given = laid_flat(model, given, like)
@@ -200,8 +210,9 @@ def _layer_of(
     shots = _look(job, form, pictures, around)
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
-    terms = terms_of(cast(float, options.max_angle), options.edge_feather, options.back_faces)
-    source = painted.projected(shots, form, terms)
+    angle = cast(float, options.max_angle)
+    terms = terms_of(angle, options.edge_feather, options.back_faces, options.hidden)
+    source = painted.projected(shots, form, terms, options.region)
     near = source.near_paint(_REACH)
     size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
     cells, most = CELLS, _DEEPEST
@@ -233,7 +244,8 @@ def _layer_of(
 def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around: int | None) -> list[Shot]:
     """Return pictures and what their cameras see, or the part of that within ``around`` pixels of paint."""
     cameras = [cast(Camera, each.camera) for each in pictures]
-    sights = job.surface.sights(cameras, job.options.edge_feather, job.executor, job.stages)
+    feather, hidden = job.options.edge_feather, job.options.hidden
+    sights = job.surface.sights(cameras, feather, job.executor, job.stages, hidden=hidden)
     largest = max(each.opacity for each in pictures) or 1.0
     scales = [each.opacity / largest for each in pictures]
     shots = []

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 
 import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
+from octex.checks import as_path
 from octex.editing.draft import Change
+from octex.errors import OutputError
+from octex.painting.history import History, Stroke
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, painted
 from octex.painting.picture import Blend, Projection, check_projections
@@ -17,9 +21,6 @@ from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-
-#: What a call has changed: a Change for each layer, in order.
-Stroke = tuple[Change, ...]
 
 
 class Painter:
@@ -40,8 +41,7 @@ class Painter:
         self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
-        self._done: list[Stroke] = []
-        self._undone: list[Stroke] = []
+        self._done, self._undone = History(), History()
 
     def texture(self) -> OctreeTexture:
         """Return the texture as it is now. Textures are immutable: later strokes do not change it."""
@@ -52,6 +52,29 @@ class Painter:
     def strokes(self) -> tuple[Stroke, ...]:
         """The changes of the calls that are not undone, oldest first."""
         return tuple(self._done)
+
+    @property
+    def last(self) -> Stroke:
+        """The changes of the last call that is not undone; none if there is no such."""
+        return self._done.last
+
+    @property
+    def count(self) -> int:
+        """How many calls are not undone."""
+        return len(self._done)
+
+    def store(self, folder: str | PathLike[str] | None = None) -> None:
+        """Move all strokes but the last few from memory to a temporary file; they can be undone as before.
+
+        ``folder`` is where the file is, by default that of temporary files. Raises OutputError for a full
+        disk; the strokes are then still in memory.
+        """
+        path = None if folder is None else as_path(folder, "folder")
+        try:
+            for history in (self._done, self._undone):
+                history.store(path)
+        except OSError as error:
+            raise OutputError(f"strokes cannot be stored: {error}") from None
 
     def paint(
         self,
@@ -65,6 +88,8 @@ class Painter:
         balance: Balance | None = None,
         reference: int | None = None,
         back_faces: bool = False,
+        hidden: bool = False,
+        region: npt.ArrayLike | None = None,
         fit: bool = True,
         threads: int | None = None,
         progress: Progress | None = None,
@@ -76,8 +101,9 @@ class Painter:
         ``octex.paint`` raises; the texture then stays as it was.
         """
         options = PaintOptions(
-            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit
-        )
+            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
+            hidden, region,
+        )  # fmt: skip
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
@@ -115,9 +141,14 @@ class Painter:
             self._texture = self._put(change, self._texture)
         return self._did([change])
 
+    def put(self, change: Change) -> Stroke:
+        """Put in a change of the texture as it is now, made elsewhere, as a stroke; return it."""
+        self._texture = self._put(change, self._texture)
+        return self._did([change])
+
     def undo(self) -> bool:
         """Undo the last stroke; return whether there was one."""
-        if not self._done:
+        if not len(self._done):
             return False
         stroke = self._done.pop()
         for change in reversed(stroke):
@@ -127,7 +158,7 @@ class Painter:
 
     def redo(self) -> bool:
         """Redo the last undone stroke; return whether there was one."""
-        if not self._undone:
+        if not len(self._undone):
             return False
         stroke = self._undone.pop()
         for change in stroke:

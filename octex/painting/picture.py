@@ -10,13 +10,13 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, TypeGuard, get_args
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Int64s, Uint16s
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint16s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
@@ -149,17 +149,21 @@ def window_of(
 def _window_of(
     projection: Projection, form: ChannelFormat, scale: float, around: int | None
 ) -> tuple[Mips, Window]:
-    size = projection.camera.width, projection.camera.height
-    texels, before = _texels(projection.image, "the image", size), None
-    if projection.since is not None:
-        before = _texels(projection.since, "the picture as it was", size)
-    window = Window(0, 0, *size)
-    if around is not None:
-        has_paint = texels[:, :, 3] > 0
-        if before is not None and before.dtype == texels.dtype:
-            has_paint &= (texels != before).any(axis=2)
-        window = _window_around(has_paint, around)
-    texels = window.of(texels)
+    size, image = (projection.camera.width, projection.camera.height), projection.image
+    window, before = Window(0, 0, *size), None
+    if around is not None and projection.since is None and _is_codes(image, size):
+        window = _window_around(image[:, :, 3] > 0, around)
+        texels = as_texels(window.of(image))
+    else:
+        texels = _texels(image, "the image", size)
+        if projection.since is not None:
+            before = _texels(projection.since, "the picture as it was", size)
+        if around is not None:
+            has_paint = texels[:, :, 3] > 0
+            if before is not None and before.dtype == texels.dtype:
+                has_paint &= (texels != before).any(axis=2)
+            window = _window_around(has_paint, around)
+        texels = window.of(texels)
     sizes = _sizes(*texels.shape[1::-1])
     ends = sizes[:, 0] + sizes[:, 1] * sizes[:, 2]
     rows = np.empty((int(ends[-1]), 4), np.float32)
@@ -193,6 +197,11 @@ def _window_of(
         level[:] = resized(above, *level.shape[:2])
     pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
     return Mips(rows, sizes, limits), window
+
+
+def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:
+    """Say whether an image is an array of 8-bit codes with alpha, of a size: of it a part can be decoded."""
+    return isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.shape == (*size[::-1], 4)
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:

@@ -13,7 +13,7 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips
-from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow
+from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow, pixels_under
 from octex.painting.sight import Shot, most_ahead, near_paint, renamed
 from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
@@ -35,6 +35,7 @@ class Projected(PaintSource):
     triangles: Int32s  # (m, 3)
     stretches: Float32s  # (m,)   what is 1 long on a posed triangle is so long at rest
     shading: Shading
+    chosen: Bools | None = None  # (m,)   the triangles that are painted; None for all
 
     def __post_init__(self) -> None:
         """Take the channel that is painted."""
@@ -71,32 +72,39 @@ class Projected(PaintSource):
         return self.shading(np.arange(len(self.triangles), dtype=np.int32))
 
     def touched(self) -> Int32s:
-        """Return the triangles that own a pixel of a shot."""
-        is_seen = np.zeros(len(self.triangles) + 1, np.bool_)
+        """Return the triangles that own a pixel of a shot, or that may be painted though they are hidden."""
+        is_seen = np.zeros(len(self.triangles), np.bool_)
         for shot in self.shots:
-            is_seen[shot.seen.triangle] = True  # none, −1, is the last
-        return np.flatnonzero(is_seen[:-1]).astype(np.int32)
+            is_seen |= self._counts(shot) > 0
+        return np.flatnonzero(is_seen).astype(np.int32)
+
+    def _counts(self, shot: Shot) -> Int32s:
+        """Return how many pixels of a shot triangles (m,) own; or at most, where hidden ones are painted."""
+        if self.terms.hidden:
+            return pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
+        counts = np.bincount(shot.seen.triangle.ravel() + 1, minlength=len(self.triangles) + 1)
+        return counts[1:].astype(np.int32)
 
     def on(self, chosen: Int32s) -> Projected:
         """Return the same paint for some of the triangles, among them all that own a pixel."""
         names = np.full(len(self.triangles) + 1, -1, np.int32)  # none, −1, is the last
         names[chosen] = np.arange(len(chosen), dtype=np.int32)
+        shots = [renamed(shot, names[shot.seen.triangle]) for shot in self.shots]
         return replace(
             self,
-            shots=[renamed(shot, names[shot.seen.triangle]) for shot in self.shots],
+            shots=self.shots if self.terms.hidden else shots,
             triangles=np.ascontiguousarray(self.triangles[chosen]),
             stretches=self.stretches[chosen],
             shading=self.shading(chosen).__getitem__,
+            chosen=None if self.chosen is None else self.chosen[chosen],
         )
 
     def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
         """Say of which blocks a shot may see something: what is not seen is not painted."""
         found = np.zeros(blocks.codes.size, np.bool_)
         for shot in self.shots:
-            counts = np.zeros(np.add(shot.seen.triangle.shape, 1), np.int32)
-            np.cumsum(np.cumsum(shot.seen.triangle >= 0, 0, np.int32), 1, out=counts[1:, 1:])
             mark_seen_blocks(
-                shot.camera, counts, self.vertices, self.triangles, rest, blocks, corners, edge, found
+                shot.camera, _summed(shot), self.vertices, self.triangles, rest, blocks, corners, edge, found
             )
         return found
 
@@ -127,6 +135,9 @@ class Projected(PaintSource):
         mesh = self.vertices, self.triangles, self.stretches, self._normals
         for shot in shots:
             add_paint(shot, self.terms, *mesh, triangles, barycentric, widths, sums, clear)
+        if self.chosen is not None:
+            others = ~self.chosen[triangles]
+            sums[others], clear[others] = 0.0, 1.0
         return sums, clear
 
     def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
@@ -136,13 +147,14 @@ class Projected(PaintSource):
     def footprints(self) -> tuple[Float32s, Float64s]:
         """Return the finest pixels' edges, ascending, at corners and middles of triangles, and seen areas."""
         touched = self.touched()
+        if self.chosen is not None:
+            touched = touched[self.chosen[touched]]
         places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
         _, areas = face_normals(self.vertices, self.triangles[touched])
         seen_areas = np.zeros(len(touched))  # by the pixels in the triangles' middles
         flat = replace(self, stretches=np.ones(len(self.triangles), np.float32))
         for shot in self.shots:
-            seen = shot.seen.triangle
-            counts = np.bincount(seen[seen >= 0], minlength=len(self.triangles))[touched]
+            counts = self._counts(shot)[touched]
             edges = flat.with_shots([shot]).texel_edges(touched)
             edges[counts == 0] = 0.0
             seen_areas += counts * edges.astype(np.float64) ** 2
@@ -166,3 +178,10 @@ class Projected(PaintSource):
         for shot in self.shots:
             narrow(shot, *mesh, self.terms.back_faces, triangles, barycentric, widths)
         return widths
+
+
+def _summed(shot: Shot) -> Int32s:
+    """Return how many pixels that see something are above and left of others (height + 1, width + 1)."""
+    counts = np.zeros(np.add(shot.seen.triangle.shape, 1), np.int32)
+    np.cumsum(np.cumsum(shot.seen.triangle >= 0, 0, np.int32), 1, out=counts[1:, 1:])
+    return counts

@@ -43,9 +43,10 @@ class Terms(NamedTuple):
     vanishing: float  # and where it has vanished
     feather: float  # pixels over which it fades towards edges
     back_faces: bool
+    hidden: bool
 
 
-def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
+def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
     """Return terms for angles in degrees between the surface's normal and what looks at it."""
     vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - FADE, 0.0))
     whole = max_angle >= 90.0  # all that faces the camera, in full
@@ -54,6 +55,7 @@ def terms_of(max_angle: float, feather: float, back_faces: bool) -> Terms:
         -2.0 if whole else float(np.cos(vanishing)),
         feather,
         back_faces,
+        hidden,
     )
 
 
@@ -274,8 +276,10 @@ def add_paint(
         fine = _pixels(view, z)
         near = base + right * px + down * py
         slack = tolerance(view, near, right, down, 0.5 * area * cosine * fine * fine)
-        part = visible_part(shot.seen, triangle, (px, py), (near, right, down), slack)
-        coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
+        coverage = 1.0
+        if not terms.hidden:
+            part = visible_part(shot.seen, triangle, (px, py), (near, right, down), slack)
+            coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))
         inside = min(min(u, columns - u), min(v, rows - v))
@@ -285,7 +289,7 @@ def add_paint(
         if not coverage > 0.0:
             continue
         wide = np.float64(widths[n]) / stretch * np.sqrt(cosine) * fine
-        if margin < _BESIDE and wide < 2.0:
+        if margin < _BESIDE and wide < 2.0 and not terms.hidden:
             red, green, blue, alpha = _read_beside(
                 shot, triangle, (u, v), (px, py), (near, right, down), slack
             )
@@ -375,6 +379,34 @@ def mark_seen_blocks(
             i, j = min(max(int(left) - 2, 0), width), min(max(int(top) - 2, 0), height)
             k, m = min(max(int(right) + 3, i), width), min(max(int(bottom) + 3, j), height)
             found[block] = counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0
+
+
+@kernel
+def pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
+    """Return at most how many pixels triangles (m,) may be painted by, whatever hides them.
+
+    ``counts`` is as in `mark_seen_blocks`.
+    """
+    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    found = np.empty(faces.shape[0], np.int32)
+    for triangle in range(faces.shape[0]):
+        left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+        behind = 0
+        for corner in range(3):
+            x, y, z = transformed(view, vertices, faces[triangle, corner])
+            behind += not z > 0.0
+            slope_x, slope_y = _slopes(view, x, y, z if z > 0.0 else 1.0)
+            x = view.K[0, 0] * slope_x + view.K[0, 1] * slope_y + view.K[0, 2]
+            y = view.K[1, 1] * slope_y + view.K[1, 2]
+            left, right = min(left, x), max(right, x)
+            top, bottom = min(top, y), max(bottom, y)
+        i = j = 0
+        k, m = width, height
+        if behind == 0:
+            i, j = int(min(max(left - 2.0, 0.0), width)), int(min(max(top - 2.0, 0.0), height))
+            k, m = int(min(max(right + 3.0, i), width)), int(min(max(bottom + 3.0, j), height))
+        found[triangle] = 0 if behind == 3 else counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i]
+    return found
 
 
 @kernel

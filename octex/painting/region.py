@@ -18,7 +18,7 @@ from octex.errors import ArgumentError
 from octex.functions import answer
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import merged
-from octex.painting.options import format_of
+from octex.painting.options import format_of, triangles_of
 from octex.painting.paint import check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import rasterize_surface
@@ -247,19 +247,8 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
         return meets, region.covers
     if callable(region):
         return np.ones(count, np.bool_), region
-    try:
-        part = np.asarray(region)
-    except ValueError:  # rows of unequal lengths
-        part = np.empty((), np.void)
-    if part.dtype == np.bool_ and part.shape == (count,):
-        return part, _everywhere
-    if (
-        part.ndim == 1
-        and part.dtype.kind in "iu"
-        and (part.size == 0 or 0 <= part.min() <= part.max() < count)
-    ):
-        chosen = np.zeros(count, np.bool_)
-        chosen[part] = True
+    chosen = triangles_of(region, count)
+    if chosen is not None:
         return chosen, _everywhere
     raise ArgumentError(
         "region must be a Sphere, a Box, a function, or triangles of the surface: numbers from 0 to "

@@ -82,20 +82,29 @@ def sight_of(
     feather: float,
     executor: Executor,
     stages: Stages = NOT_STORED,
+    *,
+    hidden: bool = False,
 ) -> Sight:
-    """Find what a camera sees of triangles (m, 3) of vertices (n, 3)."""
+    """Find what a camera sees of triangles (m, 3) of vertices (n, 3).
+
+    With ``hidden``, where no pixel hides anything, all of them see the first triangle.
+    """
     pinhole = straight(camera)
     view = view_of(pinhole)
 
     def seen() -> dict[str, Array]:
-        found = visibility_of(vertices, triangles, pinhole, executor)
+        if hidden:
+            size = pinhole.height, pinhole.width
+            found = Visibility(np.zeros(size, np.int32), np.zeros((*size, 3), np.float32))
+        else:
+            found = visibility_of(vertices, triangles, pinhole, executor)
         return {**found._asdict(), "margins": distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)}
 
     def is_sound(arrays: Mapping[str, Array]) -> bool:
         triangle = arrays["triangle"]
         return bool(triangle.min() >= -1 and triangle.max() < len(triangles))
 
-    own = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather])
+    own = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather, hidden])
     found = own.arrays("sight", seen, is_sound)
     visibility = Visibility(found["triangle"], found["planes"])
     sight = Sight(view, camera.K, camera.lens, visibility, found["margins"])

@@ -8,12 +8,14 @@ from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
+from octex.painting.options import triangles_of
 from octex.painting.picture import Projection
 from octex.painting.project import Projected, Shading
 from octex.painting.reading import Terms
@@ -75,23 +77,37 @@ class PaintedSurface:
         frames = () if surface.frames is None else (*surface.frames.normals, *surface.frames.tangents)
         return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
 
-    def projected(self, shots: Sequence[Shot], form: ChannelFormat, terms: Terms) -> Projected:
-        """Return the paint of shots of it."""
+    def projected(
+        self, shots: Sequence[Shot], form: ChannelFormat, terms: Terms, region: npt.ArrayLike | None = None
+    ) -> Projected:
+        """Return the paint of shots of it, or of some of its triangles."""
         mesh = self.surface.vertices, self.surface.triangles
-        return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading)
+        count = len(self.surface.triangles)
+        chosen = None if region is None else triangles_of(region, count)
+        if region is not None and chosen is None:
+            raise ArgumentError(
+                f"region must be triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
+            )
+        return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading, chosen)
 
     def sights(
-        self, cameras: Sequence[Camera], feather: float, executor: Executor, stages: Stages = NOT_STORED
+        self,
+        cameras: Sequence[Camera],
+        feather: float,
+        executor: Executor,
+        stages: Stages = NOT_STORED,
+        *,
+        hidden: bool = False,
     ) -> Iterator[Sight]:
-        """Yield what cameras see of it."""
+        """Yield what cameras see of it; see `sight_of`."""
         mesh = self.surface.vertices, self.surface.triangles
         own = stages.of(lambda: [self.content])
         before, self._sights = self._sights, {}
         for camera in cameras:
-            key = key_of(camera) + np.float64(feather).tobytes()
+            key = key_of(camera) + np.float64(feather).tobytes() + bytes([hidden])
             sight = before.get(key) or self._sights.get(key)
             if sight is None:
-                sight = sight_of(*mesh, camera, feather, executor, own)
+                sight = sight_of(*mesh, camera, feather, executor, own, hidden=hidden)
             if self._in_session:
                 self._sights[key] = sight
             yield sight

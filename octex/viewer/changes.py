@@ -11,6 +11,7 @@ other in both. One stream:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.editing.draft import Change, places_in
 from octex.texture import OctreeTexture
 from octex.tree.children import masks_of, node_cells
+from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
 from octex.viewer.streams import planes
@@ -71,6 +73,10 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
+    if change.has_same_cells:
+        here = places_in(after, tiles, draft)
+        is_known = _as_before(change.before, draft) | (here < 0)
+        return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known)
     old, is_known = _known(change.before, draft)
     here, there = places_in(after, tiles, draft), places_in(before, tiles, change.before)
     is_open = here >= 0
@@ -81,6 +87,30 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
     return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open)
+
+
+def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
+    """Return the lowest and the highest corner of what changes may touch, in root cells; none if that is all.
+
+    Averages of larger cells change as far around as these reach.
+    """
+    corners = []
+    for change in changes:
+        if change.tiles is None:
+            return None
+        cells = decode_cells(change.tiles.codes)
+        corners.append(np.stack([cells.min(axis=0), cells.max(axis=0) + 1]) / 2**change.tiles.level)
+    if not corners:
+        return []
+    low, high = np.min(corners, axis=0)[0], np.max(corners, axis=0)[1]
+    return [low.tolist(), high.tolist()]
+
+
+def _around(new: Int64s, count: int) -> _Runs:
+    """Return the runs of the other cells of so many, where none has another number."""
+    first, end = np.append(0, new + 1), np.append(new, count)
+    is_some = first < end
+    return _Runs(first[is_some], first[is_some], (end - first)[is_some])
 
 
 def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
@@ -146,6 +176,23 @@ def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
             differ = (values[chosen] != old_values[at[chosen]]).any(axis=1)
             is_known[owners[chosen][differ]] = False
     return old, is_known
+
+
+def _as_before(before: OctreeTexture, after: OctreeTexture) -> Bools:
+    """Say which cells are as they were, where all are where they were."""
+    arrays, old_arrays = after.tree.arrays, before.tree.arrays
+    differs = arrays.flags != old_arrays.flags
+    nodes = node_cells(arrays)
+    differs[nodes] |= arrays.areas[nodes] != old_arrays.areas[nodes]
+    kept, sides = _owners(after.tree)
+    for name, channel in after.channels.items():
+        past = before.channels[name]
+        for now, was in zip(channel.values.T, past.values.T, strict=True):
+            differs |= now != was
+        differs[kept[(channel.kept_values != past.kept_values).any(axis=1)]] = True
+        differs[sides[(channel.split_values != past.split_values).any(axis=1)]] = True
+    is_same: Bools = ~differs
+    return is_same
 
 
 def _rows_of(owners: Int64s, old_owners: Int64s, old: Int64s, is_known: Bools) -> Int64s:

@@ -13,15 +13,17 @@ import numpy as np
 
 from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
-from octex.channels import decode
-from octex.checks import as_number, as_reals, as_whole
+from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
-from octex.painting.picture import Projection
+from octex.painting.picture import Blend, Projection
 
 #: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
+_FARTHEST = 1e12
+_MOST_CHANNELS = 16
+_BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 
 
@@ -57,21 +59,60 @@ def command_of(body: bytes) -> Command:
     return command
 
 
-def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], int | None]:
-    """Return the picture of a stroke, the options to paint it with, and its mirror. Raises ArgumentError."""
+class Where(NamedTuple):
+    """A point at rest, or None, and the mirror."""
+
+    point: Array | None
+    axis: int | None  # None: there is no mirror
+    offset: float  # of the mirror from the model's middle
+
+
+def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
+    """Return the picture of a stroke, the options to paint it with, and the part that it stays on, if any."""
     given = command.given
-    options = {"max_angle": given.get("maxAngle", DRAWN_ANGLE), "back_faces": given.get("backFaces", False)}
+    options = {
+        "max_angle": given.get("maxAngle", DRAWN_ANGLE),
+        "back_faces": given.get("backFaces", False),
+        "hidden": given.get("hidden", False),
+    }
     PaintOptions(**options)
     camera = camera_of(command)
-    picture = Projection(picture_of(command, camera), camera, opacity=opacity_of(command))
-    return picture, options, mirror_of(command)
+    image = picture_of(command, camera)
+    picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
+    return picture, options, where_of(command)
 
 
-def fill_of(command: Command) -> tuple[Array, float, Array | None, int | None]:
-    """Return the colour of a fill, its opacity, a point of the part or None for all, and its mirror."""
+class Alike(NamedTuple):
+    """What a fill covers of the colour at its point."""
+
+    tolerance: float  # 8-bit codes
+    connected: bool
+
+
+def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
+    """Return the options of a fill, a point of it or None for all, and what it covers there.
+
+    That is what is alike, or the whole part for None.
+    """
     _no_content(command)
-    at = numbers(command.given, "at", (3,)) if "at" in command.given else None
-    return color_of(command), opacity_of(command), at, mirror_of(command)
+    if not values_of(command) or "color" in command.given:
+        codes_of(command)
+    where, alike = where_of(command), None
+    if "tolerance" in command.given:
+        if where.point is None:
+            raise ArgumentError("a tolerance needs at, the point whose colour is filled")
+        tolerance = as_number(command.given["tolerance"], "tolerance", 0.0, 255.0)
+        alike = Alike(tolerance, as_flag(command.given.get("connected", True), "connected"))
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
+
+
+def channel_of(command: Command) -> str:
+    """Return the name of the channel that a command adds."""
+    _no_content(command)
+    name = command.given.get("channel")
+    if not isinstance(name, str):
+        raise ArgumentError("channel must be a name")
+    return name
 
 
 def _no_content(command: Command) -> None:
@@ -83,6 +124,7 @@ def _no_content(command: Command) -> None:
 _READERS: dict[str, Callable[[Command], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
+    "channel": channel_of,
     "undo": _no_content,
     "redo": _no_content,
     "save": _no_content,
@@ -102,16 +144,16 @@ def camera_of(command: Command) -> Camera:
 def picture_of(command: Command, camera: Camera) -> Uint8s:
     """Return the picture (height, width, 4) of a stroke, in sRGB.
 
-    The content has its ``box`` alone, deflated: the coverage by its ``color``; without that, planes of red,
-    green, blue and coverage.
+    The content has its ``box`` alone, deflated: the coverage by its ``color`` or ``values``; without both,
+    planes of red, green, blue and coverage.
     """
     width, height = camera.width, camera.height
     left, top, right, bottom = box = numbers(command.given, "box", (4,)).tolist()
     if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
         raise ArgumentError(f"box must be a part of {width}×{height} pixels")
     left, top, right, bottom = map(int, box)
-    has_color = "color" in command.given
-    shape = (1 if has_color else 4, bottom - top, right - left)
+    is_plain = bool(values_of(command)) or "color" in command.given
+    shape = (1 if is_plain else 4, bottom - top, right - left)
     size = math.prod(shape)
     unpacker = zlib.decompressobj(-15)
     try:
@@ -119,15 +161,21 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
     except zlib.error:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
-        what = "coverage" if has_color else "red, green, blue and coverage"
+        what = "coverage" if is_plain else "red, green, blue and coverage"
         raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
-    if has_color:
-        image[..., :3] = codes_of(command)
-    image[top:bottom, left:right, -shape[0] :] = (
-        np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
-    )
+    inside = image[top:bottom, left:right]
+    if "color" in command.given:
+        inside[..., :3] = codes_of(command)
+    inside[..., -shape[0] :] = np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
     return image
+
+
+def where_of(command: Command) -> Where:
+    """Return the point of a command, if it has one, and its mirror."""
+    point = numbers(command.given, "at", (3,)) if "at" in command.given else None
+    offset = as_number(command.given.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
+    return Where(point, mirror_of(command), offset)
 
 
 def mirror_of(command: Command) -> int | None:
@@ -143,9 +191,9 @@ def opacity_of(command: Command) -> float:
     return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
 
 
-def color_of(command: Command) -> Array:
-    """Return a colour in linear light."""
-    return decode(codes_of(command), "srgb")
+def blend_of(command: Command) -> Blend:
+    """Return how paint combines with what is there."""
+    return as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
 
 
 def codes_of(command: Command) -> Uint8s:
@@ -156,6 +204,14 @@ def codes_of(command: Command) -> Uint8s:
     return np.rint(codes).astype(np.uint8)
 
 
-def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = 1e12) -> Array:
+def values_of(command: Command) -> dict[str, Array]:
+    """Return the numbers that each channel is painted with; none if the command has no values."""
+    given = command.given.get("values", {})
+    if not isinstance(given, dict) or len(given) > _MOST_CHANNELS:
+        raise ArgumentError(f"values must be an object of at most {_MOST_CHANNELS} channels")
+    return {name: numbers(given, name, (-1,)) for name in given}
+
+
+def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = _FARTHEST) -> Array:
     """Return numbers of a field; raise ArgumentError for others than finite ones of a shape."""
     return as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]

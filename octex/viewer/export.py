@@ -29,9 +29,12 @@ elements kept data octree patch mesh motion camera controls legend connection so
 viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
-#: Modules and styles of pages that paint, which files never do.
-PAINTING = ["paint.js", "panel.js", "tools.js", "brush.js", "stroke.js", "sending.js", "paint.css"]
-PAINTING += ["images.js", "stencil.js", "retouch.js", "elsewhere.js"]
+#: Modules, styles and shaders of pages that paint, which files never do.
+_PAINTING_NAMES = """
+panel path dabs under stroke sending brush images stencil retouch elsewhere tools material paint
+"""
+PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
+PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"

@@ -17,9 +17,10 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
-from octex.viewer.changes import change_between, change_of, is_like
-from octex.viewer.export import MODULES, PAINTING, SHADERS, page_text
+from octex.viewer.changes import change_between, change_of, is_like, touched_by
+from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -37,7 +38,7 @@ _ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _FILES = {"": "index.html", "style.css": "style.css"}
 _FILES |= {name: name for name in [*MODULES, *PAINTING]}
-_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, "stroke.frag", "retouch.frag"]}
+_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, *PAINTING_SHADERS]}
 _PROOF = "/proof"
 _COMMAND = "application/octet-stream"
 _POLICY = (
@@ -55,10 +56,11 @@ _HEADERS = {
 _PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
 #: By how much longer the first page is waited for: browsers may take long to start.
 _FIRST = 20
-#: Deflate's level for changes.
-_QUICK = 1
-#: Changes that are kept for pages that do not have them yet; those of pages further behind load all anew.
-_MOST_CHANGES = 32
+#: Deflate's level for changes: they stay on this machine, and packing them takes longer than sending them.
+_QUICK = 0
+#: Changes that are kept for pages that do not have them yet, and bytes of all but the last; pages further
+#: behind load all anew.
+_MOST_CHANGES, _MOST_BYTES = 32, 32 << 20
 #: The ports of which one is a path's: below those that systems lend to anybody.
 _PORTS = range(20_000, 32_768)
 #: Different refusals that are logged.
@@ -211,6 +213,8 @@ class Viewer:
                 self._changes.clear()
             else:
                 self._changes.append((before.version, change))
+                while len(self._changes) > 1 and sum(map(_size_of, self._changes)) > _MOST_BYTES:
+                    self._changes.popleft()
         return self._state
 
     def _read(self, stamp: str) -> _State:
@@ -273,14 +277,20 @@ def _change(before: _State, after: _State) -> Packed | None:
         if not is_like(was.header, now.header):
             return None
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
-        if is_whole and len(after.changes) == 1:
-            counts, stream = change_of(after.changes[0], was.texture, now.texture)
+        touched = touched_by(after.changes) if is_whole else None
+        if is_whole and after.changes:
+            change = joined_change(after.changes, was.texture, now.texture)
+            counts, stream = change_of(change, was.texture, now.texture)
         else:
             counts, stream = change_between(was.texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         own = {name: value for name, value in now.header.items() if name != "notes"}
-        header["parts"].append({"header": own, "counts": counts})
+        header["parts"].append({"header": own, "counts": counts, "touched": touched})
     return Packed(header, streams)
+
+
+def _size_of(change: tuple[str, Packed]) -> int:
+    return sum(map(len, change[1].streams.values()))
 
 
 class _Server(ThreadingHTTPServer):
@@ -298,6 +308,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version = "octex"
     sys_version = ""
     timeout = _PATIENCE
+    disable_nagle_algorithm = True  # else a body waits up to 40 ms until the page has confirmed its headers
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log what http.server itself refuses, and requests of which no more comes; others need no line."""

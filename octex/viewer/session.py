@@ -18,15 +18,18 @@ from octex.arrays import Array
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
-from octex.errors import ArgumentError, OctexError
+from octex.errors import ArgumentError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
+from octex.painting.alike import alike
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
+from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.commands import Command, command_of, fill_of, stroke_of
+from octex.viewer.commands import Command, Where, command_of, fill_of, stroke_of
 from octex.viewer.journal import Journal
+from octex.viewer.material import paint_of, pictures_of, with_channel
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -47,6 +50,7 @@ class _Step(NamedTuple):
 
     name: str
     strokes: int  # of the Painter
+    number: int  # of the steps that there ever were
 
 
 class Shown(NamedTuple):
@@ -81,8 +85,8 @@ class Session:
         self._baked: dict[str, int] = {}  # and that is done
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._fault, self._is_ending = "", False
-        self._saved: tuple[Any, ...] | None = ()  # the strokes that OUTPUT has, or the texture given for none
+        self._fault, self._is_ending, self._count = "", False, 0
+        self._saved: list[int] | None = []  # the steps that OUTPUT has, or the texture given for none
         self._before: OctreeTexture | None = None  # the texture before the last command
         self._changes: tuple[Change, ...] = ()  # by that
         self.changed: Callable[[], None] = lambda: None
@@ -94,6 +98,7 @@ class Session:
                 self._numbers[command.page] = command.number
                 if command.kind != "save":
                     self._do(command)
+                    self._store()
                     self.repeated += 1
         if self.repeated:
             self._saved = None  # what was saved of them is not known
@@ -143,7 +148,7 @@ class Session:
 
     @property
     def _is_saved(self) -> bool:
-        return self._painter.strokes == self._saved
+        return [step.number for step in self._steps] == self._saved
 
     def _work(self, *warmed: Any) -> None:
         with suppress(Exception):
@@ -154,8 +159,14 @@ class Session:
                 self.shown = self._shown()
                 with suppress(Exception):  # pages ask for the change again, and are told what is wrong
                     self.changed()
+                self._store()
             self._queue.task_done()
         self._queue.task_done()
+
+    def _store(self) -> None:
+        """Free the memory of strokes but the last few."""
+        with suppress(OutputError):  # a full disk; they then stay in memory
+            self._painter.store(self._output.parent)
 
     def _shown(self) -> Shown:
         told = {
@@ -177,32 +188,64 @@ class Session:
             self._fault = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
-        while len(self._painter.strokes) > sum(step.strokes for step in self._steps):
+        while self._painter.count > sum(step.strokes for step in self._steps):
             self._painter.undo()  # a part of what has failed
             self._undone.clear()
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
-        projection, options, axis = stroke_of(command)
+        projection, options, where = stroke_of(command)
         both = [projection]
-        if axis is not None:
-            both.append(mirrored(projection, axis, self._middle(self._surface.vertices)[axis]))
-        self._did(command, [self._painter.paint(each, **options) for each in both])
+        if where.axis is not None:
+            both.append(mirrored(projection, where.axis, self._mirror(where, self._surface.vertices)))
+        regions: list[Any] = [None, None]
+        if where.point is not None:
+            regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
+        texture, strokes = self._painter.texture(), []
+        for each, region in zip(both, regions, strict=False):
+            for name, picture in pictures_of(command, each, texture):
+                strokes.append(self._painter.paint(picture, channel=name, region=region, **options))
+        self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
-        color, opacity, point, axis = fill_of(command)
+        options, where, like = fill_of(command)
         regions: list[Any] = [_everywhere]
-        if point is not None:
-            parts = {self._part_at(point)}
-            if axis is not None:
-                point[axis] = 2 * self._middle(self._surface.rest)[axis] - point[axis]
-                parts.add(self._part_at(point))
+        if like is not None:
+            texture = self._painter.texture()
+            near = self._nearest.nearest(np.stack(self._points(where)))
+            corners = self._surface.triangles[near.triangles]
+            points = at_corners(self._surface.rest, corners, near.barycentric)
+            regions = [alike(texture, each, like.tolerance, connected=like.connected) for each in points]
+        elif where.point is not None:
+            parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
-        self._did(command, [self._painter.fill(each, color, opacity=opacity) for each in regions])
+        calls = [(each, value) for each in regions for value in paint_of(command, self._painter.texture())]
+        self._did(
+            command,
+            [
+                self._painter.fill(each, value.light, channel=value.form.name, **options)
+                for each, value in calls
+            ],
+        )
 
-    def _middle(self, vertices: Array) -> Array:
-        used = vertices[np.unique(self._surface.triangles)]
-        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+    def _do_channel(self, command: Command) -> None:
+        texture = self._painter.texture()
+        change = Change(None, texture, with_channel(command, texture))
+        self._did(command, [self._painter.put(change)])
+
+    def _mirror(self, where: Where, vertices: Array) -> float:
+        """Return where the mirror of a command crosses its axis."""
+        used = vertices[np.unique(self._surface.triangles)][:, where.axis]
+        return float((used.min() + used.max()) / 2) + where.offset
+
+    def _points(self, where: Where) -> list[Array]:
+        """Return the point of a command, and what a mirror shows of it."""
+        assert where.point is not None
+        if where.axis is None:
+            return [where.point]
+        other = where.point.copy()
+        other[where.axis] = 2 * self._mirror(where, self._surface.rest) - other[where.axis]
+        return [where.point, other]
 
     @cached_property
     def _nearest(self) -> Triangles:
@@ -215,16 +258,16 @@ class Session:
         self._changes = tuple(change for stroke in strokes for change in stroke)
         if self._changes:
             name = command.given.get("name", command.kind)
-            self._steps.append(_Step(name, sum(map(bool, strokes))))
+            self._count += 1
+            self._steps.append(_Step(name, sum(map(bool, strokes)), self._count))
             self._undone.clear()
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
         if not self._steps:
             return
         step = self._steps.pop()
-        strokes = self._painter.strokes[-step.strokes :]
-        self._changes = tuple(change.inverted() for stroke in strokes[::-1] for change in stroke[::-1])
         for _ in range(step.strokes):
+            self._changes += tuple(change.inverted() for change in self._painter.last[::-1])
             self._painter.undo()
         self._undone.append(step)
 
@@ -234,14 +277,12 @@ class Session:
         step = self._undone.pop()
         for _ in range(step.strokes):
             self._painter.redo()
-        self._changes = tuple(
-            change for stroke in self._painter.strokes[-step.strokes :] for change in stroke
-        )
+            self._changes += self._painter.last
         self._steps.append(step)
 
     def _do_save(self, command: Command) -> None:  # noqa: ARG002
         self._painter.texture().save(self._output)
-        self._saved = self._painter.strokes
+        self._saved = [step.number for step in self._steps]
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import urllib.parse
 from collections.abc import Callable
 from pathlib import Path
@@ -232,22 +231,20 @@ def test_what_is_empty_is_filled_from_around_it() -> None:
     np.testing.assert_allclose(values.sum(axis=2), 1.0, atol=1e-5)
 
 
-@pytest.fixture(params=["xatlas", "xatlas by pieces", "own charts"])
-def unwrapped(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have charts made by each program there is for them."""
-    if request.param == "own charts":
-        monkeypatch.setitem(sys.modules, "xatlas", None)
-        return
-    pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
+@pytest.fixture(params=["xatlas", "xatlas by pieces", "atlas"])
+def by_xatlas(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Say which charts to make: those of octex, or those of xatlas, all at once or by pieces."""
+    if request.param != "atlas":
+        pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     if request.param == "xatlas by pieces":
         monkeypatch.setattr(atlas, "_PIECE", 400)
+    return bool(request.param != "atlas")
 
 
-@pytest.mark.usefixtures("unwrapped")
-def test_an_atlas_has_room_for_every_triangle_once() -> None:
+def test_an_atlas_has_room_for_every_triangle_once(by_xatlas: bool) -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
-    layout = atlas.atlas_layout(surface, [256], 4, 1.0)
+    layout = atlas.atlas_layout(surface, [256], 4, 1.0, by_xatlas=by_xatlas)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
     assert float(drawn.areas.sum()) / 256**2 == pytest.approx(unit_area(layout), rel=2e-3)
     assert unit_area(layout) > 0.3
@@ -258,15 +255,11 @@ def test_an_atlas_has_room_for_every_triangle_once() -> None:
 
 
 @pytest.mark.parametrize("scale", [2.0**-13, 2.0**17])
-@pytest.mark.usefixtures("unwrapped")
-def test_charts_do_not_depend_on_the_units_of_a_model(scale: float) -> None:
+def test_charts_do_not_depend_on_the_units_of_a_model(scale: float, by_xatlas: bool) -> None:
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
-    charts = [
-        np.unique(
-            atlas.atlas_layout(Surface.from_arrays(points * each, triangles), [256], 4, 1.0).charts
-        ).size
-        for each in (1.0, scale)
-    ]
+    surfaces = [Surface.from_arrays(points * each, triangles) for each in (1.0, scale)]
+    layouts = [atlas.atlas_layout(each, [256], 4, 1.0, by_xatlas=by_xatlas) for each in surfaces]
+    charts = [np.unique(each.charts).size for each in layouts]
     assert charts[0] == charts[1] > 1
 
 
@@ -323,13 +316,17 @@ def test_charts_are_placed_in_the_first_place_where_they_fit(part: float) -> Non
         mask = random.random(random.integers(1, 8, 2)) < part
         mask[0, 0] = True
         start = int(random.integers(0, size**2 // 2))
-        expected, before = _first_place(free, mask, start), free.copy()
+        expected = _first_place(free, mask, start)
         assert atlas._place(free, longest, mask, start) == expected
         missed += expected < 0
         if expected >= 0:
-            i, j = np.argwhere(mask).T + np.array([divmod(expected, size)]).T
-            before[i, j] = False
-        assert np.array_equal(free, before)
+            row, column = divmod(expected, size)
+            i, j = np.argwhere(mask).T + np.array([[row], [column]])
+            after = free.copy()
+            after[i, j] = False
+            rows = slice(row, row + len(mask))
+            atlas._take(free[rows], longest[rows], mask, column)
+            assert np.array_equal(free, after)
     assert missed
 
 

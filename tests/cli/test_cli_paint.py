@@ -561,8 +561,11 @@ def test_the_options_of_painting_reach_the_library(
         "balance": "gain",
         "reference": None,
         "back_faces": True,
+        "hidden": False,
         "fit": False,
     }
+    result(capsys, *scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
+    assert (seen["max_angle"], seen["back_faces"], seen["hidden"]) == (None, False, True)
 
 
 @needs_jit

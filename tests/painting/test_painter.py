@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -12,7 +13,8 @@ import pytest
 
 import octex
 from octex.conversion.levels import CellLevels, cell_levels
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, OutputError
+from octex.painting import history
 from octex.painting.merge import merged
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.sight import sight_of
@@ -37,7 +39,10 @@ def shots(surface: octex.Surface, random: np.random.Generator) -> list[octex.Pro
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_session_gives_what_single_calls_give_forth_and_back(seed: int) -> None:
+def test_a_session_gives_what_single_calls_give_forth_and_back(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(history, "_IN_MEMORY", seed % 3)
     random, surface, texture, depth = case(seed)
     painter = octex.Painter(texture, surface)
     states, at = [texture], 0
@@ -68,7 +73,9 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(seed: int) -> Non
         else:
             assert painter.redo() == (at + 1 < len(states))
             at = min(at + 1, len(states) - 1)
-        assert len(painter.strokes) == at
+        if random.random() < 0.5:
+            painter.store()
+        assert len(painter.strokes) == painter.count == at
         painter.texture().tree.validate()
         assert_same(painter.texture(), states[at])
 
@@ -95,6 +102,26 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
     for other in (texture, texture.level(2)):
         with pytest.raises(ArgumentError, match="belongs to another texture"):
             deeper.inverted().applied(other)
+
+
+def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_path: Path) -> None:
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    painter = octex.Painter(octex.convert(surface, 6), surface)
+    assert painter.last == ()
+    colors = range(0, 250, 40)
+    strokes = [painter.paint(brush(surface, color), max_depth=6) for color in colors]
+    with pytest.raises(OutputError, match=r"strokes cannot be stored: .*nowhere"):
+        painter.store(tmp_path / "nowhere")
+    assert painter.strokes == tuple(strokes)
+    painter.store(tmp_path)
+    assert painter.strokes[-1] is strokes[-1]
+    assert painter.strokes[0] is not strokes[0]
+    for (found,), (change,) in zip(painter.strokes, strokes, strict=True):
+        assert found.tiles is not None and change.tiles is not None
+        np.testing.assert_array_equal(found.tiles.codes, change.tiles.codes)
+        assert_same(found.before, change.before)
+        assert_same(found.after, change.after)
+    assert_same(painter.last[0].after, strokes[-1][0].after)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -121,6 +121,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
         {"balance": None},
         {"fit": False},
         {"back_faces": True},
+        {"region": np.arange(len(surface.triangles)) % 2 == 0},
         {"reference": 2},
     ]
     for changed in changes:

@@ -419,6 +419,10 @@ def paint_options(random: Random, run: Run) -> dict[str, object]:
         options["edge_feather"] = some(random, 0.5, 4)
     if random.random() < 0.2:
         options["back_faces"] = True
+    if random.random() < 0.15:
+        options["hidden"] = True
+    if random.random() < 0.15:
+        options["region"] = f"np.arange({len(run.surface.triangles)}) % 3 > 0"
     if random.random() < 0.3:
         options["max_angle"] = one_of(random, (90.0, 30.0, 180.0))
         options["run"] = "octex.Run(memory=1)"  # byte: pictures lie in files meanwhile
@@ -444,7 +448,7 @@ def draw_paint(random: Random, run: Run) -> Step:
     options = paint_options(random, run)
     blend = one_of(random, (*BLENDS, "over"))
     shots = [projection(random, blend) for _ in range(int(random.integers(1, 4)))]
-    if len(shots) > 1 and random.random() < 0.3:
+    if len(shots) > 1 and "hidden" not in options and random.random() < 0.3:
         options["balance"] = one_of(random, ("'gain'", "'full'"))
     pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
     line = call("texture = octex.paint", "texture", "surface", "pictures", **options)

@@ -28,11 +28,13 @@ Array = npt.NDArray[Any]
 def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array, **terms: Any) -> Array:
     """Coverage of points under a white picture."""
     white = Projection(one_color(camera, (1, 1, 1)), camera)
+    hidden = terms.get("hidden", False)
     with pool_of(1) as pool:
         feather = terms.get("feather", 0.0)
         painted = PaintedSurface(surface)
-        shots = take_shots([white], BASE_COLOR, [1.0], painted.sights([camera], feather, pool), pool)
-        limits = terms_of(terms.get("max_angle", 90.0), feather, terms.get("back_faces", False))
+        sights = painted.sights([camera], feather, pool, hidden=hidden)
+        shots = take_shots([white], BASE_COLOR, [1.0], sights, pool)
+        limits = terms_of(terms.get("max_angle", 90.0), feather, terms.get("back_faces", False), hidden)
         source = painted.projected(list(shots), BASE_COLOR, limits)
     return source.evaluate(triangles.astype(np.int32), barycentric, np.zeros(len(triangles), np.float32))[
         :, 3
@@ -61,11 +63,7 @@ def unhidden(surface: Surface, eye: Array, points: Array, own: Array) -> Array:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
     random = np.random.default_rng(seed)
-    blobs = []
-    for middle in ((-0.6, -0.6, 0.6), (0.6, 0.5, -0.6), (-0.5, 0.6, -0.6), (0.1, 0.0, 0.55)):
-        one = ball(8, 0.5)
-        blobs.append((one.vertices * random.uniform(0.4, 1, 3) + middle, one.triangles))
-    surface = plain(together(*blobs))
+    surface = blobs_of(random)
     camera = Camera.fitted(surface.vertices, random.normal(size=3), size=(96, 80))
     samples = surface.scatter(3000, seed)
     found = seen(surface, camera, samples.triangles, samples.barycentric)
@@ -82,6 +80,30 @@ def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
     assert not wrong[~near_edge].any()
     assert wrong.mean() < 0.03
     assert expected.mean() > 0.15
+
+
+def blobs_of(random: np.random.Generator) -> Surface:
+    blobs = []
+    for middle in ((-0.6, -0.6, 0.6), (0.6, 0.5, -0.6), (-0.5, 0.6, -0.6), (0.1, 0.0, 0.55)):
+        one = ball(8, 0.5)
+        blobs.append((one.vertices * random.uniform(0.4, 1, 3) + middle, one.triangles))
+    return plain(together(*blobs))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    surface = blobs_of(random)
+    camera = Camera.fitted(0.6 * surface.vertices, random.normal(size=3), size=(96, 80))
+    samples = surface.scatter(3000, seed)
+    found = seen(surface, camera, samples.triangles, samples.barycentric, hidden=True)
+    eye = camera.position
+    faces = np.einsum("nx,nx->n", samples.normals, eye - samples.points) > 0
+    pixels, depths = camera.project(samples.points)
+    inside = ((pixels >= 0) & (pixels < (96, 80))).all(axis=1) & (depths > 0)
+    assert 0.01 < (faces & ~unhidden(surface, eye, samples.points, samples.triangles)).mean() < 0.5
+    assert 0.2 < inside.mean() < 0.95
+    assert (found == (faces & inside)).all()
 
 
 @pytest.mark.parametrize("gap", [1.0, 0.1, 0.01])

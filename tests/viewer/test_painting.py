@@ -58,14 +58,14 @@ class Studio:
             timeout=60_000,
         )
 
-    def drag(self, page: Any, *places: tuple[float, float], **options: Any) -> None:
+    def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
         """Press a button at the first place, from the middle of the picture, and drag it on."""
         box = page.locator("#picture").bounding_box()
         places = [(box["width"] / 2 + x, box["height"] / 2 + y) for x, y in places]
         page.mouse.move(*places[0])
         page.mouse.down(**options)
         for place in places[1:]:
-            page.mouse.move(*place, steps=5)
+            page.mouse.move(*place, steps=steps)
         page.mouse.up(**options)
 
 

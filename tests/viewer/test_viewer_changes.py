@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import octex
+from octex.editing.draft import Change, joined_change
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
@@ -20,6 +21,7 @@ from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, opened, served
 from tests.make.painted import ball
+from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
 
 #: All that the page holds of its octree, as numbers that tell any two apart.
@@ -33,10 +35,33 @@ _HELD = """async () => {
 }"""
 
 
+#: Whether the page's octree equals one that is loaded anew; what differs.
+_UNLIKE = """async () => {
+  const { Octree } = await import("./octree.js");
+  const header = await (await fetch("data/header")).json(), [part] = header.parts, anew = new Octree(part);
+  const held = viewer.parts[0].octree;
+  const names = ["words", "planes", "entries", "owners", "cells", "nodes", "tables", "depth"];
+  for (const [n, chunk] of part.chunks.entries()) {
+    const packed = (await fetch(`data/${header.version}/0-levels-${n}`)).body;
+    const unpacked = packed.pipeThrough(new DecompressionStream("deflate-raw"));
+    const bytes = new Uint8Array(await new Response(unpacked).arrayBuffer());
+    if (chunk.levels) anew.take(chunk, bytes);
+    else anew.takeTables(bytes);
+  }
+  const isLike = (a, b) => {
+    if (ArrayBuffer.isView(a)) return a.length === b.length && a.every((each, n) => each === b[n]);
+    const isSame = (x, y) => (y instanceof Object ? isLike(x, y) : x === y);
+    return Object.keys(b).every((key) => isSame(a[key], b[key]));
+  };
+  return names.filter((name) => !isLike([held[name]], [anew[name]]));
+}"""
+
+
 def told(viewer: Viewer, page: Any) -> None:
     """Wait until a page has what is shown."""
     viewer.changed()
-    page.wait_for_function("(version) => viewer.version === version", arg=viewer.version()[0], timeout=60_000)
+    shows = "(version) => viewer.version === version"
+    page.wait_for_function(shows, arg=viewer.version()[0], timeout=60_000, polling=20)
 
 
 @needs_jit
@@ -77,6 +102,35 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any,
         page.evaluate("lose.restoreContext()")
         page.wait_for_function("!viewer.isLost")
         shown(page, texture, surface, True)
+        assert page.complaints == []
+        page.close()
+
+
+@needs_jit
+@pytest.mark.parametrize("seed", range(2))
+def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(
+    seed: int, browser: Any, tmp_path: Path
+) -> None:
+    random = np.random.default_rng(seed)
+    surface = sheet(np.eye(3), 0.01) if seed % 2 else ball(12)
+    waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+    painter = octex.Painter(octex.convert(waves, depth=4, max_error=3 if seed % 2 else None), surface)
+    width = float(np.ptp(surface.bounds, axis=0).max())
+    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
+        page = opened(browser, viewer.url, (64, 48))
+        page.evaluate("viewer.frame = () => {}")  # nothing is looked at
+        for _ in range(25):
+            middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
+            sphere = octex.Sphere(middle, width * random.uniform(0.01, 0.2))
+            depth = None if random.random() < 0.5 else int(random.integers(4, 8))
+            move = random.integers(4)
+            if move < 2:
+                painter.fill(sphere, random.random(3), max_depth=depth)
+            else:
+                (painter.undo if move == 2 else painter.redo)()
+            told(viewer, page)
+            assert page.evaluate(_UNLIKE) == []
+        assert painter.texture().tree.kept.cells.size
         assert page.complaints == []
         page.close()
 
@@ -176,7 +230,8 @@ def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed:
     texture = octex.convert(waves, depth=6 + seed % 2, max_error=3 if seed > 1 else None)
     painter = octex.Painter(texture, surface)
     low, high = surface.bounds
-    width, is_small = float((high - low).max()), 0
+    width, is_small, is_joined = float((high - low).max()), 0, 0
+    first, together = texture, list[Change]()
     for _ in range(12):
         middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
         before, move = painter.texture(), random.integers(4)
@@ -192,7 +247,16 @@ def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed:
             after = painter.texture()
             assert change_of(change, before, after) == change_between(before, after)
             is_small += change.tiles is not None
+        together += changes
+        if len(together) == 3:
+            after = painter.texture()
+            joined = joined_change(together, first, after)
+            assert change_of(joined, first, after) == change_between(first, after)
+            assert_same(joined.put_into(first), after)
+            is_joined += joined.tiles is not None
+            first, together = after, []
     assert is_small > 2
+    assert is_joined > 0
 
 
 def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:

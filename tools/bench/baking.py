@@ -8,15 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 from inputs import painted_torus
 from measuring import DROID, Report, Setup, Spent, in_turns, open3d, pinned, timed
 
 import octex
+from octex.baking.atlas import atlas_layout
 from octex.baking.gutters import find_nearest
-from octex.baking.layout import Layout, charts_of, neighbors
+from octex.baking.layout import Layout, charts_of, doubled_areas, neighbors
 from octex.baking.texels import draw_texels
 from octex.channels import CHANNELS, linear_to_srgb, srgb_to_linear
 from octex.formats.models import materials_of
+from octex.source.mesh import Mesh
 
 Floats = npt.NDArray[np.float64]
 
@@ -44,6 +47,7 @@ def baking(setup: Setup, report: Report) -> None:
     )
     report.table(["model", "uv", "size", "dB", *(f"mip {level}" for level in range(MIPS)), "normals"], rows)
     _speed(setup, report)
+    _atlases(setup, report)
 
 
 def _models(setup: Setup) -> Iterator[Path]:
@@ -239,6 +243,32 @@ def _speed(setup: Setup, report: Report) -> None:
     report.line(f"{size}², five channels, {len(surface.triangles):,} triangles", spent)
     report.at_most("baking: five channels of 4096²", spent.wall, 6.0, "s")
     _beside_open3d(setup, report, texture, surface, size)
+
+
+def _atlases(setup: Setup, report: Report) -> None:
+    """Lay out a ball with noise, as scans have it: by octex, and by xatlas where that ends."""
+    report.title("baking: atlases of a ball with noise of 0.2 % of its radius")
+    for divided, seconds in ((3, 6.0),) if setup.quick else ((5, 6.0), (7, 6.0), (8, 25.0)):
+        ball = trimesh.creation.icosphere(divided)
+        noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal((len(ball.vertices), 1))
+        mesh = Mesh(ball.vertices * noise, np.asarray(ball.faces))
+        for by_xatlas in (False, True):
+            name = f"{len(mesh.triangles):,} triangles, {'xatlas' if by_xatlas else 'octex'}"
+            size = 4096 if divided > 7 else 2048
+            try:
+                spent, layout = timed(lambda: atlas_layout(mesh, [size], None, 1e-9, by_xatlas=by_xatlas))  # noqa: B023
+            except octex.OctexError as error:
+                report.line(name, str(error))
+                continue
+            areas = np.bincount(layout.charts, np.abs(doubled_areas(layout.corners)) / 2.0)
+            small, coverage = float((areas < 8).mean()), float(areas.sum()) / size**2
+            report.line(
+                name, f"{spent}; {areas.size:,} charts, {small:.1%} below 8 texels, {coverage:.0%} covered"
+            )
+            if not by_xatlas:
+                report.at_most(f"baking: atlas, {name}", spent.wall, seconds, "s")
+                report.at_most(f"baking: atlas, {name}, charts below 8 texels", 100.0 * small, 10.0, "%")
+                report.at_least(f"baking: atlas, {name}, covered", 100.0 * coverage, 60.0, "%")
 
 
 def _waves(rate: float, components: int) -> Callable[[Floats], Floats]:

@@ -207,7 +207,6 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
 
 def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
     """Bake to images in atlases of both kinds, and write them."""
-    from octex.baking import atlas
     from octex.baking.texels import barycentric_at
 
     surface, translucent = surfaces[0], surfaces[2]
@@ -216,7 +215,6 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
         octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, padding=2, supersample=2
     )
     barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
-    atlas.projected(surface)
     octex.write_model(
         octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2), folder / "baked.glb"
     )

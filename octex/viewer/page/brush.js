@@ -1,5 +1,6 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 // The camera of the view as it is now, as commands have it.
@@ -11,8 +12,10 @@ export function cameraOf({ film: { width, height }, camera }) {
 // Send a stroke, if there is one; show it until it is painted.
 export function send({ strokes, sending }, stroke, isShown = true) {
   if (!stroke) return;
-  const { name, camera, box, color, colors = new Uint8Array(), opacity, coverage, angle: maxAngle, backFaces, mirror } = stroke;
-  const command = { kind: "stroke", name: mirror ? `${name}, mirrored` : name, camera, box, color, opacity, maxAngle, backFaces, mirror };
+  const { name, colors = new Uint8Array(), coverage, angle: maxAngle, ...own } = stroke;
+  const { camera, box, color, values, opacity, blend, backFaces, hidden, at, mirror, offset } = own;
+  const called = mirror ? `${name}, mirrored` : name;
+  const command = { kind: "stroke", name: called, camera, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset };
   stroke.number = sending.send(command, deflated(new Blob([colors, coverage])));
   if (isShown) strokes.keep(stroke);
 }
@@ -21,18 +24,18 @@ export class BrushDrag {
   // `own` replaces what the brush is set to: its name, and a picture instead of its colour.
   constructor(painting, event, own = {}) {
     this.painting = painting;
-    this.at = painting.place(event);
+    const { brush, paint, below, offset } = painting, at = painting.place(event);
+    this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    painting.strokes.begin({ name: "Brush", ...painting.brush, ...own, camera: cameraOf(painting.viewer) });
-    this.draw(this.at, this.at);
+    const point = brush.onePart ? below?.rest : undefined;
+    painting.strokes.begin({ name: "Brush", ...brush, ...paint, offset, at: point, ...own, camera: cameraOf(painting.viewer) });
+    this.draw(at, at);
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      const at = this.painting.place(each);
-      this.draw(this.at, at);
-      this.at = at;
+      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
     }
   }
 

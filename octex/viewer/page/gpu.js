@@ -10,7 +10,7 @@ const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
 const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 const LANES = "xyzw";
-const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal"];
+export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
   layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
@@ -20,6 +20,7 @@ const STAGES = {
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
   stroke: ["screen.vert", ["stroke.frag"]],
   retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
+  dabs: ["screen.vert", ["dabs.frag"]],
 };
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
 // Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
@@ -145,7 +146,8 @@ export class Gpu {
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, OVER: kind === "surface" && look.isOver });
-    Object.assign(flags, { PAINTS: paint && (kind === "places" || kind === "layers") });
+    Object.assign(flags, { RELIEF: kind === "surface" && this.showsRelief(look) });
+    Object.assign(flags, { PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
@@ -155,8 +157,7 @@ export class Gpu {
       const { name, components, at } = channel;
       if (at[0] >= planes) continue;
       if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${lanes(channel)}`);
-      else if (MATERIALS.includes(name)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
-      if (kind === "surface" && name === paint?.channel) define("PAINTED", `g_sum${at[0]}.${lanes(channel)}`);
+      else if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
       if (name !== look.channel) continue;
       const color = (from) => (components === 2 ? `vec3(${from}.${lanes(channel)}, 0.0)` : `vec3(${from}.${lanes(channel)})`);
       define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
@@ -178,6 +179,7 @@ export class Gpu {
   planesFor(part, look) {
     const read = ["alpha"];
     if (look.shown === "lit") read.push(...MATERIALS);
+    if (look.shown === "height") read.push("height");
     if (look.shown === "unlit") read.push("base_color", "emissive");
     if (["channel", "spread"].includes(look.shown)) read.push(look.channel);
     const known = read.map((name) => part.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
@@ -212,9 +214,10 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed.
+  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed,
+  // or that is `near` what has: see surface.frag.
   // Before there is a mesh this makes its programs ready, while data comes.
-  draw(look, camera, width, height, only = null) {
+  draw(look, camera, width, height, only = null, near = null) {
     const { gl, canvas } = this;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -223,7 +226,7 @@ export class Gpu {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
-    else this.drawSurface(look, camera, width, height, only);
+    else this.drawSurface({ ...look, near }, camera, width, height, only);
   }
 
   // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
@@ -285,8 +288,8 @@ export class Gpu {
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...this.background);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(look, camera, places, picture, OPAQUES, {}, only && !isLayered);
+    if (!look.near) gl.clear(gl.COLOR_BUFFER_BIT);
+    this.drawLayer(look, camera, places, picture, OPAQUES, {}, (only || look.near) && !isLayered);
     let last = picture;
     if (isLayered) {
       last = this.target("blended", width, height, [gl.RGBA8], places);
@@ -313,21 +316,48 @@ export class Gpu {
     if (look.paint) Object.assign(drawn, look.paint.textures);
     const beside = this.parts.find((part) => this.showsSource(part, look));
     if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
+    if (this.showsRelief(look)) drawn.u_heights = this.drawHeights(look, camera, places, drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    this.drawSeen((part, number) => {
-      const planes = this.planesFor(part, look), program = this.program("surface", part, look, planes);
-      this.setTree(program, part, look, planes, drawn);
-      this.setLight(program);
-      this.setColors(program);
-      look.paint?.set(program, width, height);
-      gl.uniform1f(program.at("u_divider"), look.divider * width);
-      gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
-      gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
-      gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
-      const marked = look.marked?.part === number ? look.marked : { index: [0, 0, 0], edge: 0 };
-      gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
-      gl.uniform1f(program.at("u_markedEdge"), marked.edge);
-    });
+    this.drawSeen((part, number) => this.useSurface(part, number, look, camera, drawn, target));
+  }
+
+  // Whether heights bend the light.
+  showsRelief(look) {
+    return look.shown === "lit" && look.relief > 0 && this.parts.some((part) => part.channel("height")?.components === 1);
+  }
+
+  // Draw the heights of what is seen; returns the texture.
+  drawHeights(look, camera, places, drawn) {
+    const { gl } = this, target = this.target("heights", places.width, places.height, [gl.R32UI], places);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+    this.drawSeen((part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
+    return target.textures[0];
+  }
+
+  // Make ready what draws the surface of a part.
+  useSurface(part, number, look, camera, drawn, { width, height }) {
+    const { gl } = this, planes = this.planesFor(part, look), program = this.program("surface", part, look, planes);
+    this.setTree(program, part, look, planes, drawn);
+    this.setLight(program);
+    this.setColors(program);
+    look.paint?.set(program, width, height, planes);
+    gl.uniform1f(program.at("u_relief"), look.relief);
+    gl.uniform1f(program.at("u_divider"), look.divider * width);
+    gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
+    gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
+    gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
+    gl.uniform1i(program.at("u_isNear"), look.near ? 1 : 0);
+    if (look.near) {
+      const [low, high] = look.near;
+      gl.uniform3fv(program.at("u_nearLow"), low.slice(0, 3));
+      gl.uniform3fv(program.at("u_nearHigh"), high.slice(0, 3));
+      gl.uniform4f(program.at("u_nearPart"), ...low.slice(3), ...high.slice(3));
+      gl.uniform2f(program.at("u_size"), width, height);
+    }
+    const marked = look.marked?.part === number ? look.marked : { index: [0, 0, 0], edge: 0 };
+    gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
+    gl.uniform1f(program.at("u_markedEdge"), marked.edge);
   }
 
   // Draw what the model's own images have of what is seen; returns the texture.

@@ -3,7 +3,7 @@
 import { element } from "./elements.js";
 
 const NAME = "octex";
-const CONTROLS = ["shown", "filter", "level", "footprints", "facing", "cubes", "turntable", "beside"];
+const CONTROLS = ["shown", "filter", "level", "relief", "footprints", "facing", "cubes", "turntable", "beside"];
 
 const stateOf = ({ type, checked, value, max }) => (type === "checkbox" ? checked : value === max ? null : value);
 

@@ -16,20 +16,41 @@ export function planes(bytes, count, at) {
 
 const rowsFor = (count) => Math.max(Math.ceil(count / ROW), 1);
 
+export const MORE = 1 / 8; // of an array or a texture that has grown: the room behind it for more
+
+// An array of another length that begins with the same numbers; where its buffer has room, the buffer is the same.
+function resized(array, length) {
+  const Type = array.constructor, { buffer } = array;
+  if (length * Type.BYTES_PER_ELEMENT <= buffer.byteLength) return new Type(buffer, 0, length);
+  const made = new Type(Math.ceil(length * (1 + MORE)));
+  made.set(array);
+  return made.subarray(0, length);
+}
+
 export class Octree {
   constructor(header) {
-    this.header = header;
-    this.cells = header.levelCells;
-    this.nodes = header.levelNodes;
     this.depth = -1; // the deepest level that has arrived
-    const nNodes = this.nodes.at(-1), nRows = this.cells.at(-1) + header.kept + header.split[1];
-    this.words = new Uint32Array(2 * ROW * rowsFor(nNodes));
-    this.planes = header.planes.map(() => new Uint8Array(4 * ROW * rowsFor(nRows)));
-    this.owners = new Uint32Array(nNodes); // the cell that each node is
-    this.entries = new Uint32Array(2 * ROW * rowsFor(header.kept + header.split[0])); // see u_entries
+    this.words = new Uint32Array();
+    this.planes = header.planes.map(() => new Uint8Array());
+    this.owners = new Uint32Array(); // the cell that each node is
+    this.entries = new Uint32Array(); // see u_entries
     this.tables = { kept: 0, split: 0 }; // entries that have arrived
     this.nextNode = 1;
     this.nextCell = 1;
+    this.resize(header);
+  }
+
+  // Have room for what a header says; what is there stays.
+  resize(header) {
+    const { kept, split } = header;
+    this.header = header;
+    this.cells = header.levelCells;
+    this.nodes = header.levelNodes;
+    const nNodes = this.nodes.at(-1), nRows = this.cells.at(-1) + kept + split[1];
+    this.words = resized(this.words, 2 * ROW * rowsFor(nNodes));
+    this.planes = this.planes.map((plane) => resized(plane, 4 * ROW * rowsFor(nRows)));
+    this.owners = resized(this.owners, nNodes);
+    this.entries = resized(this.entries, 2 * ROW * rowsFor(kept + split[0]));
   }
 
   // Take a chunk of levels; returns the rows of nodes and of cells that are new.

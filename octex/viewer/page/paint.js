@@ -3,19 +3,21 @@
 import { element } from "./elements.js";
 import { Elsewhere } from "./elsewhere.js";
 import { onDrop } from "./images.js";
+import { Material, fromHex, toHex } from "./material.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
 import { TOOLS, pick } from "./tools.js";
+import { under } from "./under.js";
 
 const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
+const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s units are counted in these
 
-const toHex = (color) => `#${color.map((code) => Math.round(code).toString(16).padStart(2, "0")).join("")}`;
-const fromHex = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16));
+const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
 export async function begin(viewer, told) {
   const painting = new Painting(viewer);
@@ -27,7 +29,9 @@ export async function begin(viewer, told) {
 class Painting {
   constructor(viewer) {
     this.viewer = viewer;
-    this.brush = { color: [200, 60, 40], size: 40, hardness: 0.7, opacity: 1, angle: MOST_ANGLE, backFaces: false, mirror: "", filled: "part" };
+    this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, pressure: "size", blend: "over" };
+    Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, hidden: false, onePart: false, mirror: "", mirrorAt: 0, filled: "part", tolerance: 12 });
+    Object.assign(this.brush, { ticked: ["base_color"], values: {} }, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.sending = new Sending((text) => this.say(text));
     this.strokes = new Strokes(viewer);
@@ -38,7 +42,7 @@ class Painting {
 
   async open() {
     const { viewer } = this, { gpu } = viewer;
-    for (const name of ["stroke.frag", "retouch.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
+    for (const name of ["stroke.frag", "dabs.frag", "retouch.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
     document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
@@ -59,12 +63,13 @@ class Painting {
     const button = ({ name, text, key, shownKey = key.toUpperCase() }) =>
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
-    this.ring = make("div", { id: "ring", hidden: true });
+    this.ring = make("div", { id: "ring", hidden: true }, make("i"));
     this.main.append(this.tools, this.ring);
     const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
+    this.material = new Material(this);
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
       make("div", { class: "bar" },
         act("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
@@ -76,11 +81,23 @@ class Painting {
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
+      ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
+      section("tip", "Brush",
+        ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
+        ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
+        ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
+        ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
+      this.material.section,
       section("where", "What is painted",
         ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
         check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
+        check("hidden", "also what is hidden", (hidden) => this.set({ hidden })),
+        check("one-part", "only the part that a stroke begins on", (onePart) => this.set({ onePart })),
         ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
-        ...choice("filled", "Fill", [["part", "the part that is clicked"], ["all", "the whole model"]], (filled) => this.set({ filled }))),
+        ...slider("mirror-at", "Mirror’s place", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
+      section("filling", "Fill",
+        ...choice("filled", "What is clicked fills", [["part", "its part"], ["color", "its colour, as far as that goes"], ["colors", "its colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
+        ...slider("tolerance", "Colours that differ by", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
       section("history", "Steps", make("ol", { id: "steps" })),
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
@@ -108,14 +125,51 @@ class Painting {
     element("color-text").textContent = toHex(brush.color);
     element("other").style.background = toHex(this.other);
     element("size").value = Math.log(brush.size);
-    element("size-text").textContent = `${brush.size} px`;
+    element("size-text").textContent = brush.unit === "pixels" ? `${brush.size} px` : `${Number((brush.size * this.thousandth).toPrecision(2))}`;
     element("angle").value = brush.angle;
     element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
-    for (const name of ["hardness", "opacity"]) {
+    element("mirror-at").value = brush.mirrorAt;
+    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % of the model` : "middle";
+    element("mirror-at").disabled = !brush.mirror;
+    element("tolerance").value = brush.tolerance;
+    element("tolerance-text").textContent = `${brush.tolerance}`;
+    element("tolerance").disabled = !brush.filled.startsWith("color");
+    for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
+    for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
+    for (const name of ["hardness", "opacity", "flow", "spacing"]) {
       element(name).value = brush[name];
       element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
     }
+    this.material.show();
     if (this.at) this.outline(this.at);
+  }
+
+  // How far the mirror is from the model’s middle.
+  get offset() {
+    const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror), [low, high] = this.viewer.bounds();
+    return mirror ? (mirrorAt / 100) * (high[axis] - low[axis]) : 0;
+  }
+
+  get thousandth() {
+    return THOUSANDTH * this.viewer.parts[0].header.size;
+  }
+
+  // How many pixels of the page the brush’s size is where the pointer is.
+  get width() {
+    const { brush: { size, unit }, viewer: { canvas, camera } } = this, away = this.below?.away ?? camera.distance;
+    return unit === "pixels" ? size : (size * this.thousandth * canvas.clientHeight) / (2 * Math.tan(camera.fov / 2) * away);
+  }
+
+  // Give the size in another unit; it stays as large.
+  measure(unit) {
+    const before = this.width, { brush } = this;
+    Object.assign(brush, { unit, size: 1 });
+    this.set({ size: Math.round(before / this.width) });
+  }
+
+  // What strokes and fills are painted with: a colour, values of other channels, or both.
+  get paint() {
+    return this.material.paint;
   }
 
   swap() {
@@ -149,29 +203,37 @@ class Painting {
     }, { capture: true, passive: false });
     on("dblclick", (event) => event.target === canvas && this.isOnModel && event.stopPropagation());
     document.addEventListener("keydown", (event) => this.key(event), true);
+    window.addEventListener("pagehide", () => sessionStorage.setItem(KEPT, JSON.stringify(this.brush)));
     window.addEventListener("beforeunload", (event) => {
       if (this.sending.waiting.length) event.preventDefault();
     });
   }
 
   place({ clientX, clientY, pressure, pointerType }) {
-    const frame = this.viewer.canvas.getBoundingClientRect(), share = pointerType === "pen" ? LEAST_PRESSURE + (1 - LEAST_PRESSURE) * pressure : 1;
-    return [clientX - frame.left, clientY - frame.top, (share * this.brush.size) / 2];
+    const frame = this.viewer.canvas.getBoundingClientRect(), by = pointerType === "pen" ? this.brush.pressure : "";
+    const share = by === "size" || by === "both" ? LEAST_PRESSURE + (1 - LEAST_PRESSURE) * pressure : 1;
+    return [clientX - frame.left, clientY - frame.top, (share * this.width) / 2, by === "opacity" || by === "both" ? pressure : 1];
+  }
+
+  // See what is under the pointer; beside the model a stroke keeps what it was on last.
+  look(event) {
+    const [x, y] = this.place(event);
+    this.below = under(this.viewer, x, y) ?? (this.pen ? this.below : null);
   }
 
   // Whether a pointer is for the tool; else it turns or moves the view. Beside the model it turns.
   isForTool(event) {
     if (this.tool.turns || event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
+    this.look(event);
     this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
     return this.isOnModel;
   }
 
   // Why nothing can be painted on what is shown; or nothing.
   get hindrance() {
-    const { look } = this.viewer, isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === this.strokes.channel);
+    const { look } = this.viewer;
     if (look.moved) return "Choose the model as it rests, without an animation, to paint.";
-    if (look.cubes || !isColor) return "Show the colours of the surface to paint.";
-    return "";
+    return this.material.hindrance;
   }
 
   down(event) {
@@ -198,10 +260,12 @@ class Painting {
 
   moved(event) {
     if (!this.pen || event.pointerId !== this.pen.id) {
-      if (event.target === this.viewer.canvas) this.outline(this.place(event));
-      return;
+      if (event.target !== this.viewer.canvas) return;
+      this.look(event);
+      return this.outline(this.place(event));
     }
     event.stopPropagation();
+    this.look(event);
     this.pen.drag.moved(event);
     this.outline(this.place(event));
   }
@@ -264,9 +328,14 @@ class Painting {
     this.tool.hovered?.(this, at);
     ring.hidden = at === null || !this.tool.hasRing;
     if (ring.hidden) return;
-    const [x, y, radius] = [at[0], at[1], this.brush.size / 2];
+    const [x, y, radius] = [at[0], at[1], this.width / 2];
     ring.style.width = ring.style.height = `${2 * radius}px`;
     ring.style.transform = `translate(${x - radius}px, ${y - radius}px)`;
+    // A needle on the surface shows how that is turned: its length goes with the sine of the angle that it is seen at.
+    const { normal = [0, 0, 1], toward = [0, 0, 1] } = this.below ?? {}, cosine = normal.reduce((sum, part, k) => sum + part * toward[k], 0);
+    const [across, up] = normal.map((part, k) => part - cosine * toward[k]);
+    ring.firstChild.style.width = `${radius * Math.hypot(across, up)}px`;
+    ring.firstChild.style.transform = `rotate(${Math.atan2(-up, across)}rad)`;
   }
 
   // A version of the texture is shown, of which this is told.

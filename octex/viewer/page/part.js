@@ -1,8 +1,8 @@
 // A texture and its mesh: of a set, one of several. What the GPU holds of them.
 
-import { Octree, ROW } from "./octree.js";
+import { MORE, Octree, ROW } from "./octree.js";
+import { patch } from "./patch.js";
 
-const MORE = 1 / 8; // of a texture that has grown: the room that it gets for more
 const PIECES = 20; // milliseconds of a picture in which cells become cubes
 const rowsOf = ({ array, size }) => array.length / (size * ROW);
 
@@ -110,32 +110,23 @@ export class Part {
     for (const plane of this.planes) put(plane, cells);
   }
 
-  // Take the octree as it has changed: only rows that differ are sent. Textures that get too small are made anew,
-  // with room for what comes next. Returns how many rows were sent.
-  change(header, octree) {
+  // Take a change of the octree: only rows that differ are sent. Textures that get too small are made anew, with room
+  // for what comes next. Returns how many rows were sent.
+  change(header, counts, bytes) {
+    const { octree } = this, { nodes, entries, cells } = patch(octree, header, counts, bytes);
+    octree.header = Object.assign(this.header, header);
+    const arrays = [octree.words, octree.entries, ...octree.planes], marks = [nodes, entries, ...octree.planes.map(() => cells)];
     let sent = 0;
-    Object.assign(this.header, header);
-    octree.header = this.header;
-    const arrays = [octree.words, octree.entries, ...octree.planes];
-    this.octree = octree;
     this.held.forEach((held, n) => {
-      const before = held.array;
       held.array = arrays[n];
       const rows = Math.min(rowsOf(held), this.mostRows), fits = rows <= held.rows;
       if (!fits) {
         this.gl.deleteTexture(held.texture);
         this.allocate(held, MORE);
       }
-      const [was, now] = [before, held.array].map((array) => new Uint32Array(array.buffer));
-      const width = now.length / rowsOf(held);
-      const differs = (row) => {
-        for (let at = row * width; at < (row + 1) * width; at++) if (was[at] !== now[at]) return true;
-        return false;
-      };
-      for (let row = 0; row < rows; row++) {
-        if (fits && !differs(row)) continue;
-        this.send(held, row, row + 1);
-        sent++;
+      for (let begin = 0, end; begin < rows; begin = end + 1) {
+        for (end = begin; end < rows && (!fits || marks[n][end]); end++) sent++;
+        this.send(held, begin, end);
       }
     });
     this.cubes = null;

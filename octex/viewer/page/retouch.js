@@ -31,7 +31,7 @@ export class Seen {
     this.across = Math.ceil(this.width / TILE);
     this.known = new Set();
     const facing = parts.some(({ header }) => header.split[0] > 0), paint = Object.create(strokes, { current: { value: null } });
-    const shown = { shown: "channel", channel: strokes.channel, filter: "quadratic", footprints: true, level: gpu.deepest };
+    const shown = { shown: "channel", channel: "base_color", filter: "quadratic", footprints: true, level: gpu.deepest };
     this.look = { ...look, ...shown, facing, paint, divider: 0, marked: null };
   }
 
@@ -154,8 +154,9 @@ class Smudged extends Made {
     this.run(COPY, this.seen.target, this.made, box);
   }
 
-  ready(box, from, to, [, radius]) {
-    this.at ??= from.map(Math.round);
+  ready(box, from, to) {
+    const radius = to[2];
+    this.at ??= from.slice(0, 2).map(Math.round);
     const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), dabs = Math.floor((far * DABS) / Math.max(radius, DABS));
     this.seen.need(box);
     const start = this.at;
@@ -202,7 +203,7 @@ export class Retouch {
   }
 
   drag(event, own) {
-    return new BrushDrag(this.painting, event, { ...own, mirror: "" });
+    return new BrushDrag(this.painting, event, { ...own, mirror: "", blend: "over", hidden: false });
   }
 
   blur(event) {

@@ -1,11 +1,21 @@
 // The stroke that is drawn, and those that the server has not painted yet: what the picture shows of them.
 
+import { CLOSE, Dabs, joined } from "./dabs.js";
+
 export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless it is set otherwise
 const FADE = 10; // and over which paint fades
 
 const cosine = (degrees) => Math.cos((degrees * Math.PI) / 180);
-export const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
+const toLight = (code) => (code <= 10.31475 ? code / 255 / 12.92 : ((code / 255 + 0.055) / 1.055) ** 2.4);
 const LIGHTS = Float32Array.from({ length: 256 }, (_, code) => toLight(code));
+
+const UNIT = 27; // of textures: the strokes that are sent
+const PLAIN = new Float32Array(4);
+
+// How paint p meets what is there, b: with a coverage a it makes b·(1 − a·cover) + a·added of each component. Here are
+// cover and added for each blend mode, and tables of both by p's code. See BLENDS in octex/painting/picture.py.
+const BLENDS = { over: (p) => [1, p], multiply: (p) => [1 - p, 0], screen: (p) => [p, p], add: (p) => [0, p] };
+const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => [name, [0, 1].map((n) => LIGHTS.map((p) => blend(p)[n]))]));
 
 // Of matrices, column after column.
 function product(a, b) {
@@ -13,15 +23,19 @@ function product(a, b) {
   return Float32Array.from({ length: 16 }, (_, n) => entry(n));
 }
 
-// The smallest box around two (left, bottom, right, top), of which the first may be none.
-export const around = (a, b) => (a ? [Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.max(a[2], b[2]), Math.max(a[3], b[3])] : b);
+// The box (left, bottom, right, top) that a line with radii reaches.
+function reached(from, to) {
+  const [left, bottom] = [0, 1].map((k) => Math.floor(Math.min(from[k] - from[2], to[k] - to[2])) - 1);
+  const [right, top] = [0, 1].map((k) => Math.ceil(Math.max(from[k] + from[2], to[k] + to[2])) + 1);
+  return [left, bottom, right, top];
+}
 
 export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
-    this.channel = "base_color";
-    this.current = null; // color or picture, opacity, hardness, box
-    this.sent = []; // what is not painted yet: number, box, coverage, opacity, color or planes of colors
+    this.current = null; // color and values of channels or a picture, opacity, hardness, blend, box
+    this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color and values, or planes of colors
+    this.sums = new Map(); // of them by plane: how they cover what is there, and what they add
     this.size = [0, 0];
   }
 
@@ -51,17 +65,44 @@ export class Strokes {
     const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
     this.target = gpu.target("stroke", width, height, [gl.R8]);
-    if (this.texture) gl.deleteTexture(this.texture);
-    this.texture = gl.createTexture();
-    for (const texture of [this.texture, this.target.textures[0]]) {
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      for (const name of ["MIN", "MAG"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
-      for (const name of ["S", "T"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
-    }
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, width, height);
-    this.light = new Float32Array(4 * width * height);
+    this.smooth(gl.TEXTURE_2D, this.target.textures[0]);
+    this.layer([]);
     this.clear();
+  }
+
+  // Read a texture between its texels.
+  smooth(kind, texture) {
+    const { gl } = this.viewer.gpu;
+    gl.bindTexture(kind, texture);
+    for (const name of ["MIN", "MAG"]) gl.texParameteri(kind, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
+    for (const name of ["S", "T"]) gl.texParameteri(kind, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
+  }
+
+  // Have layers for planes, two each: how strokes cover what is there, and what they add.
+  layer(planes) {
+    const { gl } = this.viewer.gpu, [width, height] = planes.length ? this.size : [1, 1];
+    gl.deleteTexture(this.composed ?? null);
+    this.composed = gl.createTexture();
+    this.smooth(gl.TEXTURE_2D_ARRAY, this.composed);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, width, height, Math.max(2 * planes.length, 1));
+    this.sums = new Map(planes.map((plane) => [plane, [0, 1].map(() => new Float32Array(4 * width * height))]));
+  }
+
+  // How a stroke's paint meets the components of planes: of each four numbers of how it covers, and four that it adds.
+  paintOf({ color, colors, values = {}, blend = "over" }) {
+    const found = new Map(), part = this.viewer.parts[0];
+    for (const [name, value] of Object.entries({ base_color: color ?? (colors && [0, 0, 0]), ...values })) {
+      const channel = part.channel(name);
+      if (!value || !channel) continue;
+      const { at: [plane, slot], range: [low, high], space } = channel;
+      if (!found.has(plane)) found.set(plane, [new Float32Array(4), new Float32Array(4)]);
+      value.forEach((given, k) => {
+        const [covers, adds] = BLENDS[blend](space === "data" ? given : LIGHTS[Math.round(given)]);
+        found.get(plane)[0][slot + k] = covers;
+        found.get(plane)[1][slot + k] = (adds - covers * low) / (high - low);
+      });
+    }
+    return found;
   }
 
   clear() {
@@ -75,20 +116,32 @@ export class Strokes {
   begin(brush) {
     this.fit();
     this.clear();
-    this.current = { ...brush, box: null };
+    const { flow = 1, spacing = 0 } = brush;
+    this.current = { ...brush, box: null, dabs: flow < 1 || spacing > CLOSE ? new Dabs(this) : null };
   }
 
-  // Draw from one place of the pen to another, with radii, in CSS pixels; returns what of the picture has changed.
+  // Draw from one place of the pen to another, with radii and strengths, in CSS pixels; returns what of the picture has
+  // changed.
   extend(from, to) {
-    const { viewer, current, target } = this, { gl } = viewer.gpu, [width, height] = this.size;
-    const { times } = viewer.film, place = ([x, y]) => [x * times, height - y * times];
-    const reach = times * Math.max(from[2], to[2]) + 1, low = place(from), high = place(to), ends = [low, high];
+    const { viewer, current } = this, [, height] = this.size, { times } = viewer.film;
+    const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * times, height - y * times, radius * times, strength]);
+    current.picture?.ready?.(reached(...ends), ...ends);
+    const box = current.dabs ? current.dabs.draw(...ends, current) : this.line(...ends);
+    if (!box) return null;
+    current.box = joined(current.box, box);
+    const [left, bottom, right, top] = box;
+    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+  }
+
+  // Draw a line from one place to another, in pixels from the lower left; returns its box.
+  line(from, to) {
+    const { viewer, current, target } = this, { gl } = viewer.gpu, [width, height] = this.size, ends = [from, to];
+    const reach = Math.max(from[2], to[2]) + 1;
     const left = Math.max(Math.floor(Math.min(...ends.map((p) => p[0])) - reach), 0);
     const right = Math.min(Math.ceil(Math.max(...ends.map((p) => p[0])) + reach), width);
     const bottom = Math.max(Math.floor(Math.min(...ends.map((p) => p[1])) - reach), 0);
     const top = Math.min(Math.ceil(Math.max(...ends.map((p) => p[1])) + reach), height);
     if (left >= right || bottom >= top) return null;
-    current.picture?.ready?.([left, bottom, right, top], low, high, [from[2] * times, to[2] * times]);
     const program = viewer.gpu.program("stroke", viewer.parts[0], viewer.look, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, width, height);
@@ -97,15 +150,15 @@ export class Strokes {
     gl.scissor(left, bottom, right - left, top - bottom);
     gl.enable(gl.BLEND);
     gl.blendEquation(gl.MAX);
-    gl.uniform4f(program.at("u_line"), ...low, ...high);
-    gl.uniform2f(program.at("u_radii"), from[2] * times, to[2] * times);
+    gl.uniform4f(program.at("u_line"), from[0], from[1], to[0], to[1]);
+    gl.uniform2f(program.at("u_radii"), from[2], to[2]);
+    gl.uniform2f(program.at("u_strengths"), from[3], to[3]);
     gl.uniform1f(program.at("u_hardness"), current.hardness);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
     gl.disable(gl.SCISSOR_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    current.box = around(current.box, [left, bottom, right, top]);
-    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+    return [left, bottom, right, top];
   }
 
   // Cover all of a box (left, bottom, right, top).
@@ -143,7 +196,8 @@ export class Strokes {
       }
     }
     if (!coverage.some((each) => each > 0)) return null;
-    return { ...current, picture: null, color: picture ? undefined : current.color, colors, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    const own = picture && { color: undefined, values: undefined, colors, picture: null };
+    return { ...current, ...own, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // Show a stroke until it is painted.
@@ -159,38 +213,66 @@ export class Strokes {
     if (this.sent.length !== before) this.compose();
   }
 
-  // Lay strokes that are not painted yet over each other, as they will be painted.
+  // Lay strokes that are not painted yet over each other, as they will be painted: how they cover what is there, and
+  // what they add.
   compose() {
-    const { gl } = this.viewer.gpu, [width, height] = this.size, { light } = this;
+    const { gl } = this.viewer.gpu, [width, height] = this.size;
     if (!this.sent.length) return;
-    light.fill(0);
-    for (const { box: [left, top, right, bottom], coverage, color, colors, opacity } of this.sent) {
-      const paint = color?.map(toLight), plane = coverage.length;
-      for (let row = top, n = 0; row < bottom; row++) {
-        for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
-          const share = (opacity * coverage[n]) / 255;
-          for (let k = 0; k < 3; k++) light[at + k] += share * ((paint ? paint[k] : LIGHTS[colors[k * plane + n]]) - light[at + k]);
-          light[at + 3] += share * (1 - light[at + 3]);
+    const paints = this.sent.map((stroke) => this.paintOf(stroke)), planes = new Set(paints.flatMap((paint) => [...paint.keys()]));
+    if ([...planes].some((plane) => !this.sums.has(plane))) this.layer([...new Set([...this.sums.keys(), ...planes])]);
+    for (const sums of this.sums.values()) for (const sum of sums) sum.fill(0);
+    this.sent.forEach((stroke, n) => {
+      const picture = stroke.colors && this.viewer.parts[0].channel("base_color").at[0];
+      for (const [plane, paint] of paints[n]) this.lay(stroke, paint, plane === picture, ...this.sums.get(plane));
+    });
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
+    [...this.sums.values()].flat().forEach((sum, layer) => {
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA, gl.FLOAT, sum);
+    });
+  }
+
+  // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue, the plane's first.
+  lay({ box: [left, top, right, bottom], coverage, colors, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
+    const [width, height] = this.size, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
+    const lanes = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
+    for (let row = top, n = 0; row < bottom; row++) {
+      for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+        const share = (opacity * coverage[n]) / 255;
+        if (!share) continue;
+        for (const k of lanes) {
+          const code = isPicture && k < 3 ? colors[k * area + n] : -1;
+          const own = share * (code < 0 ? covers[k] : coverOf[code]), more = share * (code < 0 ? adds[k] : addedOf[code]);
+          cover[at + k] += own * (1 - cover[at + k]);
+          added[at + k] += more - own * added[at + k];
         }
       }
     }
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGBA, gl.FLOAT, light);
   }
 
   // What the picture is drawn with.
   get textures() {
     const [u_strokesPlaces, u_strokesWays] = this.places.textures;
-    const u_colors = this.current?.picture?.texture ?? this.texture;
-    return { u_strokes: this.texture, u_stroke: this.target.textures[0], u_colors, u_strokesPlaces, u_strokesWays };
+    const [u_stroke] = this.target.textures, u_colors = this.current?.picture?.texture ?? u_stroke;
+    return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays };
   }
 
-  set(program, width, height) {
+  set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const { color = [0, 0, 0], opacity = 0, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
-    const isWhole = angle >= 90;
-    gl.uniform4f(program.at("u_paint"), ...color.map(toLight), isHere && current ? opacity : 0);
-    gl.uniform1i(program.at("u_isPicture"), current?.picture ? 1 : 0);
+    const { opacity = 0, blend = "over", picture, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
+    const isWhole = angle >= 90, paint = current && !picture ? this.paintOf(current) : new Map(), layers = [...this.sums.keys()];
+    gl.activeTexture(gl.TEXTURE0 + UNIT);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(program.at("u_strokes"), UNIT);
+    gl.uniform1iv(program.at("u_strokesAt[0]"), Array.from({ length: planes }, (_, n) => 2 * layers.indexOf(n)));
+    ["u_cover", "u_added"].forEach((name, which) => {
+      const all = Array.from({ length: planes }, (_, n) => [...(paint.get(n)?.[which] ?? PLAIN)]);
+      gl.uniform4fv(program.at(`${name}[0]`), all.flat());
+    });
+    gl.uniform1i(program.at("u_picturePlane"), current && picture ? viewer.parts[0].channel("base_color").at[0] : -1);
+    const [[covers, adds], [light, more]] = [0, 1].map(BLENDS[blend]);
+    gl.uniform3f(program.at("u_blend"), covers, light - covers, more - adds);
+    gl.uniform1f(program.at("u_opacity"), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);
     const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;

@@ -16,17 +16,18 @@ export const TOOLS = [
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
 ];
 
-// Take the colour of the surface, and go on with the brush.
+// Take what the surface has of all that is painted, and go on with the brush.
 export function pick(painting, event) {
-  const [x, y] = painting.place(event), found = painting.viewer.pick(x, y)?.channels.find(({ name }) => name === painting.strokes.channel);
-  if (found) painting.set({ color: found.values.map((light) => 255 * Math.min(Math.max(light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055, 0), 1)) });
+  const [x, y] = painting.place(event), found = painting.viewer.pick(x, y);
+  if (found) painting.material.take(found.channels);
   if (painting.tool.name === "pick") painting.choose("brush");
 }
 
 function fill(painting, event) {
-  const { color, opacity, mirror, filled } = painting.brush, [x, y] = painting.place(event);
-  const isPart = filled === "part", at = isPart ? painting.viewer.pick(x, y)?.rest : undefined;
-  if (isPart && !at) return;
-  painting.sending.send({ kind: "fill", name: isPart ? "Fill a part" : "Fill all", color, opacity, mirror, at });
+  const { opacity, blend, mirror, filled, tolerance } = painting.brush, [x, y] = painting.place(event);
+  const at = filled === "all" ? undefined : painting.viewer.pick(x, y)?.rest, like = filled.startsWith("color") ? { tolerance, connected: filled === "color" } : {};
+  if (filled !== "all" && !at) return;
+  const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[filled];
+  painting.sending.send({ kind: "fill", name, ...painting.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
   painting.choose("brush");
 }

@@ -11,7 +11,6 @@ import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
-import { patched } from "./patch.js";
 import { Player } from "./player.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
@@ -20,12 +19,13 @@ const STILL = 120; // milliseconds without a change, after which a sharp picture
 const HELD = 500; // and while a pointer is down, as it would hold up what moves on
 const FRAME = 80; // milliseconds that a picture may take while it moves
 const TURN = 0.35; // radians a second, of the turntable
+const NOWHERE = [1e9, -1e9].map((n) => Array(5).fill(n)); // the corners of a box of the root cell and of a part of the picture
 
 class Viewer {
   constructor() {
     this.canvas = element("picture");
     this.look = { shown: "lit", channel: "base_color", filter: "quadratic", level: 0 };
-    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0 });
+    Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0, relief: 0.02 });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
     this.isSharp = false;
@@ -125,15 +125,18 @@ class Viewer {
           await this.painting?.allSent();
           return reload();
         }
-        const streams = change.parts.map((_, number) => readStream(`change-${number}`));
+        const streams = change.parts.map((_, number) => readStream(`change-${number}`)), [first] = change.parts;
+        const shown = this.painting?.strokes.sent ?? [], lookedUp = this.lookedUp;
         for (const [number, bytes] of (await Promise.all(streams)).entries()) {
-          const { header, counts } = change.parts[number], part = this.parts[number];
-          this.sent = part.change(header, patched(part.octree, header, counts, bytes));
+          const { header, counts } = change.parts[number];
+          this.sent = this.parts[number].change(header, counts, bytes);
         }
         this.version = change.version;
         this.painting?.arrived(change.session);
         this.describe();
-        this.move();
+        const gone = shown.filter((stroke) => !this.painting.strokes.sent.includes(stroke));
+        if (first.touched && lookedUp === this.lookedUp) this.redraw(first.touched, gone);
+        else this.move();
       }
     } catch (error) {
       console.warn(error); // the line is lost, which is said; the next version is told when it is there again
@@ -195,6 +198,7 @@ class Viewer {
     element("cubes").checked = !hasMesh;
     element("cubes").disabled = !hasMesh;
     element("level").max = look.level;
+    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
   }
 
   choose(value) {
@@ -214,6 +218,7 @@ class Viewer {
     on("footprints", (at) => (look.footprints = at.checked));
     on("facing", (at) => (look.facing = at.checked));
     on("cubes", (at) => (look.cubes = at.checked));
+    on("relief", (at) => (look.relief = Number(at.value)));
     on("turntable", (at) => this.turn(at.checked));
     on("level", (at) => {
       look.level = Number(at.value);
@@ -306,6 +311,8 @@ class Viewer {
     const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
       if (!(isStill ? this.isSharp : this.isDrawn)) this.draw(full * scale);
+      else if (this.near) this.gpu.draw(this.look, this.camera, this.canvas.width, this.canvas.height, null, this.near);
+      this.near = null;
     } catch (error) {
       return fail(error);
     }
@@ -325,7 +332,31 @@ class Viewer {
     if (width > 0 && height > 0) gpu.draw(this.look, this.camera, canvas.width, canvas.height, [x, y, width, height]);
   }
 
+  // How textures are looked up: where that stays, a picture does so that is not near a change.
+  get lookedUp() {
+    return JSON.stringify([this.look.level, ...this.parts.map(({ header: { depth, isMixed, kept, split } }) => [depth, isMixed, kept > 0, split[0] > 0])]);
+  }
+
+  // Draw anew what is near a box of the root cell, if one is touched, and where strokes were that are now in the texture.
+  redraw(touched, strokes) {
+    const { camera, gpu, parts, painting, view } = this, [far] = NOWHERE[0];
+    const isSame = this.isDrawn && !this.isLost && view === String(camera.view) && strokes.every(() => painting.strokes.view === view);
+    if (!isSame || gpu.showsCubes(this.look) || parts.some((part) => part.hasAlpha)) return this.move();
+    const boxes = touched.length ? [[[...touched[0], far, far], [...touched[1], -far, -far]]] : [];
+    for (const { box: [left, top, right, bottom] } of strokes) {
+      const [width, height] = painting.strokes.size, place = (x, y) => [x / width, 1 - y / height];
+      boxes.push([[far, far, far, ...place(left - 2, bottom + 2)], [-far, -far, -far, ...place(right + 2, top - 2)]]);
+    }
+    for (const [low, high] of boxes) {
+      const [least, most] = this.near ?? NOWHERE;
+      this.near = [least.map((x, n) => Math.min(x, low[n])), most.map((x, n) => Math.max(x, high[n]))];
+    }
+    this.again();
+  }
+
   draw(scale) {
+    this.near = null;
+    this.view = String(this.camera.view);
     const width = Math.max(Math.round(this.canvas.clientWidth * scale), 1);
     const height = Math.max(Math.round(this.canvas.clientHeight * scale), 1);
     this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;

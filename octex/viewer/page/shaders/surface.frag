@@ -29,13 +29,33 @@ void main() {
 
 #else
 
+#ifdef SHOWS_HEIGHT
+layout(location = 0) out uint o_height;
+vec4 o_color;
+#else
 layout(location = 0) out vec4 o_color;
+#endif
 
 uniform bool u_footprints;  // averages over what a pixel covers; else leaves
 uniform int u_kind;  // of the channel that is shown: 0 light, 1 data, 2 directions
 uniform mat4 u_view;
 uniform vec3 u_marked;  // the lowest corner of the cell that is marked
 uniform float u_markedEdge;  // its edge; 0: none
+uniform bool u_isNear;  // only pixels that look up cells in a box, or that lie in a part of the picture, are drawn
+uniform vec3 u_nearLow;
+uniform vec3 u_nearHigh;
+uniform vec4 u_nearPart;  // the lowest and the highest corner, in pictures
+uniform vec2 u_size;  // pixels
+
+// Averages reach so many footprints: of two levels, refined from the ones above them.
+const float REACH = 8.0;
+
+bool isNear(vec4 place) {
+  vec2 at = gl_FragCoord.xy / u_size;
+  vec3 reach = vec3(REACH * place.w);
+  bool isInside = all(greaterThan(at, u_nearPart.xy)) && all(lessThan(at, u_nearPart.zw));
+  return isInside || (all(greaterThan(place.xyz + reach, u_nearLow)) && all(lessThan(place.xyz - reach, u_nearHigh)));
+}
 
 #ifndef BASE_COLOR
 #define BASE_COLOR vec3(0.6)
@@ -68,22 +88,31 @@ uniform sampler2D u_behind;  // the picture of what is behind, with nothing tran
 #ifndef ROUGHNESS
 #define ROUGHNESS 1.0
 #endif
+#ifndef HEIGHT
+#define HEIGHT 0.0
+#endif
 #ifndef OCCLUSION
 #define OCCLUSION 1.0
 #endif
 
-#ifdef PAINTED
-uniform sampler2D u_strokes;  // what is sent and not yet painted: light times coverage, and coverage
+#ifdef PAINTS
+uniform highp sampler2DArray u_strokes;  // what is sent and not yet painted: how it covers what is there, then what it adds
+uniform int u_strokesAt[PLANES];  // where each plane's begins; below 0: it has none
 uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
-uniform vec4 u_paint;  // its light and opacity
-uniform bool u_isPicture;  // its colours are a picture's
-uniform sampler2D u_colors;  // which has them in sRGB, and alpha, a texel a pixel of the stroke
+uniform vec4 u_cover[PLANES];  // how its paint covers what is there, and what it adds
+uniform vec4 u_added[PLANES];
+uniform float u_opacity;
+uniform int u_picturePlane;  // which plane a picture paints instead, with its first components; below 0: none
+uniform sampler2D u_colors;  // its colours in sRGB, and alpha, a texel a pixel of the stroke
+uniform vec3 u_blend;  // how it covers what is there, by its alpha and by its light, and how much of its light it adds
 uniform vec2 u_picture;  // pixels
 uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
 uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: this view, 2: another one, of which
 uniform mat4 u_strokesCamera;  // sees positions at rest in the root cell
 uniform highp usampler2D u_strokesPlaces;  // what its pixels see, as places.frag has drawn it
 uniform highp usampler2D u_strokesWays;
+vec2 p_from;  // where the pixel is in those
+float p_sent = 0.0, p_part;  // how much of them it takes, and of the stroke that is drawn
 
 // How much of paint stays at an angle, as octex.painting.reading has it.
 float paintable(bool isAway, float cosine) {
@@ -105,25 +134,38 @@ vec4 pictured(vec2 at) {
   return sum;
 }
 
-vec3 painted(vec3 light, vec4 place, float cosine) {
-  vec2 at = gl_FragCoord.xy / u_picture, from = at;
-  float share = paintable((floatBitsToUint(place.w) & 1u) == 1u, cosine), before = share;
+// Find the strokes at a pixel.
+void findStrokes(vec4 place, float cosine) {
+  vec2 at = gl_FragCoord.xy / u_picture;
+  float share = paintable((floatBitsToUint(place.w) & 1u) == 1u, cosine);
+  p_part = share * u_opacity * texture(u_stroke, at).r;
+  p_from = at;
+  if (u_strokesView == 1) p_sent = share;
   if (u_strokesView == 2) {
     vec4 seen = u_strokesCamera * vec4(place.xyz, 1.0);
-    from = 0.5 + 0.5 * seen.xy / seen.w;
-    ivec2 texel = ivec2(from * vec2(textureSize(u_strokesPlaces, 0)));
+    p_from = 0.5 + 0.5 * seen.xy / seen.w;
+    ivec2 texel = ivec2(p_from * vec2(textureSize(u_strokesPlaces, 0)));
     uvec4 bits = texelFetch(u_strokesPlaces, texel, 0), ways = texelFetch(u_strokesWays, texel, 0);
     vec4 there = uintBitsToFloat(bits);
-    bool isSeen = seen.w > 0.0 && from == clamp(from, 0.0, 1.0) && there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w;
-    before = isSeen ? paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y))) : 0.0;
+    bool isSeen = seen.w > 0.0 && p_from == clamp(p_from, 0.0, 1.0) && there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w;
+    if (isSeen) p_sent = paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y)));
   }
-  if (u_strokesView > 0) {
-    vec4 sent = before * texture(u_strokes, from);
-    light = light * (1.0 - sent.a) + sent.rgb;
+}
+
+// What a plane's components are with the strokes.
+vec4 painted(vec4 values, int plane) {
+  int layer = u_strokesAt[plane];
+  if (p_sent > 0.0 && layer >= 0) {
+    values *= 1.0 - p_sent * texture(u_strokes, vec3(p_from, layer));
+    values += p_sent * texture(u_strokes, vec3(p_from, layer + 1));
   }
-  share *= u_paint.a * texture(u_stroke, at).r;
-  vec4 paint = u_isPicture && share > 0.0 ? pictured(at) : vec4(u_paint.rgb, 1.0);
-  return light * (1.0 - share * paint.a) + share * paint.rgb;
+  vec4 cover = u_cover[plane], added = u_added[plane];
+  if (plane == u_picturePlane && p_part > 0.0) {
+    vec4 paint = pictured(gl_FragCoord.xy / u_picture);
+    cover.rgb = u_blend.x * paint.a + u_blend.y * paint.rgb;
+    added.rgb = u_blend.z * paint.rgb;
+  }
+  return min(values * (1.0 - p_part * cover) + p_part * added, 1.0);
 }
 #endif
 
@@ -137,10 +179,36 @@ vec3 turned(vec3 way, vec3 side, vec3 across, vec3 normal) {
 }
 #endif
 
+#ifdef RELIEF
+uniform float u_relief;  // how far a height of 1 rises, in root cells
+uniform highp usampler2D u_heights;  // bits of the heights that pixels see
+
+// How positions at rest and heights differ from one neighbour of a pixel to the other, as far as these are beside it.
+vec4 along(vec4 place, ivec2 at, ivec2 aside) {
+  vec4 ends[2];
+  for (int n = 0; n < 2; n++) {
+    ivec2 to = n == 0 ? at - aside : at + aside;
+    vec4 there = uintBitsToFloat(texelFetch(u_places, to, 0));
+    bool isBeside = there.w > 0.0 && distance(there.xyz, place.xyz) < 4.0 * place.w;
+    ends[n] = vec4(isBeside ? there.xyz : place.xyz, uintBitsToFloat(texelFetch(u_heights, isBeside ? to : at, 0).x));
+  }
+  return ends[1] - ends[0];
+}
+
+// How what is raised changes along the surface at rest.
+vec3 slopes(vec4 place, ivec2 at) {
+  vec4 x = along(place, at, ivec2(1, 0)), y = along(place, at, ivec2(0, 1));
+  vec3 side = cross(x.xyz, y.xyz);
+  float square = dot(side, side);
+  return square > 0.0 ? u_relief / square * (x.w * cross(y.xyz, side) + y.w * cross(side, x.xyz)) : vec3(0.0);
+}
+#endif
+
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
   o_color = vec4(0.0);
+  if (u_isNear && !isNear(place)) discard;
   if (place.w <= 0.0) return;
   uvec4 ways = texelFetch(u_ways, at, 0);
   vec3 normal = unpacked(ways.x), toward = unpacked(ways.y);
@@ -148,11 +216,22 @@ void main() {
   face(unpacked(ways.z));
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
-#ifdef PAINTED
-  PAINTED = painted(PAINTED, place, dot(normal, toward));
+#ifdef PAINTS
+  findStrokes(place, dot(normal, toward));
+  g_sum{N} = painted(g_sum{N}, {N});
 #endif
   vec3 shown;
-#if defined(SHOWS_LIT)
+#if defined(SHOWS_HEIGHT)
+  o_height = floatBitsToUint(HEIGHT);
+#elif defined(SHOWS_LIT)
+#ifdef RELIEF
+  vec3 slope = slopes(place, at);
+#ifdef POSED
+  slope = turned(slope, unpacked(ways.z), unpacked(ways.w), normal);
+#else
+  slope = mat3(u_view) * slope;
+#endif
+#endif
 #ifdef NORMAL
   vec3 stored = 2.0 * NORMAL - 1.0;
   if (dot(stored, stored) > 1e-4) {
@@ -164,6 +243,9 @@ void main() {
     stored = normalize(stored);
     normal = dot(stored, normal) < 0.0 ? -stored : stored;
   }
+#endif
+#ifdef RELIEF
+  normal = normalize(normal - slope + dot(slope, normal) * normal);
 #endif
   vec3 light = lit(beside(BASE_COLOR, at), METALLIC, ROUGHNESS, OCCLUSION, SPECULAR, normal, toward);
   shown = toSrgb(toneMapped(light + EMISSIVE));

@@ -1,0 +1,70 @@
+// Dabs along the way of a pen: each takes what is covered a part nearer to its own coverage, the flow, and never beyond.
+// A flow of 1 makes what one line does; with less, paint builds up to the same.
+
+const MOST_DABS = 32; // of a draw call, as in dabs.frag
+const LEAST_STEP = 0.5; // pixels between dabs
+export const CLOSE = 0.25; // dabs so near to each other, as a part of their size, look like a line
+
+export class Dabs {
+  constructor(strokes) {
+    this.strokes = strokes;
+    const { gpu } = strokes.viewer, { gl } = gpu, [width, height] = strokes.size;
+    const fine = gl.getExtension("EXT_color_buffer_float") ? gl.R32F : gl.R8; // with 8 bits little flow is lost
+    this.before = gpu.target("dabs before", width, height, [fine], strokes.target);
+    this.after = gpu.target("dabs after", width, height, [fine, gl.R8], strokes.target);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.before.buffer);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.left = 0; // pixels to the next dab
+  }
+
+  // Put dabs on a line from one place to another: x, y, radius and strength, in pixels from the lower left. Returns their box.
+  draw(from, to, { spacing, flow, hardness }) {
+    const length = Math.hypot(to[0] - from[0], to[1] - from[1]), dabs = [];
+    for (; this.left <= length; ) {
+      const t = length ? this.left / length : 0, dab = from.map((number, k) => number + t * (to[k] - number));
+      dabs.push(dab);
+      this.left += Math.max(2 * spacing * dab[2], LEAST_STEP);
+    }
+    this.left -= length;
+    let box = null;
+    for (let n = 0; n < dabs.length; n += MOST_DABS) box = joined(box, this.put(dabs.slice(n, n + MOST_DABS), flow, hardness));
+    return box;
+  }
+
+  put(dabs, flow, hardness) {
+    const { viewer, size, target } = this.strokes, { gpu } = viewer, { gl } = gpu, [width, height] = size;
+    const low = [0, 1].map((k) => Math.max(Math.floor(Math.min(...dabs.map((dab) => dab[k] - dab[2])) - 1), 0));
+    const high = [0, 1].map((k) => Math.min(Math.ceil(Math.max(...dabs.map((dab) => dab[k] + dab[2])) + 1), size[k]));
+    if (low[0] >= high[0] || low[1] >= high[1]) return null;
+    const program = gpu.program("dabs", viewer.parts[0], viewer.look, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.after.buffer);
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(...low, high[0] - low[0], high[1] - low[1]);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.before.textures[0]);
+    gl.uniform1i(program.at("u_before"), 0);
+    gl.uniform4fv(program.at("u_dabs[0]"), dabs.flat());
+    gl.uniform1i(program.at("u_count"), dabs.length);
+    gl.uniform1f(program.at("u_flow"), flow);
+    gl.uniform1f(program.at("u_hardness"), hardness);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.after.buffer);
+    [this.before, target].forEach(({ buffer }, number) => {
+      gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
+      gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, buffer);
+      gl.blitFramebuffer(...low, ...high, ...low, ...high, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return [...low, ...high];
+  }
+}
+
+// The box around two: left, bottom, right, top; either may be none.
+export function joined(one, other) {
+  if (!one || !other) return one ?? other;
+  return one.map((at, n) => (n < 2 ? Math.min(at, other[n]) : Math.max(at, other[n])));
+}

@@ -1,0 +1,32 @@
+// What lies under the pointer, as places.frag has drawn it for the picture that is shown.
+
+// The unit vector that places.frag has packed.
+function unpacked(bits) {
+  const [x, y] = [bits << 16, bits].map((part) => Math.max((part >> 16) / 32767, -1)), z = 1 - Math.abs(x) - Math.abs(y);
+  const way = z < 0 ? [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1), z] : [x, y, z];
+  const length = Math.hypot(...way);
+  return way.map((part) => part / length);
+}
+
+// At a place of the picture, in CSS pixels: where the surface rests, its normal and the direction towards the camera in
+// view space, and how far along the view it is; or null where nothing is.
+export function under(viewer, x, y) {
+  const { gpu, canvas, parts, camera } = viewer, { gl } = gpu, { places } = gpu.pictures;
+  if (!places || !viewer.isDrawn || viewer.isLost) return null;
+  const column = Math.floor((x / canvas.clientWidth) * places.width), row = Math.floor((1 - y / canvas.clientHeight) * places.height);
+  if (!(column >= 0 && column < places.width && row >= 0 && row < places.height)) return null;
+  gl.bindFramebuffer(gl.FRAMEBUFFER, places.buffer);
+  const [place, ways] = [0, 1].map((number) => {
+    const read = new Uint32Array(4);
+    gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
+    gl.readPixels(column, row, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
+    return read;
+  });
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  const [a, b, c, width] = new Float32Array(place.buffer);
+  if (!(width > 0)) return null;
+  const { origin, size, mesh } = parts[0].header, { view } = camera;
+  const rest = [a, b, c].map((at, n) => origin[n] + size * at), [p, q, r] = rest;
+  const away = mesh.posed ? gpu.awayAt(viewer.look, camera, [x, y], [canvas.clientWidth, canvas.clientHeight]) : -(view[2] * p + view[6] * q + view[10] * r + view[14]);
+  return { rest, normal: unpacked(ways[0]), toward: unpacked(ways[1]), away };
+}

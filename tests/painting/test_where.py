@@ -1,0 +1,109 @@
+"""Where pictures are painted: on what is hidden, and on some triangles only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from tests.conftest import needs_jit
+from tests.make.painted import above, plain, square, together
+from tests.make.same import assert_same
+
+RED = (0.8, 0.1, 0.1)
+
+
+def sheets() -> tuple[OctreeTexture, Surface]:
+    """Two squares, of which the upper one hides the middle of the other."""
+    surface = plain(together(square(0.3, 0.5), square(-0.3, 1.0)))
+    return octex.convert(surface, depth=5), surface
+
+
+def disc(size: int = 64, radius: float = 20.0) -> Any:
+    y, x = np.mgrid[:size, :size] + 0.5
+    image = np.zeros((size, size, 4), np.float32)
+    image[..., :3] = RED
+    image[..., 3] = np.hypot(x - size / 2, y - size / 2) < radius
+    return image
+
+
+def painted_points(texture: OctreeTexture, height: float, side: float) -> tuple[Any, Any]:
+    """Which points of a square are painted, and how many pixels they are inside of the disc; not its rim."""
+    line = np.linspace(-0.45 * side, 0.45 * side, 31)
+    x, y = np.meshgrid(line, line)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+    inside = 20.0 - 128 * np.hypot(x, y).ravel() / (2.0 - height)
+    is_red = np.abs(texture.sample(points) - RED).max(axis=1) < 0.05
+    return is_red[np.abs(inside) > 4], inside[np.abs(inside) > 4]
+
+
+@needs_jit
+@pytest.mark.parametrize("in_session", [False, True])
+def test_what_is_hidden_is_painted_if_asked_for_as_if_it_were_alone(in_session: bool) -> None:
+    texture, surface = sheets()
+    shown = octex.Projection(disc(), above(2.0))
+    if in_session:
+        painter = octex.Painter(texture, surface)
+        painter.paint(shown)
+        painter.undo()
+        painter.paint(shown, hidden=True)
+        made = painter.texture()
+        assert_same(made, octex.paint(texture, surface, shown, hidden=True))
+    else:
+        made = octex.paint(texture, surface, shown, hidden=True)
+    for height, side in ((0.3, 0.5), (-0.3, 1.0)):
+        is_painted, inside = painted_points(made, height, side)
+        assert is_painted.mean() > 0.4
+        assert (is_painted == (inside > 0)).all()
+    is_painted, _ = painted_points(octex.paint(texture, surface, shown), -0.3, 1.0)
+    assert not is_painted.any()
+
+
+@needs_jit
+@pytest.mark.parametrize("hidden", [False, True])
+def test_only_triangles_of_a_region_are_painted_and_others_still_hide(hidden: bool) -> None:
+    texture, surface = sheets()
+    shown = octex.Projection(disc(), above(2.0))
+    for part, height, side in ((0, 0.3, 0.5), (1, -0.3, 1.0)):
+        region = surface.parts == part
+        made = octex.paint(texture, surface, shown, region=region, hidden=hidden)
+        assert_same(made, octex.paint(texture, surface, shown, region=np.flatnonzero(region), hidden=hidden))
+        is_painted, inside = painted_points(made, height, side)
+        assert (is_painted == ((inside > 0) & (hidden or part == 0))).all()
+        others, _ = painted_points(made, *((-0.3, 1.0) if part == 0 else (0.3, 0.5)))
+        assert not others.any()
+    everything = octex.paint(texture, surface, shown, region=np.ones(len(surface.triangles), bool))
+    assert_same(everything, octex.paint(texture, surface, shown))
+    assert octex.paint(texture, surface, shown, region=np.empty(0, int)) is texture
+
+
+@pytest.mark.parametrize(
+    "region", [[True], [-1], [10**6], [0.5], "all", [[0], [1, 2]], np.zeros((2, 2), int)]
+)
+def test_a_region_of_other_things_than_triangles_is_refused(region: Any) -> None:
+    texture, surface = sheets()
+    with pytest.raises(ArgumentError, match="region must be triangles of the surface: numbers from 0 to 63"):
+        octex.paint(texture, surface, octex.Projection(disc(), above(2.0)), region=region)
+
+
+@pytest.mark.parametrize("more", [{"balance": "gain"}, {"pictures": "best"}, {"pictures": "robust"}])
+def test_hidden_surface_is_not_painted_with_pictures_that_are_compared(more: dict[str, Any]) -> None:
+    texture, surface = sheets()
+    shown = [octex.Projection(disc(), above(2.0))] * 3
+    with pytest.raises(ArgumentError, match="hidden cannot be used with balance, or with pictures that"):
+        octex.paint(texture, surface, shown, hidden=True, **more)
+    with pytest.raises(ArgumentError, match="hidden"):
+        octex.paint(texture, surface, shown, hidden=2)  # type: ignore[arg-type]
+
+
+@needs_jit
+def test_several_pictures_of_hidden_surface_are_averaged() -> None:
+    texture, surface = sheets()
+    shown = [octex.Projection(disc(), above(2.0))] * 3
+    one = octex.paint(texture, surface, shown, hidden=True, pictures="average")
+    assert_same(octex.paint(texture, surface, shown, hidden=True), one)

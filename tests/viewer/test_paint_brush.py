@@ -1,0 +1,526 @@
+"""The brush of pages that paint: what it shows is what is painted, whatever it is set to."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import decode
+from octex.errors import ArgumentError
+from octex.nearest.triangles import Triangles
+from octex.painting.alike import alike
+from octex.source.corners import at_corners
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
+from octex.viewer.session import Session, mirrored
+from tests.conftest import needs_jit
+from tests.make.browser import served
+from tests.make.painted import ball, plain, together
+from tests.make.same import assert_same
+from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke
+from tests.viewer.test_session import plain as plain_command
+
+BLENDS = ["over", "multiply", "screen", "add"]
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    found = Session(*canvas(), tmp_path / "out.octex")
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="module")
+def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+    found = Studio(browser, tmp_path_factory.mktemp("studio"))
+    with served(found.viewer):
+        found.shared = found.page()
+        yield found
+        assert found.shared.complaints == []
+        found.shared.close()
+    found.session.close()
+
+
+@pytest.fixture
+def page(studio: Studio) -> Iterator[Any]:
+    """A page whose brush is as at the beginning, on a model without paint."""
+    page = studio.shared
+    brush = page.evaluate("({ ...viewer.painting.brush })")
+    view = page.evaluate("viewer.camera.state")
+    yield page
+    page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+    page.evaluate("(view) => viewer.camera.restore(view)", view)
+    while studio.session.shown.told["done"]:
+        done = studio.session.shown.told["done"]
+        page.keyboard.press("Control+z")
+        page.wait_for_function("(n) => viewer.painting.last.done < n", arg=done, timeout=60_000)
+
+
+def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any], Any]]) -> tuple[Any, ...]:
+    """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
+    before = pictured(page)
+    page.evaluate(_HOLD)
+    for brush, places in drags:
+        page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+        studio.drag(page, *places)
+    page.wait_for_function("(n) => viewer.painting.sending.waiting.length === n", arg=len(drags))
+    shown = pictured(page)
+    page.evaluate("release()")
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    return before, shown, pictured(page)
+
+
+def assert_same_inside(pictures: tuple[Any, ...], least: float = 0.01) -> Any:
+    """Check that a picture shows strokes as they are baked but at their rims; return where they are."""
+    before, shown, baked = pictures
+    changes = np.abs(shown - before).max(axis=2)
+    inside = changes > 0.4 * changes.max()
+    assert changes.max() > 25
+    assert inside.mean() > least
+    assert float(np.sqrt(((shown - baked)[inside] ** 2).mean())) <= 2
+    return inside
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+def test_each_blend_mode_paints_bit_for_bit_as_the_library_does(blend: Any, session: Session) -> None:
+    painter = octex.Painter(*canvas())
+    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+    image[..., :3], image[4:28, 10:40, 3] = (200, 10, 30), disc(1)
+    session.take(stroke(1, blend=blend))
+    painter.paint(octex.Projection(image, camera(), opacity=0.8, blend=blend), max_angle=85)
+    session.take(plain_command("fill", 2, color=[255, 255, 0], opacity=0.5, blend=blend))
+    painter.fill(lambda points: np.ones(len(points)), (1.0, 1.0, 0.0), opacity=0.5, blend=blend)
+    session.wait()
+    assert session.shown.told["done"] == 2
+    assert_same(session.shown.texture, painter.texture())
+
+
+@pytest.mark.parametrize("blend", ["darken", "erase", 3, None, []])
+def test_other_blend_modes_are_refused(blend: Any, session: Session) -> None:
+    for body in (stroke(1, blend=blend), plain_command("fill", 1, color=[1, 2, 3], blend=blend)):
+        with pytest.raises(ArgumentError, match=r"unknown blend .*; there are: over, multiply, screen, add"):
+            session.take(body)
+
+
+def two_balls() -> tuple[OctreeTexture, Surface]:
+    """A ball before another one, as the camera of strokes sees them."""
+    one, other = ball(8), ball(12)
+    away = camera().world_to_camera[2, :3] * 3
+    mesh = together((one.vertices, one.triangles), (0.8 * other.vertices + away, other.triangles))
+    surface = plain(mesh)
+    return octex.convert(surface, depth=5), surface
+
+
+def library_calls(painter: octex.Painter, surface: Surface, body: bytes) -> list[Any]:
+    """Do what a command says with calls of the library; return what a painter returns of each."""
+    line = json.loads(body.partition(b"\n")[0])
+    blend, opacity, axis = line.get("blend", "over"), line.get("opacity", 1.0), line.get("mirror", "")
+    near = Triangles.of(surface.rest, surface.triangles)
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    plane = (low + high) / 2 + line.get("offset", 0.0)
+    points = [np.array(line["at"])] if "at" in line else []
+    if axis and points:
+        other = points[0].copy()
+        other["xyz".index(axis)] = 2 * plane["xyz".index(axis)] - other["xyz".index(axis)]
+        points.append(other)
+    found = near.nearest(np.array(points)) if points else None
+    parts = [surface.parts == surface.parts[n] for n in found.triangles] if found else []
+    if line["kind"] == "fill":
+        color, regions = decode(np.array(line["color"], np.uint8), "srgb"), parts
+        if "tolerance" in line:
+            at = at_corners(surface.rest, surface.triangles[found.triangles], found.barycentric)
+            texture, connected = painter.texture(), line.get("connected", True)
+            regions = [alike(texture, each, line["tolerance"], connected=connected) for each in at]
+        elif not parts:
+            regions = [lambda points: np.ones(len(points))]
+        elif len(parts) > 1 and (parts[0] == parts[1]).all():
+            regions = parts[:1]
+        elif len(parts) > 1 and parts[1][0]:
+            regions = parts[::-1]
+        return [painter.fill(each, color, opacity=opacity, blend=blend) for each in regions]
+    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+    image[..., :3], image[4:28, 10:40, 3] = line["color"], disc(line["number"])
+    shown = [octex.Projection(image, camera(), opacity=opacity, blend=blend)]
+    if axis:
+        shown.append(mirrored(shown[0], "xyz".index(axis), plane["xyz".index(axis)]))
+    options = {
+        "max_angle": line["maxAngle"],
+        "back_faces": line.get("backFaces", False),
+        "hidden": line.get("hidden", False),
+    }
+    where = parts or [None, None]
+    return [painter.paint(each, region=own, **options) for each, own in zip(shown, where, strict=False)]
+
+
+FRONT, BACK = [0.3, 0.2, 1.0], (camera().world_to_camera[2, :3] * 3).tolist()
+PLACES = [
+    {"hidden": True},
+    {"hidden": True, "backFaces": True, "maxAngle": 90},
+    {"at": FRONT},
+    {"at": BACK, "hidden": True},
+    {"mirror": "x", "at": FRONT},
+    {"mirror": "z", "offset": 0.3},
+    {"mirror": "y", "offset": -0.2, "at": BACK, "hidden": True, "blend": "multiply"},
+]
+
+
+@pytest.mark.parametrize("given", PLACES)
+def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given: dict[str, Any], tmp_path: Path) -> None:
+    texture, surface = two_balls()
+    session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
+    body = stroke(1, **given)
+    session.take(body)
+    session.wait()
+    library_calls(painter, surface, body)
+    assert session.shown.told["fault"] == ""
+    assert_same(session.shown.texture, painter.texture())
+    ways = np.array([FRONT, BACK]) / np.linalg.norm([FRONT, BACK], axis=1, keepdims=True)
+    points = np.array([ways[0], BACK - 0.8 * ways[1]])  # where both face the camera
+    if not given.get("mirror"):
+        apart = np.abs(session.shown.texture.sample(points) - texture.sample(points)).max(axis=1) > 0.05
+        hits = [given.get("at") != BACK, "hidden" in given and given.get("at") != FRONT]
+        assert apart.tolist() == hits
+    session.close()
+
+
+def test_what_has_one_colour_is_filled_bit_for_bit_as_the_library_does(session: Session) -> None:
+    texture, surface = canvas()
+    painter = octex.Painter(texture, surface)
+    given = {"color": [10, 250, 0], "at": [0.1, 0.2, 0.97], "tolerance": 30}
+    bodies = [
+        plain_command("fill", 1, **given),
+        plain_command("fill", 2, **given | {"at": [0.9, 0.1, 0.2], "connected": False}),
+        plain_command("fill", 3, **given | {"at": [0.5, 0.8, 0.1], "mirror": "x", "tolerance": 15}),
+    ]
+    for body in bodies:
+        before = session.shown.texture
+        session.take(body)
+        session.wait()
+        library_calls(painter, surface, body)
+        assert_same(session.shown.texture, painter.texture())
+        assert session.shown.texture is not before
+    assert session.shown.told["done"] == 3
+
+
+def random_command(random: np.random.Generator, number: int) -> bytes:
+    """A stroke or a fill with some options, or what undoes or redoes one."""
+    kind = random.choice(["stroke", "stroke", "stroke", "fill", "undo", "redo"])
+    if kind in ("undo", "redo"):
+        return plain_command(kind, number)
+    given: dict[str, Any] = {"blend": random.choice(BLENDS), "opacity": float(random.uniform(0.2, 1))}
+    if random.random() < 0.4:
+        given |= {"mirror": random.choice(["x", "y", "z"]), "offset": float(random.uniform(-0.5, 0.5))}
+    if random.random() < 0.5:
+        given["at"] = [FRONT, BACK][random.integers(2)]
+    if kind == "fill":
+        if "at" in given and random.random() < 0.7:
+            given |= {"tolerance": float(random.uniform(0, 60)), "connected": bool(random.random() < 0.5)}
+        return plain_command("fill", number, color=random.integers(0, 256, 3).tolist(), **given)
+    options = {"hidden": bool(random.random() < 0.4), "backFaces": bool(random.random() < 0.3)}
+    return stroke(number, **given, **options, maxAngle=float(random.choice([60, 85, 90])))
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_SESSIONS", "2"))))
+def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash(
+    seed: int, tmp_path: Path
+) -> None:
+    random, (texture, surface) = np.random.default_rng(seed), two_balls()
+    session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
+    done: list[int] = []
+    undone: list[int] = []
+    for number in range(1, 13):
+        body = random_command(random, number)
+        kind = json.loads(body.partition(b"\n")[0])["kind"]
+        session.take(body)
+        if kind in ("undo", "redo"):
+            taken, put = (done, undone) if kind == "undo" else (undone, done)
+            if taken:
+                put.append(taken.pop())
+                for _ in range(put[-1]):
+                    getattr(painter, kind)()
+        elif strokes := sum(map(bool, library_calls(painter, surface, body))):
+            done.append(strokes)
+            undone.clear()
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        assert_same(session.shown.texture, painter.texture())
+    assert session.shown.told["done"] == len(done)
+    session.close()
+    again = Session(texture, surface, tmp_path / "out.octex", recover=True)
+    assert_same(again.shown.texture, painter.texture())
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (stroke(1, hidden="yes"), "hidden must be True or False"),
+        (stroke(1, at=[1, 2]), "at"),
+        (stroke(1, at=[float("nan"), 0, 0]), "at"),
+        (stroke(1, mirror="x", offset=float("nan")), "offset"),
+        (stroke(1, mirror="x", offset=1e13), "offset"),
+        (plain_command("fill", 1, color=[1, 2, 3], tolerance=20), "a tolerance needs at"),
+        (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=-1), "tolerance"),
+        (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=256), "tolerance"),
+        (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=9, connected=1), "connected"),
+    ],
+)
+def test_other_places_are_refused(body: bytes, why: str, session: Session) -> None:
+    with pytest.raises(ArgumentError, match=why):
+        session.take(body)
+
+
+@needs_jit
+@pytest.mark.parametrize("blend", BLENDS)
+def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blend: str, studio: Studio, page: Any) -> None:
+    brush = {"blend": blend, "color": [60, 140, 230], "opacity": 0.7, "hardness": 0.8}
+    other = brush | {"color": [240, 120, 40]}
+    drags = [(brush, [(-60, -20), (50, 10)]), (other, [(-10, -50), (0, 40)])]
+    assert_same_inside(drawn_and_baked(studio, page, drags))
+
+
+#: Returns the box and the coverage of the stroke that was sent last.
+_SENT = """() => {
+  const { box, coverage } = viewer.painting.strokes.sent.at(-1);
+  return [box, Array.from(coverage), viewer.painting.strokes.size];
+}"""
+
+
+def stroke_drawn(studio: Studio, page: Any, places: Any, steps: int = 5, **brush: Any) -> Any:
+    """Draw a stroke; return its coverage as codes (height, width)."""
+    page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+    page.evaluate(_HOLD)
+    studio.drag(page, *places, steps=steps)
+    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    return sent(studio, page)
+
+
+def sent(studio: Studio, page: Any) -> Any:
+    """Return the coverage of the stroke that waits, as codes (height, width), and let it be baked."""
+    (left, top, right, bottom), codes, (width, height) = page.evaluate(_SENT)
+    page.evaluate("release()")
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    found = np.zeros((height, width), np.int64)
+    found[top:bottom, left:right] = np.reshape(codes, (bottom - top, right - left))
+    return found
+
+
+LINE = [(-70, 20), (60, -10)]
+
+
+@needs_jit
+@pytest.mark.parametrize("brush", [{"flow": 0.25}, {"flow": 0.1, "spacing": 0.3}, {"spacing": 1.25}, {}])
+def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(
+    brush: dict[str, Any], studio: Studio, page: Any
+) -> None:
+    often = stroke_drawn(studio, page, LINE, 60, **brush)
+    rarely = stroke_drawn(studio, page, LINE, 2, **brush)
+    assert often.max() > 40
+    assert np.abs(often - rarely).max() <= 1
+
+
+@needs_jit
+def test_paint_of_little_flow_builds_up_to_what_one_of_full_flow_is(studio: Studio, page: Any) -> None:
+    there_and_back = [*LINE, *LINE[::-1], *LINE]
+    line = stroke_drawn(studio, page, LINE, size=30, hardness=0.4)
+    found = []
+    for places in (LINE, there_and_back, there_and_back * 8):
+        found.append(stroke_drawn(studio, page, places, 1, size=30, hardness=0.4, flow=0.06))
+        assert (found[-1] <= line + 1).all()
+    once, thrice, often = found
+    assert 0.3 < once.max() / 255 < 0.7
+    assert (once <= thrice).all()
+    assert thrice.max() > once.max() + 40
+    inner = np.s_[:, line.shape[1] // 2 - 50 : line.shape[1] // 2 + 40]  # dabs end before the line does
+    assert np.abs(often - line)[inner].max() <= 10
+    full = stroke_drawn(studio, page, LINE, size=30, hardness=0.4, flow=0.99, spacing=0.05)
+    assert np.abs(full - line)[inner].max() <= 6
+
+
+@needs_jit
+def test_dabs_lie_as_far_from_each_other_as_the_spacing_says(studio: Studio, page: Any) -> None:
+    codes = stroke_drawn(studio, page, [(-60, 0), (60, 0)], size=20, hardness=1, spacing=1.5)
+    row = codes[codes.shape[0] // 2] > 128
+    starts = np.flatnonzero(np.diff(row.astype(int), prepend=0) == 1)
+    assert len(starts) == 5
+    assert np.abs(np.diff(starts) - 30).max() <= 1
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    "brush",
+    [
+        {"flow": 0.15, "hardness": 0.3},
+        {"spacing": 1.2, "hardness": 0.6},
+        {"unit": "model", "size": 140},
+        {"opacity": 0.5, "flow": 0.5, "blend": "multiply"},
+    ],
+)
+def test_each_setting_of_the_brush_is_seen_at_once_as_it_is_baked(
+    brush: dict[str, Any], studio: Studio, page: Any
+) -> None:
+    drags = [(brush, [(-60, 0), (0, -40), (60, 20)])]
+    assert_same_inside(drawn_and_baked(studio, page, drags))
+
+
+@needs_jit
+def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio: Studio, page: Any) -> None:
+    page.evaluate("viewer.painting.set({ unit: 'model', size: 100, hardness: 1 })")
+    edge = studio.texture.placement.size
+    for zoom in (1, 2.5):
+        page.evaluate("(zoom) => { viewer.camera.zoom(zoom); viewer.move(); }", zoom)
+        page.wait_for_function("viewer.isSharp", timeout=60_000)
+        before = studio.session.shown.texture
+        studio.drag(page, (0, 0), (0, 0))
+        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        points = studio.surface.scatter(40_000, 0)
+        apart = studio.session.shown.texture.sample(points) - before.sample(points)
+        painted = points.points[np.abs(apart).max(axis=1) > 0.15]
+        away = np.linalg.norm(painted - painted.mean(axis=0), axis=1)
+        assert away.max() == pytest.approx(0.05 * edge, rel=0.12)
+        page.keyboard.press("Control+z")
+
+
+@needs_jit
+def test_the_unit_changes_and_the_size_stays(page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.evaluate("document.getElementById('tip').open = true")
+    page.select_option("#unit", "model")
+    assert page.evaluate("viewer.painting.brush.size") != 40
+    assert page.evaluate("viewer.painting.width") == pytest.approx(40, rel=0.03)
+    page.select_option("#unit", "pixels")
+    assert page.evaluate("viewer.painting.brush.size") == pytest.approx(40, abs=2)
+    page.evaluate("document.getElementById('tip').open = false")
+
+
+@needs_jit
+def test_a_pen_s_pressure_changes_what_it_is_set_to(studio: Studio, page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    middle = box["width"] / 2, box["height"] / 2
+    pen = page.context.new_cdp_session(page)
+
+    def pressed(how: str) -> Any:
+        page.evaluate("(pressure) => viewer.painting.set({ pressure, hardness: 1, size: 30 })", how)
+        page.evaluate(_HOLD)
+        event = {"button": "left", "clickCount": 1, "pointerType": "pen"}
+        for kind, right, force in (("Pressed", 0, 0.2), ("Moved", 30, 0.5), ("Moved", 60, 0.8)):
+            place = {"x": middle[0] - 30 + right, "y": middle[1], "force": force, "buttons": 1}
+            pen.send("Input.dispatchMouseEvent", {"type": f"mouse{kind}", **event, **place})
+        pen.send("Input.dispatchMouseEvent", {"type": "mouseReleased", **event, **place, "buttons": 0})
+        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        return sent(studio, page)
+
+    heights, codes = {}, {}
+    for how in ("size", "opacity", "both", ""):
+        covered = pressed(how)
+        near, far = (covered[:, int(middle[0]) + x] for x in (-29, 29))
+        heights[how], codes[how] = [(each > 60).sum() / 30 for each in (near, far)], [near.max(), far.max()]
+    assert heights["size"] == pytest.approx([0.35, 0.8], abs=0.12)
+    assert codes["size"] == [255, 255]
+    assert heights["opacity"][1] == pytest.approx(1, abs=0.05)
+    assert codes["opacity"] == pytest.approx([0.25 * 255, 0.75 * 255], abs=15)
+    assert codes["both"][1] < 220
+    assert heights[""] == pytest.approx([1, 1], abs=0.05)
+    assert codes[""] == [255, 255]
+
+
+_ARC = """async ([count, radius, turn]) => {
+  const { Path } = await import("./path.js"), found = [];
+  const place = (n) => [Math.cos, Math.sin].map((of) => radius * of((turn * n) / count)).concat([n]);
+  const path = new Path(place(0));
+  for (let n = 1; n <= count; n++) {
+    for (const [from, to] of path.to(place(n))) {
+      for (const t of [0, 0.25, 0.5, 0.75]) found.push(from.map((each, m) => each + t * (to[m] - each)));
+    }
+  }
+  return found;
+}"""
+
+
+def test_the_way_of_a_pen_is_a_curve_through_its_places(page: Any) -> None:
+    points = np.array(page.evaluate(_ARC, [16, 100, 2 * np.pi]))
+    away = np.abs(np.linalg.norm(points[:, :2], axis=1) - 100)
+    straight = 100 * (1 - np.cos(np.pi / 16))
+    later = points[:, 2] > 2  # it has then seen how the pen turns
+    assert away[later].max() < straight / 2.5
+    assert (np.diff(points[:, 2]) > -1e-9).all()
+    corners = np.array(page.evaluate(_ARC, [3, 100, 2 * np.pi]))  # a triangle stays one
+    sides = np.linalg.norm(corners[:, :2], axis=1)
+    assert sides.min() == pytest.approx(50, abs=2)
+    line = np.array(page.evaluate(_ARC, [4, 1e9, 1e-6]))
+    assert np.abs(line[:, 0] - 1e9).max() < 1e-2
+
+
+@needs_jit
+def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
+    box = page.locator("#picture").bounding_box()
+    needle = "document.querySelector('#ring i').getBoundingClientRect()"
+    lengths = []
+    for x, y in ((0, 0), (100, 0), (0, -100)):
+        page.mouse.move(box["width"] / 2 + x, box["height"] / 2 + y)
+        found = page.evaluate(f"(({{ width, height }}) => [width, height])({needle})")
+        lengths.append(found)
+    assert max(lengths[0]) < 4
+    assert lengths[1][0] > 6
+    assert lengths[1][1] < 4
+    assert lengths[2][0] < 4
+    assert lengths[2][1] > 6
+    times = page.evaluate("""async () => {
+      const { under } = await import("./under.js"), { viewer } = globalThis, found = [];
+      for (let n = 0; n < 50; n++) {
+        const began = performance.now();
+        under(viewer, 400 + n, 200);
+        found.push(performance.now() - began);
+      }
+      return found.sort((a, b) => a - b);
+    }""")
+    assert times[25] <= 2
+
+
+def last_command(session: Session) -> dict[str, Any]:
+    """The command that a page has sent last, as the journal has it."""
+    line = bytes(session._journal.path.read_bytes()).rpartition(b'{"page"')[2].partition(b"\n")[0]
+    return dict(json.loads(b'{"page"' + line))
+
+
+@needs_jit
+def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, page: Any) -> None:
+    page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = true")
+    for name in ("back-faces", "hidden", "one-part"):
+        page.check(f"#{name}")
+    page.select_option("#mirror", "y")
+    page.fill("#mirror-at", "10")
+    page.select_option("#blend", "screen")
+    studio.drag(page, (0, 0), (20, 0))
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    found = last_command(studio.session)
+    chosen = {name: found[name] for name in ("backFaces", "hidden", "mirror", "blend")}
+    assert chosen == {"backFaces": True, "hidden": True, "mirror": "y", "blend": "screen"}
+    assert found["offset"] == pytest.approx(0.2, abs=0.01)
+    assert np.linalg.norm(found["at"]) == pytest.approx(1, abs=0.02)
+    for filled, like in (
+        ("color", [8, True]),
+        ("colors", [8, False]),
+        ("part", [None, None]),
+        ("all", [None] * 2),
+    ):
+        page.select_option("#filled", filled)
+        if like[0]:
+            page.fill("#tolerance", "8")
+        page.click("#tool-fill")
+        studio.drag(page, (0, 0))
+        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        found = last_command(studio.session)
+        assert [found.get("tolerance"), found.get("connected")] == like
+        assert ("at" in found) == (filled != "all")
+        assert page.locator("#tolerance").is_disabled() == (like[0] is None)
+    page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = false")

@@ -1,0 +1,337 @@
+"""Painting of any channel, several at once: as the same calls of the library do, and added channels."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import NORMAL, ChannelFormat, decode, encode
+from octex.editing.draft import Change, joined_change
+from octex.errors import ArgumentError
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
+from octex.viewer.changes import change_between, change_of
+from octex.viewer.session import Session
+from tests.make.painted import ball
+from tests.make.same import assert_same
+from tests.viewer.test_session import SIZE, camera, disc, ones, plain, stroke
+
+#: What the values of a command are, beside its colour.
+GIVEN = {"roughness": [0.25], "metallic": [1], "emissive": [10, 200, 30], "height": [1.75]}
+
+
+def canvas() -> tuple[OctreeTexture, Surface]:
+    """A ball with material channels, and a height in floats."""
+    surface = ball(12).with_sources({"roughness": 0.5, "metallic": 0.0, "emissive": (0.1, 0.0, 0.0)})
+    form = ChannelFormat("height", 1, "data", "float16")
+    return with_values(octex.convert(surface, depth=5), form, 0), surface
+
+
+def with_values(texture: OctreeTexture, form: ChannelFormat, code: int) -> OctreeTexture:
+    """Return a texture with one more channel, of one value."""
+    parts = (np.full((count, form.components), code, form.dtype) for count in row_counts(texture.tree))
+    return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
+
+
+def picture(number: int, form: ChannelFormat, value: Any, blend: Any = "over") -> octex.Projection:
+    """The picture of a stroke by its value, as a user of the library makes it."""
+    if form.components == 3:
+        image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+        image[..., :3] = value
+        image[4:28, 10:40, 3] = disc(number)
+    elif form.dtype == "uint8":
+        image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
+        image[..., 0] = encode(np.array(value, np.float64), "uint8", "data")
+        image[4:28, 10:40, 3] = disc(number)
+    else:
+        image = np.zeros((SIZE[1], SIZE[0], 4), np.float32)
+        image[..., 0] = np.float16(value[0])
+        image[4:28, 10:40, 3] = disc(number) * (1 / 255)
+    return octex.Projection(image, camera(), opacity=0.8, blend=blend)
+
+
+def painted(painter: octex.Painter, number: int, values: dict[str, Any], blend: str = "over") -> None:
+    """Paint channels in the texture's order."""
+    for name, channel in painter.texture().channels.items():
+        if name in values:
+            painter.paint(picture(number, channel.format, values[name], blend), channel=name, max_angle=85)
+
+
+def light_of(form: ChannelFormat, value: Any) -> Any:
+    """Return a value as fills of the library take it."""
+    if form.components == 3:
+        return decode(np.array(value, np.uint8), "srgb")
+    return decode(encode(np.array(value, np.float64), form.dtype, "data"), "data")
+
+
+def color_of(number: int) -> list[int]:
+    return [200, 10 * (number % 20), 30]
+
+
+def without_color(body: bytes) -> bytes:
+    line, _, content = body.partition(b"\n")
+    fields = {name: value for name, value in json.loads(line).items() if name != "color"}
+    return json.dumps(fields).encode() + b"\n" + content
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    found = Session(*canvas(), tmp_path / "out.octex")
+    yield found
+    found.close()
+
+
+@pytest.mark.parametrize("names", [[], ["roughness"], ["roughness", "metallic"], list(GIVEN)])
+@pytest.mark.parametrize("has_color", [True, False])
+def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(
+    names: list[str], has_color: bool, session: Session
+) -> None:
+    if not names and not has_color:
+        return
+    painter = octex.Painter(*canvas())
+    values = {name: GIVEN[name] for name in names}
+    body = stroke(1, values=values)
+    session.take(body if has_color else without_color(body))
+    session.wait()
+    assert session.shown.told["fault"] == ""
+    painted(painter, 1, values | ({"base_color": color_of(1)} if has_color else {}))
+    assert_same(session.shown.texture, painter.texture())
+    assert session.shown.told["done"] == 1
+    session.take(plain("undo", 2))
+    session.wait()
+    assert_same(session.shown.texture, canvas()[0])
+    session.take(plain("redo", 3))
+    session.wait()
+    assert_same(session.shown.texture, painter.texture())
+
+
+def test_a_fill_paints_several_channels(session: Session) -> None:
+    painter = octex.Painter(*canvas())
+    session.take(plain("fill", 1, values=GIVEN, color=[250, 0, 10], opacity=0.5))
+    session.take(plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
+    session.wait()
+    for name, channel in painter.texture().channels.items():
+        light = light_of(channel.format, ({"base_color": [250, 0, 10]} | GIVEN)[name])
+        painter.fill(ones, light, channel=name, opacity=0.5)
+    half = decode(np.array([128], np.uint8), "data")
+    painter.fill(ones, half, channel="roughness", opacity=0.25, blend="multiply")
+    assert_same(session.shown.texture, painter.texture())
+    assert session.shown.told["done"] == 2
+
+
+def test_mirrored_and_blended_strokes_paint_all_channels(session: Session) -> None:
+    texture, _ = canvas()
+    session.take(stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
+    session.wait()
+    assert session.shown.told["done"] == 1
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    for name in ("base_color", "metallic"):
+        apart = session.shown.texture.sample(points, name) - texture.sample(points, name)
+        is_painted = np.abs(apart).max(axis=1) > 0.05
+        assert is_painted[points[:, 0] > 0.3].any()
+        assert is_painted[points[:, 0] < -0.3].any()
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ([0.5], "values must be an object"),
+        ("roughness", "values must be an object"),
+        ({str(n): [0] for n in range(17)}, "at most 16 channels"),
+        ({"roughness": 0.5}, "roughness must be finite numbers"),
+        ({"roughness": [NAN]}, "roughness must be finite numbers"),
+        ({"roughness": [1e300]}, "roughness must be finite numbers"),
+        ({"roughness": ["0.5"]}, "roughness must be finite numbers"),
+        ({"roughness": [[0.5]]}, "roughness must be finite numbers"),
+        ({"roughness": None}, "roughness must be finite numbers"),
+    ],
+)
+def test_values_that_are_no_numbers_are_refused(values: Any, why: str, session: Session) -> None:
+    for body in (stroke(1, values=values), plain("fill", 1, values=values)):
+        with pytest.raises(ArgumentError, match=why):
+            session.take(body)
+    assert session.take(stroke(1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        ({"roughness": [1.01]}, "values of 'roughness' must be from 0 to 1"),
+        ({"roughness": [-0.01]}, "values of 'roughness' must be from 0 to 1"),
+        ({"roughness": [0.5, 0.5]}, "values of 'roughness' must be 1, not 2"),
+        ({"base_color": [1, 2, 3]}, "color is the value of 'base_color'"),
+        ({"roughness": []}, "values of 'roughness' must be 1, not 0"),
+        ({"emissive": [0, 0, 256]}, "values of 'emissive' must be codes of 0 to 255"),
+        ({"emissive": [0.5]}, "values of 'emissive' must be 3, not 1"),
+        ({"occlusion": [0.5]}, "unknown channel of the texture 'occlusion'"),
+        ({"alpha": [0.5]}, "alpha is painted with blend"),
+        ({"normal": [0, 0, 1]}, "'normal' holds directions, which values do not paint"),
+    ],
+)
+def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(
+    values: Any, why: str, tmp_path: Path
+) -> None:
+    more = ball(12).with_sources({"roughness": 0.5, "emissive": (0.0, 0.0, 0.0), "alpha": 1.0})
+    texture = with_values(octex.convert(more, depth=4), NORMAL, 0)
+    session = Session(texture, more, tmp_path / "out.octex")
+    for number, body in enumerate(
+        (stroke(1, values=values), plain("fill", 2, values=values, color=[1, 2, 3])), 1
+    ):
+        session.take(body)
+        session.wait()
+        assert why in session.shown.told["fault"]
+        assert session.shown.told["baked"] == {json.loads(body.partition(b"\n")[0])["page"]: number}
+    assert session.shown.told["steps"] == []
+    assert_same(session.shown.texture, texture)
+    session.close()
+
+
+def test_an_added_channel_is_a_step_and_can_be_painted(session: Session, tmp_path: Path) -> None:
+    texture, surface = canvas()
+    bodies = [
+        plain("channel", 1, channel="occlusion", name="Add occlusion"),
+        stroke(2, values={"occlusion": [0.5]}),
+        plain("undo", 3),
+        plain("undo", 4),
+        plain("redo", 5),
+        plain("redo", 6),
+    ]
+    seen = []
+    for body in bodies:
+        session.take(body)
+        session.wait()
+        assert session.shown.told["fault"] == ""
+        seen.append(session.shown.texture)
+    added = seen[0].channels["occlusion"]
+    assert added.format == ChannelFormat("occlusion", 1, "data")
+    assert all((part == 255).all() for part in added[1:])
+    others = {name: seen[0].channels[name] for name in texture.channels}
+    assert_same(texture.with_cells(seen[0].tree, others), texture)
+    painter = octex.Painter(seen[0], surface)
+    painted(painter, 2, {"occlusion": [0.5], "base_color": color_of(2)})
+    assert_same(seen[1], painter.texture())
+    assert_same(seen[2], seen[0])
+    assert_same(seen[3], texture)
+    assert_same(seen[4], seen[0])
+    assert_same(seen[5], seen[1])
+    assert session.shown.told["steps"] == ["Add occlusion", "Brush 2"]
+    session.close()
+    again = Session(*canvas(), tmp_path / "out.octex", recover=True)
+    assert_same(again.shown.texture, seen[5])
+    again.take(plain("save", 7))
+    again.wait()
+    assert_same(octex.open(tmp_path / "out.octex"), seen[5])
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [("metallic", 0.0), ("roughness", 1.0), ("occlusion", 1.0), ("emissive", 0.0), ("height", 0.5)],
+)
+def test_an_added_channel_has_its_neutral_value(name: str, least: float, tmp_path: Path) -> None:
+    surface = ball(8)
+    session = Session(octex.convert(surface, depth=3), surface, tmp_path / "out.octex")
+    session.take(plain("channel", 1, channel=name))
+    session.take(plain("channel", 2, channel=name))
+    session.wait()
+    np.testing.assert_allclose(session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255)
+    assert f"has the channel '{name}' already" in session.shown.told["fault"]
+    session.close()
+
+
+@pytest.mark.parametrize(
+    ("given", "why"), [({}, "channel must be a name"), ({"channel": 3}, "channel must be a name")]
+)
+def test_a_channel_without_a_name_is_refused(given: Any, why: str, session: Session) -> None:
+    with pytest.raises(ArgumentError, match=why):
+        session.take(plain("channel", 1, **given))
+
+
+@pytest.mark.parametrize("name", ["normal", "base_color", "colour", "../x"])
+def test_a_channel_that_pages_do_not_add_is_told(name: str, session: Session) -> None:
+    session.take(plain("channel", 1, channel=name))
+    session.wait()
+    assert "unknown channel to add" in session.shown.told["fault"]
+    assert session.shown.told["steps"] == []
+
+
+def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles() -> None:
+    surface = ball(48).with_sources({"roughness": 0.5, "metallic": 0.0})
+    painter = octex.Painter(octex.convert(surface, depth=8), surface)
+    before = painter.texture()
+    values = {"base_color": color_of(1), "roughness": [0.1], "metallic": [1.0]}
+    painted(painter, 1, values)
+    painter.fill(octex.Sphere((1.0, 0.0, 0.0), 0.05), (0.1, 0.2, 0.3))
+    changes = [change for each in painter.strokes for change in each]
+    after = painter.texture()
+    for some in (changes, changes[:3]):
+        if some is not changes:
+            painter.undo()
+        after = painter.texture()
+        joined = joined_change(some, before, after)
+        assert joined.tiles is not None
+        assert change_of(joined, before, after) == change_between(before, after)
+        back = joined.inverted()
+        assert change_of(back, after, before) == change_between(after, before)
+        assert_same(joined.put_into(before), after)
+        assert_same(back.put_into(after), before)
+    grown = before.with_cells(before.tree, before.channels)
+    assert joined_change([changes[0], Change(None, before, grown)], before, grown).tiles is None
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_SESSIONS", "2"))))
+def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    texture, surface = canvas()
+    history, done = [texture], 0
+    session = Session(texture, surface, tmp_path / "out.octex")
+    for number in range(1, 15):
+        kind = random.choice(["stroke", "stroke", "fill", "channel", "undo", "redo"])
+        now = history[done]
+        chosen = [name for name in GIVEN if random.random() < 0.4] or ["roughness"]
+        values = {name: GIVEN[name] for name in chosen}
+        if kind == "undo":
+            body, done = plain("undo", number), max(done - 1, 0)
+        elif kind == "redo":
+            body, done = plain("redo", number), min(done + 1, len(history) - 1)
+        elif kind == "channel":
+            name = "specular" if "occlusion" in now.channels else "occlusion"
+            body = plain("channel", number, channel=name)
+            if name not in now.channels:
+                form = ChannelFormat(name, *((3, "srgb") if name == "specular" else (1, "data")))
+                history[done + 1 :], done = (
+                    [with_values(now, form, 56 if name == "specular" else 255)],
+                    done + 1,
+                )
+        else:
+            painter = octex.Painter(now, surface)
+            if kind == "stroke":
+                body = without_color(stroke(number, values=values))
+                painted(painter, number, values)
+            else:
+                body = plain("fill", number, values=values, color=[1, 2, 3], opacity=0.3)
+                for name, channel in now.channels.items():
+                    if name in values or name == "base_color":
+                        light = light_of(channel.format, values.get(name, [1, 2, 3]))
+                        painter.fill(ones, light, channel=name, opacity=0.3)
+            history[done + 1 :], done = [painter.texture()], done + 1
+        session.take(body)
+        session.wait()
+        assert_same(session.shown.texture, history[done])
+    session.close()
+    again = Session(*canvas(), tmp_path / "out.octex", recover=True)
+    assert_same(again.shown.texture, history[done])
+    assert again.shown.told["done"] == done
+    again.close()

@@ -1,0 +1,249 @@
+"""Painting of any channel in a real browser: it is seen at once as it will be painted, heights as relief."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import octex
+from octex.channels import ChannelFormat, encode
+from octex.drawing import render_surface, texture_shader
+from octex.drawing.environment import Environment
+from octex.source.surface import Surface
+from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
+from octex.viewer import Viewer, write_page
+from octex.viewer.session import Session
+from tests.conftest import needs_jit
+from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
+from tests.make.painted import ball
+from tests.viewer.test_paint_redraw import _UNLIKE
+from tests.viewer.test_painting import _HOLD, Studio
+
+SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
+VIEW = 240, 200
+
+
+class Workshop(Studio):
+    """A ball of a plain material, with a height and a number that light does not show."""
+
+    open: Any
+
+    def __init__(self, browser: Any, folder: Path) -> None:
+        self.surface: Surface = ball(24).with_sources(
+            {"base_color": lambda p: np.full_like(p, 0.5), "emissive": (0.0, 0.0, 0.0), **SCALARS}
+        )
+        self.texture: OctreeTexture = octex.convert(self.surface, depth=6)
+        for name in ("height", "moisture"):
+            self.texture = with_halves(self.texture, name)
+        self.session = Session(self.texture, self.surface, folder / "out.octex")
+        self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)
+        self.browser = browser
+
+
+def with_halves(texture: OctreeTexture, name: str) -> OctreeTexture:
+    """Return a texture with one more channel, of 1/2 everywhere."""
+    parts = (np.full((count, 1), 128, np.uint8) for count in row_counts(texture.tree))
+    channel = Channel(ChannelFormat(name, 1, "data"), *parts)
+    return texture.with_cells(texture.tree, {**texture.channels, name: channel})
+
+
+@pytest.fixture(scope="module")
+def shop(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
+    found = Workshop(browser, tmp_path_factory.mktemp("shop"))
+    with served(found.viewer):
+        found.open = found.page()
+        yield found
+        found.open.close()
+    found.session.close()
+
+
+@pytest.fixture
+def page(shop: Workshop) -> Iterator[Any]:
+    """A page, whose steps are undone afterwards."""
+    page = shop.open
+    yield page
+    page.evaluate("() => { for (let n = viewer.painting.last.done; n > 0; n--) viewer.painting.undo(); }")
+    page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
+    assert page.complaints == []
+
+
+def pictured(page: Any, shown: str, channel: str = "base_color") -> npt.NDArray[np.int64]:
+    return drawn(page, VIEW, shown=shown, channel=channel, marked=None, facing=False).astype(np.int64)
+
+
+def ticked(page: Any, **values: float | list[int]) -> None:
+    known = page.evaluate("viewer.painting.brush.values")
+    page.evaluate("(brush) => viewer.painting.set(brush)", {"ticked": [*values], "values": known | values})
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"roughness": 0.1},
+        {"metallic": 1.0, "roughness": 0.2},
+        {"base_color": 0, "roughness": 0.9, "metallic": 0.9, "occlusion": 0.3, "emissive": [60, 10, 90]},
+        {"moisture": 1.0},
+        {"height": 1.0},
+    ],
+    ids=" ".join,
+)
+def test_channels_are_seen_at_once_as_they_will_be_painted(
+    values: dict[str, Any], shop: Workshop, page: Any
+) -> None:
+    ticked(page, **values)
+    looks = [*(("channel", name) for name in values), ("lit", "base_color")]
+    plain = {look: pictured(page, *look) for look in looks}
+    page.evaluate(_HOLD)
+    page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = viewer.painting.brush.ticked[0]")
+    first = page.evaluate("viewer.painting.sending.number")
+    for places in (((-60, 0), (0, -40)), ((0, -40), (60, 20))):
+        shop.drag(page, *places)
+    page.wait_for_function("viewer.painting.sending.waiting.length === 2")
+    before = {look: pictured(page, *look) for look in looks}
+    page.evaluate("release()")
+    shop.is_done(page, first + 2)
+    is_painted = np.zeros(VIEW[::-1], np.bool_)
+    for look in looks:
+        after = pictured(page, *look)
+        is_changed = np.abs(after - plain[look]).max(axis=2)
+        if look[0] == "channel":
+            is_painted |= is_changed > 12
+            assert 0.02 < is_painted.mean() < 0.3
+        assert (is_changed > 2).any() == (look[0] == "channel" or "moisture" not in values)
+        assert np.sqrt(((before[look] - after)[is_painted] ** 2).mean()) <= 2, look
+    for name, channel in shop.texture.channels.items():
+        shape = channel.values.shape
+        if name not in values and shop.session.shown.texture.channels[name].values.shape == shape:
+            assert (shop.session.shown.texture.channels[name].values == channel.values).all()
+
+
+@needs_jit
+def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop: Workshop, page: Any) -> None:
+    ticked(page, height=1.0)
+    page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
+    page.evaluate("viewer.painting.set({ size: 8 })")
+    page.wait_for_function("viewer.isSharp", timeout=60_000)
+    first, near = page.evaluate("viewer.painting.sending.number"), 0
+    for number in range(1, 5):
+        looked_up, pictures = page.evaluate("[viewer.lookedUp, viewer.pictures]")
+        shop.drag(page, (10 * number, 0), (10 * number, 20))
+        shop.is_done(page, first + number)
+        page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
+        unlike, shown = page.evaluate(_UNLIKE)
+        assert unlike == 0
+        assert shown > 100
+        if looked_up == page.evaluate("viewer.lookedUp"):
+            near += page.evaluate("viewer.pictures") == pictures
+    assert near > 0
+
+
+@needs_jit
+def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop: Workshop, page: Any) -> None:
+    ticked(page, roughness=0.0, moisture=1.0)
+    page.evaluate("viewer.painting.set({ filled: 'all' })")
+    color = page.evaluate("viewer.painting.brush.color")
+    first = page.evaluate("viewer.painting.sending.number")
+    page.keyboard.press("f")
+    shop.drag(page, (0, 0))
+    shop.is_done(page, first + 1)
+    points = shop.surface.vertices[:20]
+    for name, value in (("roughness", 0.0), ("moisture", 1.0), ("metallic", 0.1)):
+        found = shop.session.shown.texture.sample(points, name)
+        np.testing.assert_allclose(found, value, atol=2 / 255)
+    ticked(page, roughness=0.7, occlusion=0.0)
+    page.keyboard.down("Alt")
+    shop.drag(page, (0, 0))
+    page.keyboard.up("Alt")
+    picked = page.evaluate("viewer.painting.brush.values")
+    assert abs(picked["roughness"]) < 0.01
+    assert abs(picked["occlusion"] - 0.9) < 0.01
+    assert picked["moisture"] == 1.0
+    assert page.evaluate("viewer.painting.brush.color") == color
+
+
+@needs_jit
+def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop: Workshop, page: Any) -> None:
+    look = "[viewer.look.shown, viewer.look.channel]"
+    page.evaluate("viewer.painting.set({ ticked: ['base_color'] }); viewer.painting.material.lookAt()")
+    page.evaluate("document.getElementById('material').open = true")
+    page.check("#paints-moisture")
+    assert page.evaluate(look)[0] == "lit"
+    page.uncheck("#paints-base_color")
+    assert page.evaluate(look) == ["channel", "moisture"]
+    assert page.evaluate("document.getElementById('shown').value") == "channel moisture"
+    page.check("#paints-roughness")
+    page.uncheck("#paints-moisture")
+    assert page.evaluate(look)[0] == "lit"
+    page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = 'metallic'")
+    shop.drag(page, (0, 0), (20, 0))
+    assert page.locator("#paint-note").inner_text() == "Tick Metal under Material to paint it."
+    page.evaluate("viewer.look.shown = 'lit'")
+    page.uncheck("#paints-roughness")
+    shop.drag(page, (0, 0), (20, 0))
+    assert page.locator("#paint-note").inner_text() == "Tick under Material what to paint."
+    assert page.evaluate("viewer.painting.last.done") == 0
+    page.locator("#value-metallic").fill("0.5")
+    assert page.evaluate("viewer.painting.paint") == {"color": None, "values": {"metallic": [0.5]}}
+
+
+@needs_jit
+def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: Any, tmp_path: Path) -> None:
+    studio = Studio(browser, tmp_path)
+    with served(studio.viewer):
+        page = studio.page()
+        page.evaluate("viewer.painting.set({ size: 77 })")
+        page.click("#material summary")
+        page.select_option("#add-channel", "roughness")
+        page.wait_for_function(
+            "globalThis.viewer?.painting?.last.done === 1 && viewer.isSharp", timeout=60_000
+        )
+        assert page.evaluate("viewer.painting.brush.size") == 77
+        assert page.evaluate("viewer.painting.last.steps") == ["Add roughness"]
+        assert page.is_checked("#paints-roughness")
+        assert page.locator("#value-roughness").is_visible()
+        studio.drag(page, (-20, 0), (20, 0))
+        page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
+        rough = studio.session.shown.texture.channels["roughness"].values
+        assert (rough.min(), rough.max()) == (76, 255)
+        page.close()
+    studio.session.close()
+
+
+@needs_jit
+def test_relief_in_the_page_is_as_in_the_librarys_pictures(browser: Any, tmp_path: Path) -> None:
+    size, relief = (240, 180), 0.05
+    waves = {
+        "base_color": lambda p: np.full_like(p, 0.5),
+        "occlusion": lambda p: 0.5 + 0.4 * np.sin(9 * p[:, :1]) * np.sin(7 * p[:, 1:2] + 5 * p[:, 2:]),
+        "roughness": 0.5,
+    }
+    surface = ball(48).with_sources(waves)
+    texture = octex.convert(surface, depth=7)
+    channels = dict(texture.channels)
+    _, *parts = channels.pop("occlusion")
+    channels["height"] = Channel(ChannelFormat("height", 1, "data"), *parts)
+    texture = texture.with_cells(texture.tree, channels)
+    write_page(texture, tmp_path / "page.html", surface)
+    page = opened(browser, file_url(tmp_path / "page.html"), (912, 480))
+    assert page.is_visible("#relief")
+    seen = Probe(page, texture, size).seen.reshape(size[1], size[0])[::-1]
+    found, flat = (drawn(page, size, relief=own).astype(int) for own in (relief, 0.0))
+    bump = ("height", relief * texture.placement.size)
+    pictures = []
+    for own in (bump, None):
+        look = texture_shader(texture, materials=True, bump=own)
+        light = render_surface(surface, camera_of(page, size), look, 1, Environment.studio())
+        pictures.append(encode(light, "uint8", "srgb").astype(int))
+    rises, expected = (found - flat)[seen], (pictures[0] - pictures[1])[seen]
+    assert np.sqrt((expected**2).mean()) > 8
+    assert np.corrcoef(rises.ravel(), expected.ravel())[0, 1] > 0.98
+    assert np.sqrt(((rises - expected) ** 2).mean()) < 2
+    assert page.complaints == []
+    page.close()

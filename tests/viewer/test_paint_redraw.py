@@ -1,0 +1,63 @@
+"""After a change the page draws anew only what is near it, and its picture is as if it had drawn all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.conftest import needs_jit
+from tests.make.browser import served
+from tests.viewer.test_painting import Studio
+
+#: How many pixels of the picture differ from one that is drawn anew, and how many of that one show the model.
+_UNLIKE = """() => {
+  const { gpu, canvas, look, camera } = viewer, { gl } = gpu, [width, height] = [canvas.width, canvas.height];
+  const read = () => {
+    const codes = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.pictures.picture.buffer);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return new Uint32Array(codes.buffer);
+  };
+  const before = read();
+  gpu.draw(look, camera, width, height);
+  const now = read();
+  return [before.filter((code, n) => code !== now[n]).length, now.filter((code) => code !== now[0]).length];
+}"""
+
+
+@needs_jit
+def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) -> None:
+    studio, random = Studio(browser, tmp_path, depth=8), np.random.default_rng(0)
+    with served(studio.viewer):
+        page, number, near = studio.page(), 0, 0
+        page.set_viewport_size({"width": 760, "height": 280})
+        page.evaluate("viewer.tell = () => {}")  # the cell under the pointer is not marked
+        for view in ("orbit(0.3, 0.2)", "zoom(0.2)", "zoom(9.0)", "orbit(0.9, 0.1)"):
+            page.evaluate(f"viewer.camera.{view}; viewer.move()")
+            page.wait_for_function("viewer.isSharp", timeout=60_000)
+            for step in range(3):
+                size = int(random.integers(3, 20))
+                page.evaluate("(size) => viewer.painting.set({ size })", size)
+                looked_up, pictures = page.evaluate("[viewer.lookedUp, viewer.pictures]")
+                x, y = random.integers(-15, 15, 2).tolist()
+                if step < 2:
+                    studio.drag(page, (x, y), (x + 6, y + 4))
+                else:
+                    page.keyboard.press("Control+z")
+                number += 1
+                studio.is_done(page, number)
+                page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
+                unlike, shown = page.evaluate(_UNLIKE)
+                assert unlike == 0
+                assert shown > 100
+                is_small = all(change.tiles is not None for change in studio.session.shown.changes)
+                if is_small and looked_up == page.evaluate("viewer.lookedUp"):
+                    assert page.evaluate("viewer.pictures") == pictures
+                    near += 1
+        assert near >= 6
+        assert page.complaints == []
+        page.close()
+    studio.session.close()
