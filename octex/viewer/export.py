@@ -31,7 +31,7 @@ viewer
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.
 _PAINTING_NAMES = """
-panel path dabs under stroke sending brush images stencil retouch elsewhere tools material paint
+panel path dabs under mirror stroke sending brush images stencil retouch elsewhere tools material paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag"]

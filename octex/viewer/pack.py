@@ -118,13 +118,15 @@ def packed_page(
     title: str,
     motion: Motion | None = None,
     maps: Maps | None = None,
+    paints: bool = False,
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack all that a page shows, as ``pack`` does; how it moves and its maps are of a page of one part."""
+    """Pack all that a page shows, as ``pack`` does; motion, maps and paint are of a page of one part."""
     packed = [pack(each.texture, each.surface, level=level, room=room) for each in parts[1:]]
     first = parts[0]
-    packed.insert(0, pack(first.texture, first.surface, motion=motion, maps=maps, level=level, room=room))
+    more: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
+    packed.insert(0, pack(first.texture, first.surface, **more, level=level, room=room))
     headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
     streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
     studio, streams["studio"] = _packed_studio()
@@ -150,14 +152,15 @@ def pack(
     *,
     motion: Motion | None = None,
     maps: Maps | None = None,
+    paints: bool = False,
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
     """Pack a texture, the surface that it is of, how that moves and its maps; deflate's ``level`` is 1 to 9.
 
     The header's ``notes`` say what the page shows otherwise than lookups have it. ``motion`` has
-    fewer frames, or is left out, where it takes more than ``room`` bytes. Raises ArgumentError for a surface
-    that is not the texture's.
+    fewer frames, or is left out, where it takes more than ``room`` bytes. A page that ``paints`` knows the
+    surface's parts. Raises ArgumentError for a surface that is not the texture's.
     """
     if surface is not None:
         surface = surface.placed_on(texture)
@@ -179,7 +182,7 @@ def pack(
             header["source"] = maps.header
             streams |= {f"map-{number}": image for number, image in enumerate(maps.images)}
             notes += maps.notes
-        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams, maps)
+        header["mesh"], stream = _packed_mesh(texture, surface, "motion" in streams, maps, paints)
         streams["mesh"] = deflated(stream, level)
         header["mesh"]["bytes"] = len(streams["mesh"])
     return Packed(header, streams)
@@ -343,9 +346,12 @@ def _apart(values: Array) -> Uint8s:
 
 
 def _packed_mesh(
-    texture: OctreeTexture, surface: Surface, moves: bool, maps: Maps | None
+    texture: OctreeTexture, surface: Surface, moves: bool, maps: Maps | None, paints: bool
 ) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream; of one that ``moves`` it names vertices' owners."""
+    """Return what a mesh's stream holds, and the stream.
+
+    Of one that ``moves`` it names vertices' owners, of one that is painted the parts that they are of.
+    """
     order = np.arange(len(surface.triangles)) if maps is None else maps.order
     faces = surface.triangles[order]
     is_posed = surface.rest is not surface.vertices
@@ -369,6 +375,9 @@ def _packed_mesh(
         columns.append(_octahedral(corner_normals(surface.rest, faces).reshape(-1, 3)))
     if maps is not None:
         columns.append(maps.columns[order].reshape(3 * len(faces), -1))
+    has_parts = paints and bool(surface.parts.max() > 0)
+    if has_parts:
+        columns.append(np.repeat(surface.parts[order], 3)[:, None])
     corners = np.concatenate(columns, axis=1)
     _, first, which = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     by_first_use = np.argsort(first, kind="stable")
@@ -388,6 +397,7 @@ def _packed_mesh(
         "posed": is_posed,
         "coordinates": surface.uv is not None or has_coordinates,
         "moves": moves,
+        "parts": has_parts,
         "low": low.tolist(),
         "edge": edge,
     }

@@ -183,7 +183,9 @@ class Viewer:
         with self._lock:
             state = self._now()
             if self._packed[0] != state.version:
-                packed = packed_page(state.parts, title=self._path.name, motion=self._motion, maps=self._maps)
+                shown: dict[str, Any] = {"motion": self._motion, "maps": self._maps}
+                paints = state.session is not None
+                packed = packed_page(state.parts, title=self._path.name, paints=paints, **shown)
                 packed.header.update(version=state.version, session=state.session)
                 self._packed = state.version, packed
             return self._packed[1]

@@ -78,14 +78,18 @@ def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any],
     return before, shown, pictured(page)
 
 
-def assert_same_inside(pictures: tuple[Any, ...], least: float = 0.01) -> Any:
+def assert_same_inside(pictures: tuple[Any, ...], *, ends_sharply: bool = False) -> Any:
     """Check that a picture shows strokes as they are baked but at their rims; return where they are."""
     before, shown, baked = pictures
     changes = np.abs(shown - before).max(axis=2)
     inside = changes > 0.4 * changes.max()
     assert changes.max() > 25
-    assert inside.mean() > least
-    assert float(np.sqrt(((shown - baked)[inside] ** 2).mean())) <= 2
+    assert inside.mean() > 0.008
+    inner = inside.copy()
+    if ends_sharply:  # at the next part: of pixels there, baked paint has a part
+        for axis in (0, 1):
+            inner &= np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
+    assert float(np.sqrt(((shown - baked)[inner] ** 2).mean())) <= 2
     return inside
 
 
@@ -524,3 +528,81 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, p
         assert ("at" in found) == (filled != "all")
         assert page.locator("#tolerance").is_disabled() == (like[0] is None)
     page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = false")
+
+
+def turned(page: Any, turn: float) -> None:
+    page.evaluate("(turn) => { viewer.camera.turn = turn; viewer.camera.tilt = 0.1; viewer.move(); }", turn)
+    page.wait_for_function("viewer.isSharp", timeout=60_000)
+
+
+@needs_jit
+@pytest.mark.parametrize("offset", [0, 5])
+def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(
+    offset: float, studio: Studio, page: Any
+) -> None:
+    turned(page, 0.0)
+    brush = {"mirror": "x", "mirrorAt": offset, "hardness": 0.6}
+    pictures = drawn_and_baked(studio, page, [(brush, [(40, 10), (80, -40)])])
+    inside = assert_same_inside(pictures)
+    half = inside.shape[1] // 2
+    assert inside[:, :half].sum() > 200
+    assert inside[:, half:].sum() > 200
+
+
+@needs_jit
+def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_baked(
+    studio: Studio, page: Any
+) -> None:
+    turned(page, 0.0)
+    brush = {"hidden": True, "backFaces": True, "angle": 80, "hardness": 0.6}
+    page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+    page.evaluate(_HOLD)
+    studio.drag(page, (-30, 0), (40, 30))
+    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    page.evaluate("viewer.camera.turn = Math.PI")
+    before, shown = pictured(page, paint=None), pictured(page)
+    page.evaluate("release()")
+    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    assert_same_inside((before, shown, pictured(page)))
+
+
+class Pair(Studio):
+    """Two balls beside each other along x."""
+
+    def __init__(self, browser: Any, folder: Path) -> None:
+        one = ball(16)
+        beside = one.vertices + np.array([2.1, 0.2, -0.3])
+        mesh = together((one.vertices, one.triangles), (beside, one.triangles))
+        self.surface = plain(mesh)
+        self.texture = octex.convert(self.surface, depth=6)
+        self.start(browser, folder)
+
+
+@pytest.fixture(scope="module")
+def pair(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+    found = Pair(browser, tmp_path_factory.mktemp("pair"))
+    with served(found.viewer):
+        yield found
+    found.session.close()
+
+
+@needs_jit
+@pytest.mark.parametrize("mirror", ["", "x"])
+def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror: str, pair: Studio) -> None:
+    page = pair.page()
+    turned(page, 0.0)
+    brush = {"onePart": True, "size": 60, "hardness": 0.6, "mirror": mirror}
+    drag = [(-40, -10), (60, -10)]
+    pictures = drawn_and_baked(pair, page, [(brush, drag)])
+    inside = assert_same_inside(pictures, ends_sharply=True)
+    half = inside.shape[1] // 2
+    assert inside[:, :half].sum() > 200
+    assert (inside[:, half + 6 :].sum() > 200) == bool(mirror)
+    painted = np.abs(pair.session.shown.texture.sample(pair.surface.scatter(4000, 0)) - 0.5).max(axis=1) > 0.1
+    parts = pair.surface.parts[pair.surface.scatter(4000, 0).triangles]
+    assert painted[parts == 0].mean() > 0.04
+    assert (painted[parts == 1].mean() > 0.04) == bool(mirror)  # cells at the border hold both
+    page.keyboard.press("Control+z")
+    page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
+    assert page.complaints == []
+    page.close()

@@ -40,6 +40,9 @@ class Studio:
         if surface is None:
             surface = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
         self.texture: OctreeTexture = octex.convert(surface, depth=depth)
+        self.start(browser, folder)
+
+    def start(self, browser: Any, folder: Path) -> None:
         self.output = folder / "out.octex"
         self.session = Session(self.texture, self.surface, self.output)
         self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)

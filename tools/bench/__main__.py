@@ -30,6 +30,7 @@ from images import filters, materials
 from lookups import kinds, lookup, mixed, questions, resident, today
 from measuring import Report, Setup, octex_worker
 from painting import painting, ring
+from painting_page import session
 from processing import processing
 from sources import cloud, transfer
 from texture import paper, psnr
@@ -59,6 +60,7 @@ BENCHMARKS = {
         ring,
         whole,
         painting,
+        session,
         transfer,
         cloud,
         processing,

@@ -27,8 +27,8 @@ export class BrushDrag {
     const { brush, paint, below, offset } = painting, at = painting.place(event);
     this.path = new Path(at);
     this.dirty = null; // what of the picture has changed since the last frame
-    const point = brush.onePart ? below?.rest : undefined;
-    painting.strokes.begin({ name: "Brush", ...brush, ...paint, offset, at: point, ...own, camera: cameraOf(painting.viewer) });
+    const point = brush.onePart ? below?.rest : undefined, camera = cameraOf(painting.viewer);
+    painting.strokes.begin({ name: "Brush", ...brush, ...paint, offset, at: point, begin: at, ...own, camera });
     this.draw(at, at);
   }
 
@@ -41,10 +41,14 @@ export class BrushDrag {
 
   // Draw a part of the stroke; the picture has it in the next frame.
   draw(from, to) {
-    const box = this.painting.strokes.extend(from, to);
+    const { strokes, below, width } = this.painting, { mirror, current, view } = strokes, box = strokes.extend(from, to);
     if (!box) return;
-    const before = this.dirty ?? box;
-    this.dirty = { left: Math.min(before.left, box.left), top: Math.min(before.top, box.top), right: Math.max(before.right, box.right), bottom: Math.max(before.bottom, box.bottom) };
+    const last = this.other, isMirrored = mirror.key && mirror.keyOf(current, view) === mirror.key;
+    this.other = isMirrored && below ? mirror.around(below, width) : null;
+    for (const each of [box, last, this.other].filter(Boolean)) {
+      const before = this.dirty ?? each;
+      this.dirty = { left: Math.min(before.left, each.left), top: Math.min(before.top, each.top), right: Math.max(before.right, each.right), bottom: Math.max(before.bottom, each.bottom) };
+    }
     this.asked ||= requestAnimationFrame(() => {
       this.asked = 0;
       if (this.dirty) this.painting.viewer.drawPart(this.dirty);

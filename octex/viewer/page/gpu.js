@@ -135,7 +135,7 @@ export class Gpu {
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, part, look, planes) {
     const { paint } = look;
-    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, shown: kind };
+    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
     const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     const { isMixed, split, kept, mesh, motion, channels } = part.header;
     const facing = look.facing && kind !== "cubes";
@@ -145,7 +145,7 @@ export class Gpu {
     Object.assign(flags, { TURNS: look.moved && motion?.turns });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
     Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
-    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, OVER: kind === "surface" && look.isOver });
+    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, OVER: kind === "surface" && look.isOver });
     Object.assign(flags, { RELIEF: kind === "surface" && this.showsRelief(look) });
     Object.assign(flags, { PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);

@@ -19,7 +19,7 @@ export const toHex = (color) => `#${color.map((code) => Math.round(code).toStrin
 export const fromHex = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16));
 const toCode = (light) => 255 * Math.min(Math.max(light <= 0.0031308 ? 12.92 * light : 1.055 * light ** (1 / 2.4) - 0.055, 0), 1);
 const isColor = ({ space, components }) => components === 3 && (space === "srgb" || space === "linear");
-const nameOf = (name) => (name === BASE ? "Colour" : (KNOWN[name]?.[0] ?? name.replaceAll("_", " ")));
+const nameOf = (name) => (name === BASE ? "Colour" : (KNOWN[name]?.[0] ?? name[0].toUpperCase() + name.slice(1).replaceAll("_", " ")));
 
 export class Material {
   constructor(painting) {

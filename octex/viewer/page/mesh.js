@@ -26,7 +26,8 @@ function unfolded(flat, n) {
 }
 
 // Positions at rest in the root cell and in the world, normals, all (n, 3); triangles; of a mesh that moves the
-// surface's vertices, which own these, and if it is posed the normals at rest; of one with maps coordinates (n, 2), and colours (n, 3) in sRGB's codes.
+// surface's vertices, which own these, and if it is posed the normals at rest; of one with maps coordinates (n, 2), and colours (n, 3) in sRGB's codes; of
+// one that is painted and hangs together in parts their numbers.
 export function unpackedMesh(header, bytes, source) {
   const { vertices: count, low, edge } = header;
   let at = 0;
@@ -37,7 +38,7 @@ export function unpackedMesh(header, bytes, source) {
   const rest = new Float32Array(3 * count), positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
   const upright = flatRest && new Float32Array(3 * count);
   const uv = source ? interleaved(columns(2), Float32Array, 2 ** -source.bits) : null;
-  const colors = source?.hasColors ? interleaved(columns(3), Uint8Array, 1) : null;
+  const colors = source?.hasColors ? interleaved(columns(3), Uint8Array, 1) : null, parts = header.parts ? Uint32Array.from(column()) : null;
   const scale = 2 ** -header.bits;
   for (let n = 0; n < count; n++) {
     for (let axis = 0; axis < 3; axis++) {
@@ -49,5 +50,5 @@ export function unpackedMesh(header, bytes, source) {
   }
   const back = planes(bytes, 3 * header.triangles, at), triangles = new Uint32Array(back.length);
   for (let n = 0, next = 0; n < back.length; n++) triangles[n] = back[n] === 0 ? next++ : next - back[n];
-  return { rest, positions, normals, upright, triangles, owners, uv, colors };
+  return { rest, positions, normals, upright, triangles, owners, uv, colors, parts };
 }

@@ -149,6 +149,13 @@ export class Part {
     if (mesh.uv) attribute(4, mesh.uv, 2, gl.FLOAT);
     if (mesh.colors) attribute(5, mesh.colors, 3, gl.UNSIGNED_BYTE);
     gl.vertexAttrib3f(5, 1, 1, 1);
+    gl.vertexAttribI4ui(7, 0, 0, 0, 0);
+    if (mesh.parts) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, mesh.parts, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(7);
+      gl.vertexAttribIPointer(7, 1, gl.UNSIGNED_INT, 0, 0);
+    }
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
     gl.bindVertexArray(null);

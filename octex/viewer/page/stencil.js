@@ -201,7 +201,7 @@ export class Stencil {
     if (why) return;
     const own = this.stroke("Picture put down");
     if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
-    strokes.begin({ ...brush, ...own, camera: cameraOf(viewer) });
+    strokes.begin({ ...brush, offset: painting.offset, ...own, camera: cameraOf(viewer) });
     strokes.cover(own.picture.box);
     send(painting, strokes.end());
     viewer.move();

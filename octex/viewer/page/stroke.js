@@ -1,6 +1,7 @@
 // The stroke that is drawn, and those that the server has not painted yet: what the picture shows of them.
 
 import { CLOSE, Dabs, joined } from "./dabs.js";
+import { Mirror, product } from "./mirror.js";
 
 export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless it is set otherwise
 const FADE = 10; // and over which paint fades
@@ -16,12 +17,6 @@ const PLAIN = new Float32Array(4);
 // cover and added for each blend mode, and tables of both by p's code. See BLENDS in octex/painting/picture.py.
 const BLENDS = { over: (p) => [1, p], multiply: (p) => [1 - p, 0], screen: (p) => [p, p], add: (p) => [0, p] };
 const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => [name, [0, 1].map((n) => LIGHTS.map((p) => blend(p)[n]))]));
-
-// Of matrices, column after column.
-function product(a, b) {
-  const entry = (n) => [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + (n % 4)] * b[4 * Math.floor(n / 4) + k], 0);
-  return Float32Array.from({ length: 16 }, (_, n) => entry(n));
-}
 
 // The box (left, bottom, right, top) that a line with radii reaches.
 function reached(from, to) {
@@ -55,15 +50,17 @@ export class Strokes {
     this.view = view;
     this.sent = [];
     this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
-    gpu.drawPlaces({ ...look, paint: this }, camera, this.places, width, height);
+    gpu.drawPlaces({ ...look, paint: this, asksPart: true }, camera, this.places, width, height);
     const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
     this.camera = product(camera.projection(), product(camera.view, root));
+    this.eye = camera.position.map((x, n) => (x - origin[n]) / size);
   }
 
   // Make the textures as large as the picture is.
   allocate(width, height) {
     const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
+    this.mirror = new Mirror(this.viewer);
     this.target = gpu.target("stroke", width, height, [gl.R8]);
     this.smooth(gl.TEXTURE_2D, this.target.textures[0]);
     this.layer([]);
@@ -116,8 +113,9 @@ export class Strokes {
   begin(brush) {
     this.fit();
     this.clear();
+    this.mirror.fit(brush, this.view, this.camera, this.size);
     const { flow = 1, spacing = 0 } = brush;
-    this.current = { ...brush, box: null, dabs: flow < 1 || spacing > CLOSE ? new Dabs(this) : null };
+    this.current = { ...brush, box: null, dabs: flow < 1 || spacing > CLOSE ? new Dabs(this) : null, ...this.partsOf(brush) };
   }
 
   // Draw from one place of the pen to another, with radii and strengths, in CSS pixels; returns what of the picture has
@@ -197,7 +195,28 @@ export class Strokes {
     }
     if (!coverage.some((each) => each > 0)) return null;
     const own = picture && { color: undefined, values: undefined, colors, picture: null };
-    return { ...current, ...own, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    const isOnPart = current.part >= 0 && !this.mirror.keyOf(current, this.view);
+    const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
+    const shown = coverage.map((each, n) => (!parts || parts[row(n) * width + (n % width)] === current.part ? each : 0));
+    return { ...current, ...own, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+  }
+
+  // The part that a stroke stays on, if it stays on what is at its beginning, and that of its other half; −1: any part.
+  partsOf({ at, begin: [x, y] = [] }) {
+    if (!at) return { part: -1, otherPart: -1 };
+    const { times } = this.viewer.film, column = Math.floor(x * times), row = Math.floor(this.size[1] - y * times);
+    const [part, otherPart] = [this.places, this.mirror.places].map((places) => (places ? this.partsIn(places, [column, row, column + 1, row + 1])[0] : -1));
+    return { part, otherPart };
+  }
+
+  // The numbers of the parts that pixels of a box see, the lowest row first; −1 for none.
+  partsIn({ buffer }, [left, bottom, right, top]) {
+    const { gl } = this.viewer.gpu, read = new Uint32Array(4 * (right - left) * (top - bottom));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    gl.readBuffer(gl.COLOR_ATTACHMENT1);
+    gl.readPixels(left, bottom, right - left, top - bottom, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return Int32Array.from({ length: read.length / 4 }, (_, n) => (read[4 * n] || read[4 * n + 1] ? read[4 * n + 3] : -1));
   }
 
   // Show a stroke until it is painted.
@@ -232,12 +251,12 @@ export class Strokes {
   }
 
   // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue, the plane's first.
-  lay({ box: [left, top, right, bottom], coverage, colors, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
+  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
     const [width, height] = this.size, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
     const lanes = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
     for (let row = top, n = 0; row < bottom; row++) {
       for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
-        const share = (opacity * coverage[n]) / 255;
+        const share = (opacity * shown[n]) / 255;
         if (!share) continue;
         for (const k of lanes) {
           const code = isPicture && k < 3 ? colors[k * area + n] : -1;
@@ -251,14 +270,14 @@ export class Strokes {
 
   // What the picture is drawn with.
   get textures() {
-    const [u_strokesPlaces, u_strokesWays] = this.places.textures;
+    const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_mirrorPlaces] = (this.mirror.places ?? this.places).textures;
     const [u_stroke] = this.target.textures, u_colors = this.current?.picture?.texture ?? u_stroke;
-    return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays };
+    return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
   }
 
   set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === String(viewer.camera.view);
-    const { opacity = 0, blend = "over", picture, angle = MOST_ANGLE, backFaces = false } = current ?? this.sent.at(-1) ?? {};
+    const shown = current ?? this.sent.at(-1) ?? {}, { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false } = shown, { blend = "over", picture } = shown;
     const isWhole = angle >= 90, paint = current && !picture ? this.paintOf(current) : new Map(), layers = [...this.sums.keys()];
     gl.activeTexture(gl.TEXTURE0 + UNIT);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
@@ -278,5 +297,14 @@ export class Strokes {
     const canTurn = !viewer.look.moved && !viewer.parts[0].header.mesh?.posed;
     gl.uniform1i(program.at("u_strokesView"), !this.sent.length ? 0 : isHere ? 1 : canTurn ? 2 : 0);
     gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
+    gl.uniform3fv(program.at("u_strokesEye"), this.eye);
+    gl.uniform1i(program.at("u_hidden"), hidden ? 1 : 0);
+    const { mirror } = this, isMirrored = (stroke) => mirror.key !== "" && mirror.keyOf(stroke, this.view) === mirror.key;
+    const whole = this.sent.length > 0 && this.sent.every(isMirrored), own = isHere && current !== null && isMirrored(current);
+    gl.uniform2f(program.at("u_mirrored"), whole ? 1 : 0, own ? opacity : 0);
+    gl.uniform2i(program.at("u_parts"), shown.part ?? -1, shown.otherPart ?? -1);
+    if (!whole && !own) return;
+    gl.uniformMatrix4fv(program.at("u_mirrorCamera"), false, mirror.camera);
+    gl.uniform3fv(program.at("u_mirrorEye"), mirror.eye);
   }
 }

@@ -1,13 +1,17 @@
 // What the pixels of a picture see: rest positions and directions. Looked up are then pixels, each once, and not
 // what hides behind them, nor pixels' neighbours for each of many small triangles.
 
+#ifdef PARTS
+flat in uint v_part;
+#endif
+
 in vec3 v_rest;
 in vec3 v_seen;
 in vec3 v_normal;
 in vec3 v_restNormal;
 
 layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is; the last one: it faces away
-layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across
+layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across, or the number of what hangs together
 
 #ifdef LAYERED
 uniform bool u_footprints;  // as in surface.frag
@@ -61,4 +65,7 @@ void main() {
   o_place.w = (o_place.w & ~1u) | (gl_FrontFacing ? 0u : 1u);
 #endif
   o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
+#ifdef PARTS
+  o_ways.w = v_part;
+#endif
 }

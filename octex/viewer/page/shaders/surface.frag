@@ -111,8 +111,15 @@ uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: th
 uniform mat4 u_strokesCamera;  // sees positions at rest in the root cell
 uniform highp usampler2D u_strokesPlaces;  // what its pixels see, as places.frag has drawn it
 uniform highp usampler2D u_strokesWays;
-vec2 p_from;  // where the pixel is in those
-float p_sent = 0.0, p_part;  // how much of them it takes, and of the stroke that is drawn
+uniform vec3 u_strokesEye;  // that camera, in the root cell
+uniform bool u_hidden;  // they reach what is hidden
+uniform vec2 u_mirrored;  // whether those that are sent have another half, and the opacity of that of the one that is drawn
+uniform mat4 u_mirrorCamera;  // the strokes' camera, as the mirror shows it
+uniform vec3 u_mirrorEye;
+uniform highp usampler2D u_mirrorPlaces;
+uniform ivec2 u_parts;  // the part that the stroke that is drawn stays on, and that of its other half; below 0: any
+vec3 p_sent = vec3(0.0), p_other = vec3(0.0);  // where the strokes have the pixel, and how much it takes; of their other halves
+vec2 p_part;  // how much it takes of the stroke that is drawn, and of its other half
 
 // How much of paint stays at an angle, as octex.painting.reading has it.
 float paintable(bool isAway, float cosine) {
@@ -134,38 +141,58 @@ vec4 pictured(vec2 at) {
   return sum;
 }
 
+// Where a camera's picture has a place, and how much of the paint there that takes. `normal` points out of the model.
+vec3 takenBy(mat4 camera, vec3 eye, highp usampler2D places, vec4 place, vec3 normal) {
+  vec4 seen = camera * vec4(place.xyz, 1.0);
+  vec2 from = 0.5 + 0.5 * seen.xy / seen.w;
+  if (seen.w <= 0.0 || from != clamp(from, 0.0, 1.0)) return vec3(0.0);
+  vec4 there = uintBitsToFloat(texelFetch(places, ivec2(from * vec2(textureSize(places, 0))), 0));
+  bool isSeen = u_hidden || (there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w);
+  float cosine = dot(normal, mat3(u_view) * normalize(eye - place.xyz));
+  return vec3(from, isSeen ? paintable(cosine < 0.0, abs(cosine)) : 0.0);
+}
+
 // Find the strokes at a pixel.
-void findStrokes(vec4 place, float cosine) {
+void findStrokes(vec4 place, vec3 normal, vec3 toward) {
   vec2 at = gl_FragCoord.xy / u_picture;
-  float share = paintable((floatBitsToUint(place.w) & 1u) == 1u, cosine);
-  p_part = share * u_opacity * texture(u_stroke, at).r;
-  p_from = at;
-  if (u_strokesView == 1) p_sent = share;
-  if (u_strokesView == 2) {
-    vec4 seen = u_strokesCamera * vec4(place.xyz, 1.0);
-    p_from = 0.5 + 0.5 * seen.xy / seen.w;
-    ivec2 texel = ivec2(p_from * vec2(textureSize(u_strokesPlaces, 0)));
-    uvec4 bits = texelFetch(u_strokesPlaces, texel, 0), ways = texelFetch(u_strokesWays, texel, 0);
-    vec4 there = uintBitsToFloat(bits);
-    bool isSeen = seen.w > 0.0 && p_from == clamp(p_from, 0.0, 1.0) && there.w > 0.0 && distance(there.xyz, place.xyz) < 3.0 * there.w;
-    if (isSeen) p_sent = paintable((bits.w & 1u) == 1u, dot(unpacked(ways.x), unpacked(ways.y)));
+  bool isAway = (floatBitsToUint(place.w) & 1u) == 1u;
+  vec3 here = vec3(at, paintable(isAway, dot(normal, toward))), outward = isAway ? -normal : normal;
+  if (u_mirrored != vec2(0.0)) p_other = takenBy(u_mirrorCamera, u_mirrorEye, u_mirrorPlaces, place, outward);
+  if (u_strokesView == 1) p_sent = here;
+  if (u_strokesView == 2) p_sent = takenBy(u_strokesCamera, u_strokesEye, u_strokesPlaces, place, outward);
+  p_part = vec2(u_opacity * here.z * texture(u_stroke, at).r, u_mirrored.y * p_other.z * texture(u_stroke, p_other.xy).r);
+  if (u_parts == ivec2(-1)) return;
+  int part = int(texelFetch(u_strokesWays, ivec2(at * vec2(textureSize(u_strokesWays, 0))), 0).w);
+  bvec2 isOther = notEqual(ivec2(part), u_parts);
+  if (isOther.x) p_part.x = 0.0;
+  if (isOther.y) p_part.y = 0.0;
+  if (u_strokesView != 1 || u_mirrored.x == 0.0) return;  // strokes without another half are sent without other parts
+  if (isOther.x) p_sent.z = 0.0;
+  if (isOther.y) p_other.z = 0.0;
+}
+
+vec4 withSent(vec4 values, int layer, vec3 taken) {
+  return values * (1.0 - taken.z * texture(u_strokes, vec3(taken.xy, layer))) + taken.z * texture(u_strokes, vec3(taken.xy, layer + 1));
+}
+
+// A part of the stroke that is drawn, of which the picture has this pixel at a place.
+vec4 withDrawn(vec4 values, int plane, float part, vec2 from) {
+  vec4 cover = u_cover[plane], added = u_added[plane];
+  if (plane == u_picturePlane && part > 0.0) {
+    vec4 paint = pictured(from);
+    cover.rgb = u_blend.x * paint.a + u_blend.y * paint.rgb;
+    added.rgb = u_blend.z * paint.rgb;
   }
+  return values * (1.0 - part * cover) + part * added;
 }
 
 // What a plane's components are with the strokes.
 vec4 painted(vec4 values, int plane) {
   int layer = u_strokesAt[plane];
-  if (p_sent > 0.0 && layer >= 0) {
-    values *= 1.0 - p_sent * texture(u_strokes, vec3(p_from, layer));
-    values += p_sent * texture(u_strokes, vec3(p_from, layer + 1));
-  }
-  vec4 cover = u_cover[plane], added = u_added[plane];
-  if (plane == u_picturePlane && p_part > 0.0) {
-    vec4 paint = pictured(gl_FragCoord.xy / u_picture);
-    cover.rgb = u_blend.x * paint.a + u_blend.y * paint.rgb;
-    added.rgb = u_blend.z * paint.rgb;
-  }
-  return min(values * (1.0 - p_part * cover) + p_part * added, 1.0);
+  if (layer >= 0 && p_sent.z > 0.0) values = withSent(values, layer, p_sent);
+  if (layer >= 0 && u_mirrored.x * p_other.z > 0.0) values = withSent(values, layer, p_other);
+  values = withDrawn(values, plane, p_part.x, gl_FragCoord.xy / u_picture);
+  return min(withDrawn(values, plane, p_part.y, p_other.xy), 1.0);
 }
 #endif
 
@@ -217,7 +244,7 @@ void main() {
 #endif
   lookUp(place.xyz, u_footprints ? place.w : 0.0);
 #ifdef PAINTS
-  findStrokes(place, dot(normal, toward));
+  findStrokes(place, normal, toward);
   g_sum{N} = painted(g_sum{N}, {N});
 #endif
   vec3 shown;

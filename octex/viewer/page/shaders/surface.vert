@@ -9,6 +9,12 @@ layout(location = 2) in vec3 a_normal;
 uniform mat4 u_projection;  // of the whole picture, or of the pixel that is picked
 uniform mat4 u_view;
 
+#ifdef PARTS
+layout(location = 7) in uint a_part;  // what hangs together has one number
+
+flat out uint v_part;
+#endif
+
 out vec3 v_rest;
 out vec3 v_seen;  // in view space
 out vec3 v_normal;
@@ -83,6 +89,9 @@ void main() {
   v_color = mix(a_color / 12.92, pow((a_color + 0.055) / 1.055, vec3(2.4)), greaterThan(a_color, vec3(0.04045)));
 #endif
   vec4 seen = u_view * vec4(position, 1.0);
+#ifdef PARTS
+  v_part = a_part;
+#endif
   v_rest = a_rest;
   v_seen = seen.xyz;
   v_restNormal = a_normal;
