@@ -174,7 +174,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         model, camera = pictured(page), page.evaluate("JSON.stringify(viewer.camera.state)")
-        page.keyboard.press("u")
+        page.keyboard.press("v")
         studio.drag(page, (300, 150))  # beside the model
         studio.drag(page, (20, 20))
         page.wait_for_selector("#flat:visible")
@@ -217,7 +217,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.wait_for_function("viewer.isLost")
         page.evaluate("lose.restoreContext()")
         page.wait_for_function("!viewer.isLost && viewer.isSharp")
-        page.keyboard.press("u")  # back to the model, which moves again
+        page.keyboard.press("v")  # back to the model, which moves again
         assert page.locator("#flat").is_hidden()
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
         assert page.evaluate("viewer.look.moved") == sent["moved"]

@@ -33,12 +33,13 @@ _HOLD = """() => {
 
 
 class Studio:
-    """A ball that is painted in a page."""
+    """A model that is painted in a page: a grey ball."""
 
-    def __init__(self, browser: Any, folder: Path, depth: int = 6) -> None:
-        self.surface: Surface = ball(32)
-        grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture: OctreeTexture = octex.convert(grey, depth=depth)
+    def __init__(self, browser: Any, folder: Path, surface: Surface | None = None, depth: int = 6) -> None:
+        self.surface: Surface = surface or ball(32)
+        if surface is None:
+            surface = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
+        self.texture: OctreeTexture = octex.convert(surface, depth=depth)
         self.start(browser, folder)
 
     def start(self, browser: Any, folder: Path) -> None:

@@ -3,14 +3,25 @@
 import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
+// Send a stroke, if there is one; show it until it is painted.
+export function send({ strokes, sending }, stroke, isShown = true) {
+  if (!stroke) return;
+  const { name, colors = new Uint8Array(), coverage, angle: maxAngle, ...own } = stroke;
+  const { camera, moved, patch, box, color, values, opacity, blend, backFaces, hidden, at, mirror, offset, erases } = own;
+  const called = mirror ? `${name}, mirrored` : name;
+  const command = { kind: "stroke", name: called, camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
+  stroke.number = sending.send(command, deflated(new Blob([colors, coverage])));
+  if (isShown) strokes.keep(stroke);
+}
+
 export class BrushDrag {
-  constructor(painting, event, more = {}) {
-    const { strokes } = painting;
+  // `own` replaces what the brush is set to: its name, and a picture instead of its colour.
+  constructor(painting, event, own = {}) {
     this.painting = painting;
-    const first = painting.place(event);
+    const { strokes, below, offset } = painting, first = painting.place(event);
     this.path = new Path(first);
     this.dirty = null; // what of the picture has changed since the last frame
-    const { below, offset } = painting, brush = { ...painting.brush, ...painting.paint, ...more };
+    const brush = { name: "Brush", ...painting.brush, ...painting.paint, ...own };
     const at = brush.onePart ? below?.rest : undefined, look = painting.layers.look(brush);
     strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
     this.draw(first, first);
@@ -41,13 +52,7 @@ export class BrushDrag {
   }
 
   up() {
-    const { strokes, sending } = this.painting, stroke = strokes.end();
-    if (!stroke) return;
-    const { camera, moved, patch, box, color, values, opacity, blend, coverage, angle: maxAngle, backFaces, hidden, at, mirror, offset, erases } = stroke;
-    const tool = erases ? "Eraser" : "Brush", name = mirror ? `${tool}, mirrored` : tool;
-    const command = { kind: "stroke", name, camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
-    stroke.number = sending.send(command, deflated(coverage));
-    strokes.keep(stroke);
+    send(this.painting, this.painting.strokes.end());
   }
 
   giveUp() {

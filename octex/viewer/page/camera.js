@@ -100,6 +100,12 @@ export class Camera {
     return at.map((p, n) => p + right * along[n] + up * above[n] - away * back[n]);
   }
 
+  // Where a point is seen, in pixels from the upper left; null behind the camera.
+  placeOf(point, [width, height]) {
+    const from = point.map((p, n) => p - this.position[n]), [along, above, back] = this.axes, away = -dot(from, back), high = away * Math.tan(this.fov / 2);
+    return away > 0 ? [(1 + dot(from, along) / (high * this.aspect)) * (width / 2), (1 - dot(from, above) / high) * (height / 2)] : null;
+  }
+
   // Come nearer to a point, which stays where it is in the picture.
   zoom(times, point = this.target) {
     const before = this.distance;

@@ -19,6 +19,7 @@ const STAGES = {
   probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
   stroke: ["screen.vert", ["stroke.frag"]],
+  retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
   dabs: ["screen.vert", ["dabs.frag"]],
 };
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it

@@ -18,7 +18,7 @@ const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen
 const VEIL = [128, 128, 128]; // is laid where the eraser was, until the server has erased there
 const VEILED = 0.6, BURIED = 0.5; // how strongly, and how strongly paint is shown that layers above will hide a part of
 
-export const eraser = { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { erases: true }) };
+export const eraser = { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) };
 
 export class Layers {
   constructor(painting) {

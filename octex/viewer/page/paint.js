@@ -1,12 +1,16 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { element } from "./elements.js";
+import { Elsewhere } from "./elsewhere.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
+import { onDrop } from "./images.js";
 import { Layers } from "./layers.js";
 import { Material, fromHex, toHex } from "./material.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
+import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
+import { Stencil } from "./stencil.js";
 import { MOST_ANGLE, Strokes } from "./stroke.js";
 import { TOOLS, pick } from "./tools.js";
 import { under } from "./under.js";
@@ -44,11 +48,15 @@ class Painting {
 
   async open() {
     const { viewer } = this, { gpu } = viewer;
-    for (const name of ["stroke.frag", "dabs.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
+    for (const name of ["stroke.frag", "dabs.frag", "retouch.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
     document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
     this.build();
+    this.stencil = new Stencil(this);
+    this.retouch = new Retouch(this);
+    this.elsewhere = new Elsewhere(this);
+    onDrop((file) => this.elsewhere.take(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
     const dark = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
@@ -110,8 +118,9 @@ class Painting {
   }
 
   choose(name) {
-    const tool = TOOLS.find((tool) => tool.name === name);
+    const tool = TOOLS.find((each) => each.name === name);
     if (tool.chosen?.(this)) return;
+    this.tool?.left?.(this);
     this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
@@ -227,7 +236,7 @@ class Painting {
 
   // Whether a pointer is for the tool; else it turns or moves the view. Beside the model it turns.
   isForTool(event) {
-    if (event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
+    if (this.tool.turns || event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
     this.look(event);
     this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
     return this.isOnModel;
@@ -247,7 +256,7 @@ class Painting {
     event.stopPropagation();
     event.preventDefault();
     document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
-    if (event.altKey) return pick(this, event);
+    if (event.altKey) return (this.tool.alt ?? pick)(this, event);
     if (this.tool.isAnywhere) return this.tool.down(this, event);
     const why = this.hindrance;
     if (why !== this.hindered) this.say((this.hindered = why));
@@ -316,6 +325,7 @@ class Painting {
       "]": () => this.set({ size: Math.max(Math.round(size * STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),
       "}": () => this.set({ hardness: hardness + 0.1 }),
+      ...this.tool.keys?.(this, event),
     };
     const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
     if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view
@@ -328,6 +338,7 @@ class Painting {
   outline(at) {
     const { ring } = this;
     this.at = at;
+    this.tool.hovered?.(this, at);
     ring.hidden = at === null || !this.tool.hasRing;
     if (ring.hidden) return;
     const [x, y, radius] = [at[0], at[1], this.width / 2];

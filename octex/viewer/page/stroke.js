@@ -21,10 +21,17 @@ const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => 
 // A stroke as it looks until it is painted; see layers.js.
 const seen = (stroke) => ({ ...stroke, ...stroke?.look });
 
+// The box (left, bottom, right, top) that a line with radii reaches.
+function reached(from, to) {
+  const [left, bottom] = [0, 1].map((k) => Math.floor(Math.min(from[k] - from[2], to[k] - to[2])) - 1);
+  const [right, top] = [0, 1].map((k) => Math.ceil(Math.max(from[k] + from[2], to[k] + to[2])) + 1);
+  return [left, bottom, right, top];
+}
+
 export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
-    this.current = null; // color and values of channels, opacity, hardness, blend, box
+    this.current = null; // color and values of channels or a picture, opacity, hardness, blend, box
     this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color and values, or planes of colors
     this.sums = new Map(); // of them by plane: how they cover what is there, and what they add
     this.size = [0, 0];
@@ -126,6 +133,7 @@ export class Strokes {
   extend(from, to) {
     const { viewer, current } = this, [, height] = this.size, { times } = viewer.film;
     const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * times, height - y * times, radius * times, strength]);
+    current.picture?.ready?.(reached(...ends), ...ends);
     const box = current.dabs ? current.dabs.draw(...ends, current) : this.line(...ends);
     if (!box) return null;
     current.box = joined(current.box, box);
@@ -161,24 +169,46 @@ export class Strokes {
     return [left, bottom, right, top];
   }
 
-  // End the stroke; returns its box in pixels from the upper left and the coverage in it, or null for none.
+  // Cover all of a box (left, bottom, right, top).
+  cover(box) {
+    const { gl } = this.viewer.gpu, [left, bottom, right, top] = box;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, right - left, top - bottom);
+    gl.clearBufferfv(gl.COLOR, 0, [1, 0, 0, 0]);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.current.box = box;
+  }
+
+  // End the stroke; returns its box in pixels from the upper left, the coverage in it, and of a picture the planes of
+  // its colors; or null for none.
   end() {
     const { gl } = this.viewer.gpu, { current, size } = this;
     this.current = null;
     if (!current?.box) return null;
     const [left, bottom, right, top] = current.box, width = right - left, height = top - bottom;
-    const read = new Uint8Array(4 * width * height), coverage = new Uint8Array(width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
-    gl.readPixels(left, bottom, width, height, gl.RGBA, gl.UNSIGNED_BYTE, read);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const read = ({ buffer }) => {
+      const codes = new Uint8Array(4 * width * height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+      gl.readPixels(left, bottom, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      return codes;
+    };
+    const drawn = read(this.target), picture = current.picture && read(current.picture), pixels = width * height;
+    const coverage = new Uint8Array(pixels), colors = picture && new Uint8Array(3 * pixels);
     for (let row = 0, n = 0; row < height; row++) {
-      for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4) coverage[n++] = read[at];
+      for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4, n++) {
+        coverage[n] = picture ? Math.round((drawn[at] * picture[at + 3]) / 255) : drawn[at];
+        if (picture && coverage[n]) for (let k = 0; k < 3; k++) colors[k * pixels + n] = picture[at + k];
+      }
     }
     if (!coverage.some((each) => each > 0)) return null;
+    const own = picture && { color: undefined, values: undefined, colors, picture: null };
     const isOnPart = current.part >= 0 && !this.mirror.isOf(current, this.view);
     const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
     const shown = parts ? coverage.map((each, n) => (parts[row(n) * width + (n % width)] === current.part ? each : 0)) : coverage;
-    return { ...current, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    return { ...current, ...own, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // The part that a stroke stays on, if it stays on what is at its beginning, and that of its other half; −1: any part.
@@ -251,13 +281,14 @@ export class Strokes {
   // What the picture is drawn with.
   get textures() {
     const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_mirrorPlaces] = (this.mirror.places ?? this.places).textures;
-    return { u_stroke: this.target.textures[0], u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
+    const [u_stroke] = this.target.textures, u_colors = this.current?.picture?.texture ?? u_stroke;
+    return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
   }
 
   set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === viewer.viewed;
-    const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false } = shown;
-    const isWhole = angle >= 90, paint = current ? this.paintOf(seen(current)) : new Map(), layers = [...this.sums.keys()];
+    const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false, blend = "over", picture } = shown;
+    const isWhole = angle >= 90, paint = current && !picture ? this.paintOf(seen(current)) : new Map(), layers = [...this.sums.keys()];
     gl.activeTexture(gl.TEXTURE0 + UNIT);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
     gl.activeTexture(gl.TEXTURE0);
@@ -267,6 +298,9 @@ export class Strokes {
       const all = Array.from({ length: planes }, (_, n) => [...(paint.get(n)?.[which] ?? PLAIN)]);
       gl.uniform4fv(program.at(`${name}[0]`), all.flat());
     });
+    gl.uniform1i(program.at("u_picturePlane"), current && picture ? viewer.parts[0].channel("base_color").at[0] : -1);
+    const [[covers, adds], [light, more]] = [0, 1].map(BLENDS[blend]);
+    gl.uniform3f(program.at("u_blend"), covers, light - covers, more - adds);
     gl.uniform1f(program.at("u_opacity"), isHere && current ? opacity : 0);
     gl.uniform2f(program.at("u_picture"), width, height);
     gl.uniform3f(program.at("u_angles"), isWhole ? -1 : cosine(Math.max(angle - FADE, 0)), isWhole ? -2 : cosine(angle), backFaces ? 1 : 0);

@@ -1,16 +1,22 @@
 // The tools that pages paint with. Each has a name, what it is called, a key, and `down`: what a press on the model
-// does. `down` may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up. A tool may have
-// `chosen`, which says whether choosing it was all that it does.
+// does. That may return a drag: what `moved`, `up` and `giveUp` of the pointer do until it is up. `turns`: presses turn the
+// view; `chosen` is called when it is chosen, and says whether that was all; `left` when another one is, `hovered` when the
+// pointer is moved; `keys` returns what keys do meanwhile, `alt` is what a press with Alt does.
 
 import { BrushDrag } from "./brush.js";
 import { eraser } from "./layers.js";
+import { through } from "./stencil.js";
 
 export const TOOLS = [
-  { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event) },
+  { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, through(painting)) },
   eraser,
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
+  { name: "stencil", text: "Stencil", key: "d", turns: true, chosen: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event) },
+  { name: "clone", text: "Clone", key: "o", hasRing: true, down: ({ retouch }, event) => retouch.clone(event), alt: ({ retouch }, event) => retouch.aim(event), hovered: ({ retouch }, at) => retouch.hover(at), left: ({ retouch }) => retouch.leave() },
+  { name: "smudge", text: "Smudge", key: "u", hasRing: true, down: ({ retouch }, event) => retouch.smudge(event) },
+  { name: "blur", text: "Blur", key: "r", hasRing: true, down: ({ retouch }, event) => retouch.blur(event) },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
-  { name: "flat", text: "Flat", key: "u", isAnywhere: true, chosen: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
+  { name: "flat", text: "Flat", key: "v", isAnywhere: true, chosen: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
 ];
 
 // Take what the surface has of all that is painted, and go on with the brush.

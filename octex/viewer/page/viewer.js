@@ -4,7 +4,7 @@ import { Camera } from "./camera.js";
 import { control } from "./controls.js";
 import { isServed, readChange, readFile, readHeader, readStream } from "./data.js";
 import { Divider } from "./divider.js";
-import { element } from "./elements.js";
+import { download, element } from "./elements.js";
 import { Gpu, readPrograms } from "./gpu.js";
 import { keep, kept, reload, restoreControls } from "./kept.js";
 import { tellLegend } from "./legend.js";
@@ -469,14 +469,6 @@ class Viewer {
       return [term, value];
     }));
   }
-}
-
-function download(name, blob) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 function fail(error) {

@@ -102,6 +102,9 @@ uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
 uniform vec4 u_cover[PLANES];  // how its paint covers what is there, and what it adds
 uniform vec4 u_added[PLANES];
 uniform float u_opacity;
+uniform int u_picturePlane;  // which plane a picture paints instead, with its first components; below 0: none
+uniform sampler2D u_colors;  // its colours in sRGB, and alpha, a texel a pixel of the stroke
+uniform vec3 u_blend;  // how it covers what is there, by its alpha and by its light, and how much of its light it adds
 uniform vec2 u_picture;  // pixels
 uniform vec3 u_angles;  // cosines from which on paint fades, and where it has vanished; 1: back faces too
 uniform int u_strokesView;  // what they were drawn on: 0: there are none, 1: this view, 2: another one, of which
@@ -122,6 +125,20 @@ vec2 p_part;  // how much it takes of the stroke that is drawn, and of its other
 float paintable(bool isAway, float cosine) {
   float share = clamp((min(cosine, 1.0) - u_angles.y) / (u_angles.x - u_angles.y), 0.0, 1.0);
   return isAway && u_angles.z < 0.5 ? 0.0 : share * share * (3.0 - 2.0 * share);
+}
+
+// Light times alpha of the picture, and alpha, between texels.
+vec4 pictured(vec2 at) {
+  ivec2 size = textureSize(u_colors, 0);
+  vec2 place = at * vec2(size) - 0.5, shares = fract(place);
+  vec4 sum = vec4(0.0);
+  for (int n = 0; n < 4; n++) {
+    ivec2 side = ivec2(n & 1, n >> 1);
+    vec4 color = texelFetch(u_colors, clamp(ivec2(floor(place)) + side, ivec2(0), size - 1), 0);
+    float share = (side.x == 1 ? shares.x : 1.0 - shares.x) * (side.y == 1 ? shares.y : 1.0 - shares.y) * color.a;
+    sum += share * vec4(toLight(color.rgb), 1.0);
+  }
+  return sum;
 }
 
 // Where a camera's picture has a place, and how much of the paint there that takes. `normal` points out of the model.
@@ -158,13 +175,24 @@ vec4 withSent(vec4 values, int layer, vec3 taken) {
   return values * (1.0 - taken.z * texture(u_strokes, vec3(taken.xy, layer))) + taken.z * texture(u_strokes, vec3(taken.xy, layer + 1));
 }
 
+// A part of the stroke that is drawn, of which the picture has this pixel at a place.
+vec4 withDrawn(vec4 values, int plane, float part, vec2 from) {
+  vec4 cover = u_cover[plane], added = u_added[plane];
+  if (plane == u_picturePlane && part > 0.0) {
+    vec4 paint = pictured(from);
+    cover.rgb = u_blend.x * paint.a + u_blend.y * paint.rgb;
+    added.rgb = u_blend.z * paint.rgb;
+  }
+  return values * (1.0 - part * cover) + part * added;
+}
+
 // What a plane's components are with the strokes.
 vec4 painted(vec4 values, int plane) {
   int layer = u_strokesAt[plane];
   if (layer >= 0 && p_sent.z > 0.0) values = withSent(values, layer, p_sent);
   if (layer >= 0 && u_mirrored.x * p_other.z > 0.0) values = withSent(values, layer, p_other);
-  values = values * (1.0 - p_part.x * u_cover[plane]) + p_part.x * u_added[plane];
-  return min(values * (1.0 - p_part.y * u_cover[plane]) + p_part.y * u_added[plane], 1.0);
+  values = withDrawn(values, plane, p_part.x, gl_FragCoord.xy / u_picture);
+  return min(withDrawn(values, plane, p_part.y, p_other.xy), 1.0);
 }
 #endif
 

@@ -1,0 +1,274 @@
+// Tools that paint with colours that the view sees: clone, smudge, blur and sharpen. What they paint are pictures of the
+// view, a texel a pixel, made by retouch.frag where the brush comes.
+
+import { BrushDrag } from "./brush.js";
+import { element } from "./elements.js";
+import { choice, make, section, slider } from "./panel.js";
+
+const TILE = 64; // pixels along the sides of squares that are drawn at once
+const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them
+const REACH = 2.5; // of a blur, in standard deviations
+const SHARPER = -1; // how much is added of what a blur would take away
+const DABS = 4; // of a smudge, within the brush's radius
+const CARRIED = 0.97; // what part of a colour a dab takes along, at most
+const LEAST_WIDTH = 1, MOST_WIDTH = 20;
+const SAME = 0.02; // how far from the source, in the model's radius, is what hides it
+
+const grown = ([left, bottom, right, top], x, y) => [left - x, bottom - y, right + x, top + y];
+const moved = ([left, bottom, right, top], [x, y]) => [left + x, bottom + y, right + x, top + y];
+
+// The colours of the surface without light, as the view sees them; drawn where they are needed. Alpha 0: none.
+export class Seen {
+  // `drawn` is called with each square that gets drawn.
+  constructor({ viewer, strokes }, drawn = () => {}) {
+    const { gpu, look, parts } = viewer;
+    strokes.fit();
+    [this.width, this.height] = strokes.size;
+    this.viewer = viewer;
+    this.drawn = drawn;
+    this.places = strokes.places;
+    this.target = gpu.target("seen", this.width, this.height, [gpu.gl.RGBA8], this.places);
+    this.across = Math.ceil(this.width / TILE);
+    this.known = new Set();
+    const facing = parts.some(({ header }) => header.split[0] > 0), paint = Object.create(strokes, { current: { value: null } });
+    const shown = { shown: "channel", channel: "base_color", filter: "quadratic", footprints: true, level: gpu.deepest };
+    this.look = { ...look, ...shown, facing, paint, divider: 0, marked: null };
+  }
+
+  // Draw what there is of a box (left, bottom, right, top).
+  need(box) {
+    const [left, bottom, right, top] = this.within(box), at = (pixel) => Math.floor(pixel / TILE);
+    for (let row = at(bottom); row <= at(top - 1); row++) {
+      for (let column = at(left); column <= at(right - 1); column++) {
+        const number = row * this.across + column;
+        if (!this.known.has(number)) this.draw([column * TILE, row * TILE]);
+        this.known.add(number);
+      }
+    }
+  }
+
+  within([left, bottom, right, top]) {
+    return [Math.max(left, 0), Math.max(bottom, 0), Math.min(right, this.width), Math.min(top, this.height)];
+  }
+
+  draw([left, bottom]) {
+    const { viewer: { gpu, camera }, target } = this, { gl } = gpu;
+    const width = Math.min(TILE, this.width - left), height = Math.min(TILE, this.height - bottom);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.viewport(0, 0, this.width, this.height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, width, height);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.drawn([left, bottom, left + width, bottom + height]);
+  }
+}
+
+// A picture that is made of what is seen: `ready` makes it within a box, before the brush covers that.
+class Made {
+  constructor(painting) {
+    this.gpu = painting.viewer.gpu;
+    this.seen = new Seen(painting, (box) => this.drawn(box));
+    this.made = this.target("retouched");
+    [this.texture] = this.made.textures;
+    this.buffer = this.made.buffer;
+  }
+
+  drawn() {}
+
+  target(name) {
+    return this.gpu.target(name, this.seen.width, this.seen.height, [this.gpu.gl.RGBA8]);
+  }
+
+  // Run retouch.frag from one target to another, within a box.
+  run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from } = {}) {
+    const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.program("retouch", viewer.parts[0], viewer.look, 0);
+    const [left, bottom, right, top] = seen.within(box);
+    if (left >= right || bottom >= top) return;
+    const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0] };
+    Object.entries(textures).forEach(([name, texture], unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.uniform1i(program.at(name), unit);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(program.at("u_action"), action);
+    gl.uniform2i(program.at("u_step"), ...step);
+    gl.uniform1f(program.at("u_sigma"), sigma);
+    gl.uniform1f(program.at("u_share"), share);
+    gl.uniform4f(program.at("u_disc"), ...disc);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, to.buffer);
+    gl.viewport(0, 0, seen.width, seen.height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, right - left, top - bottom);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+}
+
+// What is seen, moved by whole pixels.
+class Copied extends Made {
+  constructor(painting, step) {
+    super(painting);
+    this.step = step;
+  }
+
+  ready(box) {
+    this.seen.need(moved(box, this.step.map((n) => -n)));
+    this.run(COPY, this.seen.target, this.made, box, { step: this.step });
+  }
+}
+
+// What is seen, blurred; or sharpened by a share below 0.
+class Blurred extends Made {
+  constructor(painting, sigma, share) {
+    super(painting);
+    this.sigma = sigma;
+    this.share = share;
+    this.rows = this.target("blurred rows");
+  }
+
+  ready(box) {
+    const { sigma, share, rows, seen: { target } } = this, reach = Math.ceil(REACH * sigma);
+    this.seen.need(grown(box, reach, reach));
+    this.run(BLUR, target, rows, grown(box, 0, reach), { step: [1, 0], sigma });
+    this.run(BLUR, rows, this.made, box, { step: [0, 1], sigma, share, before: target });
+  }
+}
+
+// What is seen, dragged along by the brush.
+class Smudged extends Made {
+  constructor(painting, share, hardness) {
+    super(painting);
+    this.share = share;
+    this.hardness = hardness;
+    this.at = null;
+    this.copy = this.target("smudged before");
+  }
+
+  // Begin with what is seen.
+  drawn(box) {
+    this.run(COPY, this.seen.target, this.made, box);
+  }
+
+  ready(box, from, to) {
+    const radius = to[2];
+    this.at ??= from.slice(0, 2).map(Math.round);
+    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), dabs = Math.floor((far * DABS) / Math.max(radius, DABS));
+    this.seen.need(box);
+    const start = this.at;
+    for (let n = 1; n <= dabs; n++) {
+      const next = start.map((x, axis) => Math.round(x + ((to[axis] - x) * n) / dabs));
+      this.dab(next.map((x, axis) => x - this.at[axis]), next, radius);
+      this.at = next;
+    }
+  }
+
+  dab(step, [x, y], radius) {
+    const reach = Math.ceil(radius) + 1, box = [x - reach, y - reach, x + reach, y + reach], far = Math.max(...step.map(Math.abs));
+    this.seen.need(grown(box, far, far));
+    this.run(COPY, this.made, this.copy, grown(box, far, far));
+    this.run(SMUDGE, this.copy, this.made, box, { step, share: this.share, disc: [x, y, radius, this.hardness] });
+  }
+}
+
+export class Retouch {
+  constructor(painting) {
+    this.painting = painting;
+    this.point = null; // of the model, that clones come from
+    this.step = null; // from there to where they go, in pixels of the film, and the view in which it is so
+    this.width = 4;
+    this.way = "softer";
+    this.build();
+  }
+
+  build() {
+    this.mark = make("div", { id: "source", hidden: true });
+    this.painting.main.append(this.mark);
+    element("history").before(section("retouch", "Clone and blur",
+      make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
+      make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),
+      ...choice("blur-way", "Blur makes it", [["softer", "softer"], ["sharper", "sharper"]], (way) => this.set({ way })),
+      ...slider("blur-width", "by colours around, within", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (width) => this.set({ width }))));
+    this.set({});
+  }
+
+  set(change) {
+    Object.assign(this, change);
+    element("blur-width").value = this.width;
+    element("blur-width-text").textContent = `${this.width} px`;
+  }
+
+  drag(event, own) {
+    return new BrushDrag(this.painting, event, { ...own, mirror: "", blend: "over", hidden: false });
+  }
+
+  blur(event) {
+    const isSofter = this.way === "softer", picture = new Blurred(this.painting, (this.width / REACH) * this.painting.viewer.film.times, isSofter ? 1 : SHARPER);
+    return this.drag(event, { name: isSofter ? "Blur" : "Sharpen", picture });
+  }
+
+  smudge(event) {
+    const { opacity, hardness } = this.painting.brush, picture = new Smudged(this.painting, CARRIED * opacity, hardness);
+    return this.drag(event, { name: "Smudge", picture, opacity: 1 });
+  }
+
+  forget() {
+    this.set({ point: null, step: null });
+    this.mark.hidden = true;
+    this.painting.choose("clone");
+    this.painting.say("Click where colours come from.");
+  }
+
+  // Take colours from this place of the model.
+  aim(event) {
+    const [x, y] = this.painting.place(event);
+    this.set({ point: this.painting.viewer.seen(x, y), step: null });
+    this.hover([x, y]);
+    this.painting.say("");
+  }
+
+  // The view, as long as nothing in it moves.
+  get view() {
+    const { viewed, film: { width, height } } = this.painting.viewer;
+    return `${viewed} ${width} ${height}`;
+  }
+
+  // Where the source is seen, in CSS pixels; null if it is not.
+  get source() {
+    const { camera, canvas } = this.painting.viewer, size = [canvas.clientWidth, canvas.clientHeight], at = camera.placeOf(this.point, size);
+    const seen = at && this.painting.viewer.seen(...at);
+    return seen && Math.hypot(...seen.map((x, n) => x - this.point[n])) < SAME * camera.radius ? at : null;
+  }
+
+  clone(event) {
+    const { painting } = this, [x, y] = painting.place(event), { times } = painting.viewer.film;
+    if (!this.point) {
+      this.aim(event);
+      return painting.say("Now paint where these colours go.");
+    }
+    if (!this.step || this.seenFrom !== this.view) {
+      const from = this.source;
+      if (!from) return painting.say("The place that colours come from is hidden: Alt and click on another one.");
+      this.set({ step: [Math.round((x - from[0]) * times), Math.round((from[1] - y) * times)], seenFrom: this.view });
+    }
+    painting.say("");
+    return this.drag(event, { name: "Clone", picture: new Copied(painting, this.step) });
+  }
+
+  // Show where colours come from while the pointer is at a place, in CSS pixels, or nowhere.
+  hover(at) {
+    if (!this.point) return;
+    const isHeld = this.step && this.seenFrom === this.view, { times } = this.painting.viewer.film;
+    const from = isHeld ? at && [at[0] - this.step[0] / times, at[1] + this.step[1] / times] : this.source;
+    this.mark.hidden = !from;
+    if (from) this.mark.style.transform = `translate(${from[0]}px, ${from[1]}px)`;
+  }
+
+  leave() {
+    this.mark.hidden = true;
+  }
+}

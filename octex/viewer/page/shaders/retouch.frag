@@ -1,0 +1,61 @@
+// Pictures made of the colours that the view sees: copied, blurred, sharpened, smudged. See retouch.js.
+
+layout(location = 0) out vec4 o_color;
+
+uniform sampler2D u_from;  // sRGB; alpha 0: no surface is seen
+uniform sampler2D u_before;  // what is blurred, or sharpened against that
+uniform highp usampler2D u_seen;  // the places of pixels, as places.frag has drawn them
+uniform int u_action;  // 0: copy, 1: blur, 2: smudge
+uniform ivec2 u_step;  // from where a pixel takes its colour, or the line that it is blurred along
+uniform float u_sigma;  // of the blur, in pixels
+uniform float u_share;  // of the blurred colour, or of that which is smudged; below 0: away from the blurred one
+uniform vec4 u_disc;  // the brush: its middle, its radius, and the part of that which is covered in full
+
+const float NEAR = 2.5;  // footprints a pixel that places of one surface are apart, at most
+
+vec4 colorAt(ivec2 at) {
+  ivec2 size = textureSize(u_from, 0);
+  return at == clamp(at, ivec2(0), size - 1) ? texelFetch(u_from, at, 0) : vec4(0.0);
+}
+
+vec4 placeAt(ivec2 at) {
+  return uintBitsToFloat(texelFetch(u_seen, at, 0));
+}
+
+// Whether two pixels, so far from each other, see the same surface.
+bool isNear(vec4 a, vec4 b, float pixels) {
+  return distance(a.xyz, b.xyz) <= NEAR * 0.5 * (a.w + b.w) * pixels;
+}
+
+vec4 blurred(ivec2 at, vec4 place) {
+  int reach = int(ceil(2.5 * u_sigma));
+  vec4 sum = vec4(0.0);
+  for (int n = -reach; n <= reach; n++) {
+    ivec2 other = at + n * u_step;
+    vec4 color = colorAt(other);
+    if (color.a == 0.0 || (n != 0 && !isNear(place, placeAt(other), abs(float(n))))) continue;
+    float weight = exp(-0.5 * float(n * n) / (u_sigma * u_sigma));
+    sum += weight * vec4(toLight(color.rgb), 1.0);
+  }
+  vec3 light = sum.rgb / sum.a, before = toLight(texelFetch(u_before, at, 0).rgb);
+  return vec4(toSrgb(mix(before, light, u_share)), 1.0);
+}
+
+vec4 smudged(ivec2 at, vec4 place, vec4 color) {
+  float radius = u_disc.z, inner = min(radius * u_disc.w, radius - 0.5);
+  float share = u_share * (1.0 - smoothstep(inner, radius + 0.5, distance(gl_FragCoord.xy, u_disc.xy)));
+  ivec2 other = at - u_step;
+  vec4 moved = colorAt(other);
+  if (share <= 0.0 || moved.a == 0.0 || !isNear(place, placeAt(other), length(vec2(u_step)))) return color;
+  return vec4(toSrgb(mix(toLight(color.rgb), toLight(moved.rgb), share)), 1.0);
+}
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  if (u_action == 0) {
+    o_color = colorAt(at - u_step);
+    return;
+  }
+  vec4 color = colorAt(at), place = placeAt(at);
+  o_color = color.a == 0.0 ? vec4(0.0) : u_action == 1 ? blurred(at, place) : smudged(at, place, color);
+}
