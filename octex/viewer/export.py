@@ -31,8 +31,8 @@ viewer
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.
 _PAINTING_NAMES = """
-panel path dabs under mirror stroke sending brush images stencil retouch elsewhere tools layers material exporting
-flat paint
+panel path dabs under mirror stroke sending brush images stencil retouch elsewhere tools layers material
+exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag"]
