@@ -30,7 +30,7 @@ API = {
     "Sources": "MappedImage PointCloud Transfer Voxels Ptex",
     "Conversion": "convert convert_set separate",
     "Textures": "open OctreeTexture TextureSet",
-    "Painting": "paint project merge fill Painter Projection Box Sphere unwrap Patch refine_cameras",
+    "Painting": "paint project merge fill Painter Layers Projection Box Sphere unwrap Patch refine_cameras",
     "Cameras": "Camera read_cameras write_cameras",
     "Processing": "levels curves map mix combine blur crop resize cast",
     "Pictures": "render write_preview difference Environment",

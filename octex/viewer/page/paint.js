@@ -370,7 +370,8 @@ class Painting {
       };
       return make("li", { class: n > told.done ? "undone" : "" }, make("button", { type: "button", "aria-current": n === told.done ? "step" : false, onclick: go }, name));
     }));
-    list.children[told.done].scrollIntoView({ block: "nearest" });
+    const { offsetTop: top, offsetHeight: height } = list.children[told.done]; // the panel itself stays as it is scrolled
+    list.scrollTop = Math.min(Math.max(list.scrollTop, top + height - list.clientHeight), top);
   }
 
   allSent() {
