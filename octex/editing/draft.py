@@ -96,6 +96,13 @@ class Change(NamedTuple):
         return put_back(texture, self.tiles, self.after)
 
 
+def as_change(given: Change) -> Change:
+    """Return what was given if it is a change; else raise ArgumentError."""
+    if not isinstance(given, Change):
+        raise ArgumentError(f"change must be what a stroke returns, not {type(given).__name__}")
+    return given
+
+
 def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
     """Return the tiles for an edit of cells, given level by level; None if that is most of the texture."""
     tree = texture.tree

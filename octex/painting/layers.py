@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from octex.channels import ALPHA, BASE_COLOR, alpha_of
 from octex.checks import as_flag, as_whole
-from octex.editing.draft import Change, change_of_values, with_alpha
+from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.cells import painted_channel
 from octex.painting.history import Stroke
@@ -161,8 +161,9 @@ class Layers(Painter):
         self._restack(self._stack[:place] + self._stack[place + 1 :])
 
     def _place_of(self, number: int) -> int:
+        number = as_whole(number, "layer", 1, 2**53)
         for place, layer in enumerate(self._stack):
-            if layer.number == number and not isinstance(number, bool):
+            if layer.number == number:
                 return place
         raise ArgumentError(f"there is no layer {number!r}")
 
@@ -278,7 +279,7 @@ class Layers(Painter):
 
     def put(self, change: Change) -> Stroke:
         """Put in a change that adds channels to the texture; return it. Raises ArgumentError for another."""
-        before, after = change.before.channels, change.after.channels
+        before, after = (each.channels for each in as_change(change)[1:])
         if change.tiles is not None or not before.keys() < after.keys():
             raise ArgumentError("with layers only changes that add channels can be put in")
         channels = {**self._texture.channels, **{name: after[name] for name in after if name not in before}}
@@ -288,7 +289,7 @@ class Layers(Painter):
 
     def covered(self, *, erases: bool) -> list[str] | None:
         """Return the channels whose coverage alone an eraser or a mask paints; None for other paint."""
-        if not (erases or self._in_mask):
+        if not (as_flag(erases, "erases") or self._in_mask):
             return None
         if self._chosen is None or self._in_mask:
             return [BASE_COLOR.name]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from octex.channels import BASE_COLOR
 from octex.checks import as_path
-from octex.editing.draft import Change
+from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
 from octex.painting.history import History, Stroke
 from octex.painting.options import Balance, PaintOptions, Pictures
@@ -150,7 +150,7 @@ class Painter:
 
     def put(self, change: Change) -> Stroke:
         """Put in a change of the texture as it is now, made elsewhere, as a stroke; return it."""
-        self._texture = self._put(change, self._texture)
+        self._texture = self._put(as_change(change), self._texture)
         return self._did([change])
 
     def undo(self) -> bool:

@@ -121,9 +121,11 @@ def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
     assert container.read(other).metadata["by"] == "others"
 
 
-def painter(run: octex.Run, fills: bool) -> OctreeTexture:
-    """Return what a stroke of a painter makes."""
-    made = octex.Painter(painted(), SURFACE)
+def painter(run: octex.Run, fills: bool, kind: type[octex.Painter] = octex.Painter) -> OctreeTexture:
+    """Return what a stroke of a painter makes, or of one with layers in its highest."""
+    made = kind(painted(), SURFACE)
+    if isinstance(made, octex.Layers):
+        made.add_layer()
     if fills:
         made.fill(SPHERE, (1, 0, 0), max_depth=5, run=run)
     else:
@@ -155,6 +157,8 @@ FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
     "OctreeTexture.sample, footprints": lambda run, _: adaptive(1).sample(POINTS, width=0.3, run=run),
     "OctreeTexture.taps": lambda run, _: adaptive(1).taps(POINTS, width=0.3, run=run),
     "OctreeTexture.contains": lambda run, _: adaptive(1).contains(POINTS, run=run),
+    "Layers.fill": lambda run, _: painter(run, True, octex.Layers),
+    "Layers.paint": lambda run, _: painter(run, False, octex.Layers),
     "Painter.fill": lambda run, _: painter(run, True),
     "Painter.paint": lambda run, _: painter(run, False),
     "TextureSet.sample": lambda run, _: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(

@@ -21,6 +21,7 @@ import PIL.Image
 
 import octex
 from octex import jit
+from octex.editing.draft import Change
 from octex.errors import OctexError
 from tests.make.small_surfaces import FACES, TETRAHEDRON
 
@@ -131,7 +132,9 @@ def calls() -> list[Call]:
     tree = {"tree": w.texture.tree, "channels": w.texture.channels, "placement": w.texture.placement}
     painted = {"texture": w.texture, "surface": w.surface}
     pictures = {"surface": w.surface, "projections": w.picture, "max_depth": 2, "fit": False}
-    painter = octex.Painter(w.texture, w.surface)
+    painter, layers = octex.Painter(w.texture, w.surface), octex.Layers(w.texture, w.surface)
+    number = layers.add_layer("paint").number
+    same = Change(None, w.texture, w.texture)
     one, two = {"texture": w.texture}, {"first": w.texture, "second": w.texture}
     listed: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         (octex.Box, {"low": (0.1, 0.1, 0.1), "high": (0.5, 0.5, 0.5)}),
@@ -184,6 +187,7 @@ def calls() -> list[Call]:
         (octex.Surface.from_arrays, {"vertices": rows, "triangles": np.array([[0, 1, 2]])}),
         (octex.Surface.from_function, {"f": ball, "bounds": [[0.0] * 3, [1.0] * 3], "edge_length": 0.5}),
         (octex.Surface.joined, {"surfaces": [w.surface, w.surface]}),
+        (w.surface.with_pose, {"vertices": w.surface.vertices}),
         (w.surface.with_rest, {"rest": w.surface.vertices}),
         (w.surface.with_channels, {"channels": ["base_color"]}),
         (w.surface.with_filter, {"filter": "trilinear"}),
@@ -216,6 +220,21 @@ def calls() -> list[Call]:
         (painter.undo, {}),
         (painter.redo, {}),
         (painter.texture, {}),
+        (painter.put, {"change": same}),
+        (painter.store, {"folder": at}),
+        (octex.Layers, painted),
+        (layers.add_layer, {"name": "more", "opacity": 0.5}),
+        (layers.change_layer, {"number": number, "blend": "multiply", "is_visible": False}),
+        (layers.choose, {"layer": number}),
+        (layers.covered, {"erases": True}),
+        (layers.delete_layer, {"number": number}),
+        (layers.layer, {"number": number}),
+        (layers.move_layer, {"number": number, "place": 0}),
+        (layers.put, {"change": same}),
+        (layers.redo, {}),
+        (layers.save, {"path": at / "layers.octex"}),
+        (layers.texture, {}),
+        (layers.undo, {}),
         (octex.Run, {"memory": 9, "folder": at}),
         (octex.blur, {**one, "width": 0.1}),
         (octex.cast, one),

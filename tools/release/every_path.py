@@ -15,6 +15,7 @@ from octex.drawing import Environment, write_preview
 from octex.editing.draft import Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
+from octex.source.mesh import Mesh
 from octex.source.voxels import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
@@ -191,6 +192,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
         octex.paint(texture, surface, picture)
+    octex.paint(texture, surface, picture, hidden=True)
     octex.refine_cameras(surface, [picture] * 2)
     octex.paint(None, surface, [picture] * 3, balance="full")
     octex.paint(None, surface, [picture] * 3, pictures="best")
@@ -206,9 +208,19 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
 
 
 def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
-    """Bake to images in atlases of both kinds, and write them."""
+    """Bake to images in atlases, of what folds and overlaps too, and write them."""
+    from octex.baking.charts import laid_flat
     from octex.baking.texels import barycentric_at
 
+    steps = np.arange(60)
+    ring = np.stack([np.cos(steps / 3.0), np.sin(steps / 3.0), steps / 30.0], axis=1)  # above itself
+    rough = np.concatenate(
+        [np.argwhere(np.ones((100, 100))), 4.0 * np.random.default_rng(0).random((10_000, 1))], axis=1
+    )
+    for points, width in ((np.concatenate([ring, ring * (2.0, 2.0, 1.0)]), 60), (rough, 100)):
+        starts = np.arange(len(points) - width).reshape(-1, width)[:, :-1].reshape(-1)
+        quads = np.stack([starts, starts + width, starts + width + 1, starts + 1], axis=1)
+        laid_flat(Mesh(points, quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)))
     surface, translucent = surfaces[0], surfaces[2]
     texture = octex.convert(surface, 3)
     octex.bake(
