@@ -133,7 +133,7 @@ def _by_xatlas(mesh: Mesh) -> Float64s:
         corners[piece] = coordinates[rows].astype(np.float64) * (atlas.width, atlas.height) + (right, 0.0)
         right, done = right + atlas.width + 1.0, done + len(piece)
         needs = (time.perf_counter() - began) * len(triangles) / done
-        if needs > _PATIENCE:
+        if needs > _PATIENCE and done < len(triangles):
             raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
     return corners
 

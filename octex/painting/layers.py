@@ -50,9 +50,8 @@ class Layers(Painter):
 
     Strokes and fills go into the layer that is chosen; ``None`` is the texture itself, the bottom. With
     ``blend="erase"`` they take the coverage of the layer away, and bring back the bottom as it was opened.
-    ``texture()`` is the composite. Undo and redo
-    cover strokes and changes of the stack. Only the tiles that a stroke touches are composited anew, so it
-    takes the same time in all layers.
+    ``texture()`` is the composite. Undo and redo cover strokes and changes of the stack. Only the tiles that
+    a stroke touches are composited anew, so it takes the same time in all layers.
 
     All layers have the cells of one tree: fine paint in one makes all of them finer there, without changing
     what they look like.

@@ -7,11 +7,12 @@ differs, it stands beside that; the stack is listed in the metadata.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 
-from octex.channels import channel_in, plain_name
+from octex.channels import alpha_of, channel_in, plain_name
 from octex.errors import ArgumentError
 from octex.painting.stack import Layer, Stack, check_layer, composite_name, named, with_composite
-from octex.texture import OctreeTexture
+from octex.texture import Channel, OctreeTexture
 
 #: The metadata that lists the layers, and what names of channels say of them.
 LISTED = "layers"
@@ -60,6 +61,21 @@ def from_file(texture: OctreeTexture) -> tuple[OctreeTexture, Stack]:
         made = channel_in(layer, plain) if mark else name.removesuffix(_IN_BOTTOM)
         if name not in bottoms:
             channels[made] = named(own, made)
+    _check(channels, stack)
     metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
     texture = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
     return with_composite(texture, stack), stack
+
+
+def _check(channels: Mapping[str, Channel], stack: Stack) -> None:
+    """Raise ArgumentError for paint of a layer that lacks its coverage, or fits no channel of the bottom."""
+    components = {name: own.format.components for name, own in channels.items()}
+    for layer in stack:
+        for name in filter(layer.owns, channels):
+            plain, alpha = plain_name(name), alpha_of(name)
+            wanted = 1 if alpha is None else components.get(plain)
+            if components[name] != wanted or (alpha is not None and components.get(alpha) != 1):
+                raise ArgumentError(
+                    f"layer {layer.name!r} paints {plain} in another way than the texture has it: the file "
+                    "is damaged, or another program has changed its channels"
+                )

@@ -5,25 +5,19 @@ from __future__ import annotations
 import base64
 import copy
 import hmac
-import json
 import os
 import secrets
-import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any, NamedTuple
-from urllib.parse import quote, unquote
 
 from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
+from octex.viewer.answers import ADDRESS, Handler, Server
 from octex.viewer.changes import change_between, change_of, is_like, touched_by
-from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -38,28 +32,8 @@ if TYPE_CHECKING:
     from octex.viewer.downloads import Downloads
     from octex.viewer.session import Session
 
-_ADDRESS = "127.0.0.1"
-_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
-_FILES = {"": "index.html", "style.css": "style.css"}
-_FILES |= {name: name for name in [*MODULES, *PAINTING]}
-_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, *PAINTING_SHADERS]}
-_PROOF = "/proof"
-_COMMAND = "application/octet-stream"
-_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-_HEADERS = {
-    "Content-Security-Policy": _POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-#: Seconds for a request to arrive, between signs of life to a page, and without any page until the end.
-_PATIENCE, _BEAT, _ALONE = 10.0, 1.0, 30.0
-#: Seconds that a browser may pause in a download, and bytes that are sent at once.
-_PAUSE, _PIECE = 600.0, 1 << 20
+#: Seconds between signs of life to a page, and without any page until the end.
+_BEAT, _ALONE = 1.0, 30.0
 #: By how much longer the first page is waited for: browsers may take long to start.
 _FIRST = 20
 #: Deflate's level for changes: they stay on this machine, and packing them takes longer than sending them.
@@ -138,20 +112,20 @@ class Viewer:
         usual = _PORTS[int.from_bytes(secret[16:], "big") % len(_PORTS)]
         for candidate in [port] if port else [usual, 0] if key else [0]:  # the first that is free
             try:
-                self._server = _Server((_ADDRESS, candidate), type("Handler", (_Handler,), {"viewer": self}))
+                self._server = Server((ADDRESS, candidate), type("Handler", (Handler,), {"viewer": self}))
                 break
             except OSError as error:
                 why = error
         else:
             raise OutputError(
-                f"port {candidate} of {_ADDRESS}: {why.strerror or why}; choose another"
+                f"port {candidate} of {ADDRESS}: {why.strerror or why}; choose another"
             ) from why
         self.port = self._server.server_address[1]
 
     @property
     def url(self) -> str:
         """Where the page is."""
-        return f"http://{_ADDRESS}:{self.port}/{self.token}/"
+        return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     def proof(self, asked: str) -> str:
         """Return what only who has the token can say to a page that asks."""
@@ -313,224 +287,3 @@ def _change(before: _State, after: _State) -> Packed | None:
 
 def _size_of(change: tuple[str, Packed]) -> int:
     return sum(map(len, change[1].streams.values()))
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    request_queue_size = 128  # of connections that wait to be accepted
-    # A port whose server has ended is free at once; elsewhere this would let two servers share it.
-    allow_reuse_address = os.name == "posix"
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Let a page go away in the middle of an answer."""
-
-
-class _Handler(BaseHTTPRequestHandler):
-    viewer: Viewer
-    protocol_version = "HTTP/1.1"
-    server_version = "octex"
-    sys_version = ""
-    timeout = _PATIENCE
-    disable_nagle_algorithm = True  # else a body waits up to 40 ms until the page has confirmed its headers
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Log what http.server itself refuses, and requests of which no more comes; others need no line."""
-        is_half = format.startswith("Request timed out") and bool(getattr(self, "raw_requestline", b""))
-        if is_half or format.startswith("code "):
-            self.viewer.refuse(_printable(format % args))
-
-    def do_GET(self) -> None:
-        """Answer with a file of the page, its data, the line of events, or a proof of the token."""
-        path = self._admitted()
-        if path is None:
-            return
-        if path == _PROOF:
-            self._answer(self.viewer.proof(self.path.partition("?")[2]).encode(), "text/plain")
-        elif path in _FILES:
-            name = _FILES[path]
-            self._answer(page_text(name).encode(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
-        elif path == "events":
-            self._follow()
-        elif path.startswith("data/"):
-            self._data(path.removeprefix("data/"))
-        elif path == "patch" and self.viewer.session is not None:
-            self._patch(self.viewer.session)
-        elif path == "export" and self.viewer.downloads is not None:
-            self._export(self.viewer.downloads)
-        elif path.startswith("export/") and self.viewer.downloads is not None:
-            self._give(self.viewer.downloads.file(path.removeprefix("export/")))
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
-
-    def do_POST(self) -> None:
-        """Take a command of a page that paints, and answer with its number."""
-        session, length = self.viewer.session, self.headers.get("Content-Length", "")
-        if session is None:
-            self.send_error(HTTPStatus.NOT_IMPLEMENTED, "Unsupported method ('POST')")
-            return
-        from octex.viewer.commands import MOST_BYTES
-        from octex.viewer.session import BusyError, OrderError
-
-        path = self._admitted(has_body=True)
-        if path is None:
-            return
-        if path != "session":
-            self._refuse(HTTPStatus.NOT_FOUND, "commands are sent to session")
-        elif self.headers.get("Content-Type") != _COMMAND:
-            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"a command is {_COMMAND}")
-        elif not length.isdecimal() or len(length) > 12:
-            self._refuse(HTTPStatus.LENGTH_REQUIRED, "its length is missing")
-        elif int(length) > MOST_BYTES:
-            self._refuse(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{int(length):,} bytes; at most {MOST_BYTES:,}"
-            )
-        else:
-            body = self.rfile.read(int(length))
-            if len(body) < int(length):
-                self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} have come")
-                return
-            try:
-                self._json({"number": session.take(body)})
-            except BusyError as error:
-                self._refuse(HTTPStatus.TOO_MANY_REQUESTS, str(error))
-            except OrderError as error:
-                self._refuse(HTTPStatus.CONFLICT, str(error))
-            except OutputError as error:
-                self._refuse(HTTPStatus.INSUFFICIENT_STORAGE, str(error))
-            except OctexError as error:
-                self._refuse(HTTPStatus.BAD_REQUEST, str(error))
-
-    def _admitted(self, *, has_body: bool = False) -> str | None:
-        """Return what a request asks for, below the token; refuse what comes from elsewhere.
-
-        A page that has lost its server asks for a proof without the token: it may be another server by now.
-        """
-        token, slash, path = self.path.partition("?")[0].removeprefix("/").partition("/")
-        own = {f"{_ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
-        host, origin = self.headers.get("Host"), self.headers.get("Origin")
-        why, status = "", HTTPStatus.FORBIDDEN
-        if host not in own:
-            why = f"the host is {host!r}"
-        elif origin is not None and origin.removeprefix("http://") not in own:
-            why = f"the origin is {origin!r}"
-        elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            why = "another site asks"
-        elif "Transfer-Encoding" in self.headers or not (
-            has_body or self.headers.get("Content-Length", "0") == "0"
-        ):
-            why, status = "it has a body", HTTPStatus.REQUEST_ENTITY_TOO_LARGE
-        elif self.path.startswith(f"{_PROOF}?"):
-            return _PROOF
-        elif not slash or not hmac.compare_digest(token.encode(), self.viewer.token.encode()):
-            why = "the token is missing or wrong"
-        if why:
-            self._refuse(status, why)
-        return None if why else path
-
-    def _refuse(self, status: HTTPStatus, why: str) -> None:
-        self.viewer.refuse(_printable(f"{self.command} {self.path}: {why}"))
-        self.close_connection = True
-        self._answer(f"{why}\n".encode(), "text/plain", status)
-
-    def _answer(self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self._begin(kind, status)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-        self.raw_requestline = b""  # what is waited for next is another request, or none
-
-    def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
-        for header, value in _HEADERS.items():
-            self.send_header(header, value)
-        if self.close_connection:
-            self.send_header("Connection", "close")
-
-    def _data(self, name: str) -> None:
-        """Answer with the header, or of data/VERSION with streams or the change to the next version."""
-        if name == "header":
-            try:
-                self._json(self.viewer.packed().header)
-            except OctexError as error:
-                self._answer(str(error).encode(), "text/plain", HTTPStatus.SERVICE_UNAVAILABLE)
-            return
-        version, _, name = name.partition("/")
-        packed, change = self.viewer.of_version(version)
-        streams = packed.streams | change.streams
-        if name == "change" and change.header:
-            self._json(change.header)
-        elif name in streams:
-            self._answer(streams[name], "application/octet-stream")
-        elif version.partition("-")[0].isdigit() and (not packed.header or name == "change"):
-            # The page then loads what is shown now.
-            self._answer(b"that version is no longer there", "text/plain", HTTPStatus.GONE)
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")
-
-    def _json(self, header: dict[str, Any]) -> None:
-        self._answer(json.dumps(header).encode(), "application/json")
-
-    def _events(self) -> Callable[[str], None]:
-        """Begin an answer of events; return what sends them."""
-        self.close_connection = True
-        self._begin("text/event-stream")
-        self.end_headers()
-
-        def send(text: str) -> None:
-            self.wfile.write(text.encode())
-            self.wfile.flush()
-
-        return send
-
-    def _follow(self) -> None:
-        self.viewer.follow(self._events())
-
-    def _patch(self, session: Session) -> None:
-        """Answer with a piece of the surface, laid flat."""
-        try:
-            body = session.patch(unquote(self.path.partition("?")[2]))
-        except OctexError as error:
-            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
-        else:
-            self._answer(body, "application/octet-stream")
-
-    def _export(self, downloads: Downloads) -> None:
-        """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""
-        send = self._events()
-
-        def tell(name: str, told: dict[str, Any]) -> None:
-            try:
-                send(f"event: {name}\ndata: {json.dumps(told)}\n\n")
-            except OSError:
-                raise _GoneError from None
-
-        with suppress(_GoneError):
-            downloads.make(self.path.partition("?")[2], tell)
-
-    def _give(self, path: Path | None) -> None:
-        """Answer with a file to be downloaded, piece by piece."""
-        try:
-            if path is None:
-                raise FileNotFoundError
-            file = path.open("rb")
-        except OSError:
-            self._refuse(HTTPStatus.NOT_FOUND, "that file is no longer there; export it again")
-            return
-        with file, suppress(OSError):
-            self.close_connection = True
-            self.connection.settimeout(_PAUSE)
-            self._begin("application/octet-stream")
-            self.send_header("Content-Length", str(os.fstat(file.fileno()).st_size))
-            self.send_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(path.name)}")
-            self.end_headers()
-            shutil.copyfileobj(file, self.wfile, _PIECE)
-
-
-class _GoneError(Exception):
-    """The page that waits for a file has gone."""
-
-
-def _printable(text: str) -> str:
-    """Return text as one line of at most 200 characters without anything that a terminal obeys."""
-    return "".join(each if each.isprintable() else "�" for each in text)[:200]

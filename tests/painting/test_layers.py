@@ -15,7 +15,7 @@ from octex.channels import decode, encode
 from octex.errors import ArgumentError
 from octex.painting.layers import Layers
 from octex.painting.stack import LAYER_BLENDS, composite_name, shown_names, with_composite
-from octex.texture import OctreeTexture
+from octex.texture import Channel, OctreeTexture
 from tests.editing.test_draft import case
 from tests.make.same import assert_same
 from tests.painting.test_painter import DIRECTIONS, brush, shots
@@ -325,3 +325,22 @@ def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
     broken = OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
     with pytest.raises(ArgumentError, match="metadata 'layers' is no list of layers"):
         octex.Layers(broken, surface)
+
+
+def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path: Path) -> None:
+    surface, texture, _ = start()
+    layers = octex.Layers(texture, surface)
+    layers.add_layer("paint")
+    layers.fill(everywhere, "#102030")
+    layers.save(tmp_path / "stack.octex")
+    saved = octex.open(tmp_path / "stack.octex")
+    own = [name for name in saved.channels if " in layer 1 " in name]
+    assert len(own) == 2
+    for name, channel in (("alpha", None), *((each, saved.channels["base_color"]) for each in own)):
+        channels = {each: one for each, one in saved.channels.items() if channel or name not in each}
+        if channel is not None:
+            form = channel.format._replace(name=name, components=2)
+            channels[name] = Channel(form, *(each[:, :2].copy() for each in channel[1:]))
+        broken = OctreeTexture(saved.tree, channels, saved.placement, saved.bounds, saved.metadata)
+        with pytest.raises(ArgumentError, match=r"layer 'paint' paints .* in another way than the texture"):
+            octex.Layers(broken, surface)

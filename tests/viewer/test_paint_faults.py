@@ -17,7 +17,7 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
-from octex.viewer import Viewer, server
+from octex.viewer import Viewer, answers, server
 from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import opened
@@ -218,7 +218,7 @@ def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(browser: Any, tm
 def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server._Handler, "timeout", 3.0)
+    monkeypatch.setattr(answers.Handler, "timeout", 3.0)
     address = "127.0.0.1", served.viewer.port
     refused = f"GET /{'a' * 22}/ HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n\r\n".encode()
     with ExitStack() as held:

@@ -25,7 +25,7 @@ from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode, OutputError
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer import Viewer, server
+from octex.viewer import Viewer, answers, server
 from octex.viewer import session as sessions
 from octex.viewer.session import BusyError, OrderError, Session
 from tests.make.painted import ball
@@ -513,7 +513,7 @@ def test_bad_commands_are_refused_and_the_server_goes_on(served: Served) -> None
 
 
 def test_half_a_command_changes_nothing(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    monkeypatch.setattr(answers.Handler, "timeout", 0.5)
     body, address = stroke(1), ("127.0.0.1", served.viewer.port)
     head = (
         f"POST /{served.viewer.token}/session HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n"

@@ -22,7 +22,7 @@ import octex
 from octex.cli.main import main
 from octex.errors import ExitCode, OutputError
 from octex.texture import OctreeTexture
-from octex.viewer import Viewer, server
+from octex.viewer import Viewer, answers, server
 from octex.viewer.key import user_key
 from tests.make.painted import ball
 from tests.make.small_textures import eight_colors
@@ -152,7 +152,7 @@ def test_what_is_no_request_or_half_of_one_changes_nothing(served: Served, conte
 def test_half_a_request_is_given_up_and_an_idle_line_is_no_fault(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server._Handler, "timeout", 0.2)
+    monkeypatch.setattr(answers.Handler, "timeout", 0.2)
     address = "127.0.0.1", served.viewer.port
     with socket.create_connection(address, timeout=5) as idle, socket.create_connection(address) as half:
         half.sendall(b"GET / HTTP/1.1\r\nHost: ")
