@@ -20,6 +20,7 @@ from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
 from octex.view.shading import face_normals
 from octex.voxelize.fragments import Blocks
+from octex.voxelize.grid import BLOCK_BITS
 
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
@@ -105,7 +106,9 @@ class Projected(PaintSource):
         found = np.zeros(blocks.codes.size, np.bool_)
         for shot in self.shots:
             seen = _summed(shot)
-            painted = seen if is_bent(shot.lens) else _sums_of(has_paint(shot))
+            # Large blocks that are left out count for no average: those that are seen do.
+            is_coarse = blocks.bits == BLOCK_BITS or is_bent(shot.lens)
+            painted = seen if is_coarse else _sums_of(has_paint(shot))
             mark_seen_blocks(
                 shot.camera, seen, painted, self.vertices, self.triangles, rest, blocks, corners, edge, found
             )

@@ -181,9 +181,8 @@ def columns_met(
 ) -> int:
     """List the cells of one block that a triangle meets, column by column; return the number of columns.
 
-    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell, ``edge`` how many it has
-    along each axis. ``columns`` of shape (edge², 5) receives them sorted by u, then v; ``sides`` (6, 3) is
-    scratch.
+    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell, of ``edge`` each way.
+    ``columns`` of shape (edge², 5) receives them sorted by u, then v; ``sides`` (6, 3) is scratch.
     """
     cell = 1 << shift
     first_u = max(min(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u)
