@@ -310,11 +310,11 @@ def add_paint(
 
 
 @inlined
-def _some_in(counts: Int32s, left: float, top: float, right: float, bottom: float) -> bool:
-    """Say whether pixels are counted in a rectangle, or in those that it reaches into."""
+def _some_near(counts: Int32s, left: float, top: float, right: float, bottom: float, reach: int) -> bool:
+    """Say whether pixels are counted in a rectangle, or that far around it."""
     height, width = counts.shape[0] - 1, counts.shape[1] - 1
-    i, j = int(min(max(left, 0.0), width)), int(min(max(top, 0.0), height))
-    k, m = int(min(max(right + 1.0, i), width)), int(min(max(bottom + 1.0, j), height))
+    i, j = min(max(int(left) - reach, 0), width), min(max(int(top) - reach, 0), height)
+    k, m = min(max(int(right) + reach + 1, i), width), min(max(int(bottom) + reach + 1, j), height)
     return bool(counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0)
 
 
@@ -393,12 +393,12 @@ def mark_seen_blocks(
                 found[block] = True
                 break
             # What is painted is seen by some of the four pixels around it.
-            if not _some_in(counts, left - 2.0, top - 2.0, right + 2.0, bottom + 2.0):
+            if not _some_near(counts, left, top, right, bottom, 2):
                 continue
             # Sixteen pixels are read, of a mip if what is in a cell is wider than two.
             wide = (right - left) * (bottom - top) * min(cell / size_u, 1.0) * min(cell / size_v, 1.0)
-            reach = 2.0 if wide < 1.0 else 4.0 * np.sqrt(wide)
-            found[block] = _some_in(painted, left - reach, top - reach, right + reach, bottom + reach)
+            reach = int(4.0 * np.sqrt(wide)) + 1 if wide > 1.0 else 2
+            found[block] = _some_near(painted, left, top, right, bottom, reach)
 
 
 @kernel
