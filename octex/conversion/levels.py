@@ -278,11 +278,12 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
     if job.has_gaps:
         form = next(channel for channel in job.channels if channel.name == ALPHA.name)
         is_left = encode(coverages(leaves, job.columns.alpha), form.dtype, form.space) > 0
-        codes, gaps = codes[is_left], codes[~is_left]
-        left = codes
-        if gaps.size and (job.has_samples or job.wanted is not None):
-            fragments, chosen = _some_fragments(fragments, is_left)
-            widths, values = widths[chosen], values[chosen]
+        if not is_left.all():
+            codes, gaps = codes[is_left], codes[~is_left]
+            left = codes
+            if job.has_samples or job.wanted is not None:
+                fragments, chosen = _some_fragments(fragments, is_left)
+                widths, values = widths[chosen], values[chosen]
     levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)

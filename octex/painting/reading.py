@@ -357,25 +357,21 @@ def mark_seen_blocks(
                 transformed(view, vertices, r),
             )
             left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+            near, far = np.inf, 0.0
             is_known = area != 0.0
-            size_u = min(
-                edge, max(rest[p, u], rest[q, u], rest[r, u]) - min(rest[p, u], rest[q, u], rest[r, u])
+            least_u, most_u = min(rest[p, u], rest[q, u], rest[r, u]), max(rest[p, u], rest[q, u], rest[r, u])
+            least_v, most_v = min(rest[p, v], rest[q, v], rest[r, v]), max(rest[p, v], rest[q, v], rest[r, v])
+            low_u, high_u = (
+                min(max(corners[block, u], least_u), most_u),
+                min(max(corners[block, u] + edge, least_u), most_u),
             )
-            size_v = min(
-                edge, max(rest[p, v], rest[q, v], rest[r, v]) - min(rest[p, v], rest[q, v], rest[r, v])
+            low_v, high_v = (
+                min(max(corners[block, v], least_v), most_v),
+                min(max(corners[block, v] + edge, least_v), most_v),
             )
             for corner in range(4):
-                across = corners[block, u] + (edge if corner & 1 else 0.0)
-                along = corners[block, v] + (edge if corner & 2 else 0.0)
-                across = min(
-                    max(across, min(rest[p, u], rest[q, u], rest[r, u])),
-                    max(rest[p, u], rest[q, u], rest[r, u]),
-                )
-                along = min(
-                    max(along, min(rest[p, v], rest[q, v], rest[r, v])),
-                    max(rest[p, v], rest[q, v], rest[r, v]),
-                )
-                across, along = across - rest[p, u], along - rest[p, v]
+                across = (high_u if corner & 1 else low_u) - rest[p, u]
+                along = (high_v if corner & 2 else low_v) - rest[p, v]
                 second = (across * (rest[r, v] - rest[p, v]) - along * (rest[r, u] - rest[p, u])) / area
                 third = (along * (rest[q, u] - rest[p, u]) - across * (rest[q, v] - rest[p, v])) / area
                 first = 1.0 - second - third
@@ -385,6 +381,7 @@ def mark_seen_blocks(
                 x, y = view.K[0, 0] * x + view.K[0, 1] * y, view.K[1, 1] * y
                 if view.is_pinhole:
                     is_known &= z > 0.0
+                    near, far = min(near, z), max(far, z)
                     x, y = x / z, y / z
                 x, y = x + view.K[0, 2], y + view.K[1, 2]
                 left, right = min(left, x), max(right, x)
@@ -396,7 +393,9 @@ def mark_seen_blocks(
             if not _some_near(counts, left, top, right, bottom, 2):
                 continue
             # Sixteen pixels are read, of a mip if what is in a cell is wider than two.
-            wide = (right - left) * (bottom - top) * min(cell / size_u, 1.0) * min(cell / size_v, 1.0)
+            wide = (right - left) * (bottom - top)
+            wide *= min(cell / (high_u - low_u), 1.0) * min(cell / (high_v - low_v), 1.0)
+            wide *= (far / near) ** 3 if view.is_pinhole else 1.0  # of the nearest cell
             reach = int(4.0 * np.sqrt(wide)) + 1 if wide > 1.0 else 2
             found[block] = _some_near(painted, left, top, right, bottom, reach)
 
