@@ -263,6 +263,7 @@ def calls() -> list[Call]:
         (octex.render, {**one, "camera": w.camera, "supersample": 1}),
         (octex.resize, {**one, "depth": 1}),
         (octex.separate, {"surface": w.surface, **DEPTH}),
+        (octex.repair, {"surface": w.surface}),
         (octex.subdivide, {"mesh": w.surface, "levels": 1}),
         (octex.unwrap, {"surface": w.surface, "center": rows[0], "radius": 0.3, "size": 4}),
         (octex.write_ptex, {**painted, "path": at / "written.ptx"}),

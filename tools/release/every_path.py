@@ -172,9 +172,11 @@ def _take(surface: octex.Surface) -> None:
 
 
 def _separate(surface: octex.Surface) -> None:
-    """Move two parts apart."""
+    """Move two parts apart, and repair them."""
     twice = np.concatenate([surface.triangles, surface.triangles + len(surface.rest)])
-    octex.separate(octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice))
+    parts = octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice)
+    octex.separate(parts)
+    octex.repair(octex.Surface.from_arrays(parts.rest, parts.triangles[1:]), cell=0.1)
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:
