@@ -19,11 +19,13 @@ from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_stl
 from octex.source.models.obj import load_obj
+from octex.source.models.ovoxel import load_voxel_surface
 from octex.source.models.ply import Ply
 from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.motion import Motion
 from octex.source.surface import Surface
+from octex.source.voxels import VOXEL_ENDINGS
 
 
 def _load_usd(path: Path, options: Options) -> Surface:
@@ -44,6 +46,7 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".off": load_off,
     ".stl": load_stl,
     ".3mf": load_3mf,
+    **dict.fromkeys(VOXEL_ENDINGS, load_voxel_surface),
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _load_usd),
 }
 
