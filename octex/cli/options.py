@@ -28,6 +28,8 @@ _TABLE = """
 
 --rest MESH           the undeformed model, with the same vertices and triangles
 --pose NAME@SECONDS   pose of an animated glTF model, like Run@0.5
+--repair              leave out triangles without area, copies and inner ones; close cracks narrower than
+                      a cell
 --subdiv N[,limit]    subdivide a control cage N times; limit: rest positions on the limit surface
 --also MODEL          another model that shares the texture; may be repeated
 --grid BOX,EDGE       for a function: its box and the triangles' edges, x0,y0,z0,x1,y1,z1,EDGE
@@ -182,7 +184,7 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
   INPUT    a model, points, voxels, a texture, or FILE.py:NAME, a function that is negative inside
   OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
   --depth --cell --max-error --detail --channels --dtype --source --project --transfer --radius --within
-  --filter SHAPE --also --grid --separate --parts --memory --no-fit --preview RUNNING
+  --filter SHAPE --repair --also --grid --separate --parts --memory --no-fit --preview RUNNING
 
 view  Show a texture in the browser, until you close the page; or write the page.
   > droid.octex droid.glb
@@ -220,7 +222,7 @@ bake  Write a model with images, or vertex colours, of a texture, for other prog
   MODEL    the model of the texture; with --original, a simpler mesh of the same object
   OUTPUT   NAME.glb, .gltf, .obj, .usdz, .usd, .usda, .usdc, .3mf, .ply or .ptx
   --uv --texture-size --padding --channels --image-format --supersample --original --max-distance
-  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE RUNNING
+  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE --repair RUNNING
 
 edit  Make a texture from a texture. Options are applied in the order listed here.
   > droid.octex coarse.octex --depth 7

@@ -79,7 +79,7 @@ def main(_arguments: list[str]) -> int:
             write_preview(folder / "lit.png", texture, surface, size=(64, 64), light=light, bump=bump)
         light.irradiance([[0.0, 0.0, 1.0]])
         _map(surfaces[0])
-        _take(surfaces[0])
+        _take(surfaces[0], folder)
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
         _bake(surfaces, folder)
@@ -171,13 +171,8 @@ def _take(surface: octex.Surface, folder: Path) -> None:
         words = json.dumps({**header, "attr_interleave": "all", "chunks": [voxel]}).encode()
         unpack_vxz(b"VXZ\0" + (8 + len(words)).to_bytes(4, "big") + words + b"\x01abc", "warm-up")
     quad = np.array([[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]])
-    np.savez(
-        folder / "quad.npz",
-        coords=quad,
-        x=np.ones(4),
-        dual_vertices=np.full((4, 3), 0.5),
-        intersected=quad == 0,
-    )
+    grid = {"dual_vertices": np.full((4, 3), 0.5), "intersected": quad == 0}
+    np.savez(folder / "quad.npz", coords=quad, x=np.ones(4), **grid)
     octex.load_surface(folder / "quad.npz")
 
 
