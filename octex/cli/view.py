@@ -134,7 +134,7 @@ def _check(options: Options, is_set: bool) -> None:
         if page is not None and page.exists():
             raise ArgumentError(f"{page}: is a page already; open it in a browser")
         raise ArgumentError("TEXTURE is missing; see octex view --help")
-    if path is None and kind_of(model) != "model":
+    if path is None and kind_of(model) == "cloud":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
         refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
