@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
-from octex.jit import kernel
+from octex.jit import kernel, part
 from octex.source.parts import edges_of
 from octex.source.welding import welded
 from octex.tree.morton import encode, encode_cells
@@ -110,7 +110,7 @@ def _nearest(
     return found
 
 
-@kernel
+@part
 def _own_border(
     points: Float64s, starts: Int64s, others: Int64s, n: int, reach: float, near: Int64s, ways: Float64s
 ) -> int:
