@@ -23,7 +23,6 @@ from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
 from octex.tree.children import rank
-from octex.tree.edit import among
 from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
@@ -35,6 +34,7 @@ from octex.voxelize.fragments import (
     cut,
     even_runs,
     most_fragments,
+    smaller_blocks,
     some_blocks,
 )
 from octex.voxelize.grid import BLOCK_BITS, count_degenerate, on_grid
@@ -42,7 +42,9 @@ from octex.voxelize.sums import (
     SumColumns,
     Sums,
     by_channel,
+    coverages,
     level_means,
+    some_cells,
     sum_children,
     sum_fragments,
 )
@@ -52,6 +54,9 @@ from octex.voxelize.sums import (
 #: (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
+
+#: So few blocks are cut into those of 8³ cells, of which only those are converted that are reached.
+_FEW_BLOCKS, _SMALL_BITS = 1024, 3
 
 #: Files of parts that are joined to one.
 _JOINED = 16
@@ -92,7 +97,7 @@ class CellLevels(NamedTuple):
     samples: Samples | None
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
-    gaps: Int64s  # of the finest cells that were left out
+    gaps: Int64s  # finest cells in what was left out
 
 
 class Job(NamedTuple):
@@ -149,10 +154,15 @@ def cell_levels(
     report("sort", 0, 1)
     blocks = bin_triangles(grid, surface.triangles, depth)
     report("sort", 1, 1)
-    block_level = max(depth - BLOCK_BITS, 0)
+    block_level, columns, outside = max(depth - BLOCK_BITS, 0), SumColumns.of(channels), None
     if reached is not None:
         blocks = some_blocks(blocks, reached(blocks, block_level))
-    columns = SumColumns.of(channels)
+        if block_level and blocks.codes.size <= _FEW_BLOCKS:
+            block_level = depth - _SMALL_BITS
+            blocks, pieces = smaller_blocks(grid, surface.triangles, blocks, block_level, depth)
+            is_reached = reached(blocks, block_level)
+            blocks = some_blocks(blocks, is_reached)
+            outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
     cell = placement.size / 2**depth
     if channels:
         surface.source.prepare()
@@ -164,8 +174,11 @@ def cell_levels(
     parts = _gathered(converted)
     codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
-    left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
     tops = _end_to_end([part.top for part in parts], np.concatenate)
+    if outside is not None:
+        gaps = np.concatenate([gaps, outside.codes << 3 * (depth - block_level)])
+        tops = _interleaved(tops, outside)
+    left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
     upper, _ = climb(tops, block_level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
@@ -174,6 +187,25 @@ def cell_levels(
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
     return CellLevels(depth, codes, levels, samples, deepest, degenerate, gaps)
+
+
+def _outside(pieces: Fragments, chosen: Bools, columns: SumColumns) -> Sums:
+    """Return the sums of some cells that nothing is known of."""
+    pieces, _ = _some_fragments(pieces, chosen)
+    values = np.zeros((pieces.entries.size, columns.first.size), np.float32)
+    n_entries = int(bit_counts(pieces.flags).sum())
+    sums = sum_fragments(pieces.entries, pieces.areas, values, columns.alpha, n_entries)
+    return Sums(pieces.codes, pieces.flags, sums)
+
+
+def _interleaved(one: Sums, other: Sums) -> Sums:
+    """Return the sums of two sets of cells that have none in common."""
+    codes, flags, sums = _end_to_end([one, other], np.concatenate)
+    counts = bit_counts(flags).astype(np.int64)
+    order = np.argsort(codes, kind="stable")
+    firsts, counts = (np.cumsum(counts) - counts)[order], counts[order]
+    rows = np.repeat(firsts - (np.cumsum(counts) - counts), counts) + np.arange(len(sums))
+    return Sums(codes[order], flags[order], sums[rows])
 
 
 def memory_needed(
@@ -242,11 +274,13 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
     n_entries = int(bit_counts(fragments.flags).sum())
     sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(fragments.codes, fragments.flags, sums)
-    left, gaps = None, fragments.codes[:0]
+    codes, left, gaps = fragments.codes, None, fragments.codes[:0]
     if job.has_gaps:
-        is_left = _is_left(leaves, job.channels, job.columns)
-        left, gaps = fragments.codes[is_left], fragments.codes[~is_left]
-        if gaps.size:
+        form = next(channel for channel in job.channels if channel.name == ALPHA.name)
+        is_left = encode(coverages(leaves, job.columns.alpha), form.dtype, form.space) > 0
+        codes, gaps = codes[is_left], codes[~is_left]
+        left = codes
+        if gaps.size and (job.has_samples or job.wanted is not None):
             fragments, chosen = _some_fragments(fragments, is_left)
             widths, values = widths[chosen], values[chosen]
     levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
@@ -257,17 +291,7 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
         taken = take_samples(
             surface, job.grid, fragments, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
         )
-    return Part(fragments.codes, gaps, levels, top, taken, wanted)
-
-
-def _is_left(leaves: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> Bools:
-    """Say which cells have an ``alpha`` that is stored as more than 0."""
-    counts = bit_counts(leaves.flags).astype(np.int64)
-    firsts = np.cumsum(counts) - counts
-    weights, areas = (np.add.reduceat(leaves.sums[:, column], firsts) for column in (columns.alpha, -1))
-    form = next(channel for channel in channels if channel.name == ALPHA.name)
-    found: Bools = encode(weights / areas, form.dtype, form.space) > 0
-    return found
+    return Part(codes, gaps, levels, top, taken, wanted)
 
 
 def _some_fragments(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:
@@ -296,21 +320,13 @@ def climb(
 
     ``left`` are the codes, ascending, of the cells that are stored, with those above them; None: of all.
     """
-    levels = [_of(sums, left)]
+    levels = [sums if left is None else some_cells(sums, left)]
     for _ in range(steps):
         sums = sum_children(sums)
         left = None if left is None else distinct(left >> 3)
-        levels.append(_of(sums, left))
+        levels.append(sums if left is None else some_cells(sums, left))
     finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
     return [_stored(finest, channels, columns), *_stored_levels(above, channels, columns)], sums
-
-
-def _of(level: Sums, left: Int64s | None) -> Sums:
-    """Return the sums of those cells that are left."""
-    if left is None or left.size == level.codes.size:
-        return level
-    chosen = among(level.codes, left)
-    return Sums(left, level.flags[chosen], level.sums[np.repeat(chosen, bit_counts(level.flags))])
 
 
 def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:

@@ -103,11 +103,12 @@ def as_change(given: Change) -> Change:
     return given
 
 
-def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s]) -> Tiles | None:
-    """Return the tiles for an edit of cells, given level by level; None if that is most of the texture."""
-    tree = texture.tree
-    finest = next((level for level, own in enumerate(codes) if own.size), 0)
-    level = coarsest_near(tree, codes, finest) - STEPS
+def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int) -> Tiles | None:
+    """Return the tiles for an edit of cells, given level by level; None if that is most of the texture.
+
+    ``coarsest`` is what `coarsest_near` says of these cells.
+    """
+    tree, level = texture.tree, coarsest - STEPS
     if not 0 < level < tree.max_depth:
         return None
     edited = _at(codes, level)
@@ -190,19 +191,21 @@ def coarsest_of(tree: Octree) -> int:
     return int(min([next(leaves, 0), *kept.tolist()]))
 
 
-def coarsest_near(tree: Octree, codes: Sequence[Int64s], finest: int) -> int:
-    """Return the level of the largest leaf or kept node, down to ``finest``, that cells are in or beside.
+def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
+    """Return the level of the largest leaf or kept node that cells are in or beside.
 
-    The cells are given level by level; beside it is what is so at its own level. ``finest`` if there is none.
+    The cells are given level by level; beside it is what is so at its own level. If there is none, it is the
+    level of the largest of these cells.
     """
+    largest = next((level for level, own in enumerate(codes) if own.size), 0)
     first = coarsest_of(tree)
-    above = with_all_above(codes)[first:finest] if first < finest else []
+    above = with_all_above(codes)[first:largest] if first < largest else []
     for level, own in enumerate(above, first):
         where = locate(tree, with_boundary(own, level), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
             return level
-    return finest
+    return largest
 
 
 def _at(codes: Sequence[Int64s], level: int) -> Int64s:

@@ -43,7 +43,7 @@ class Merge(NamedTuple):
     opacity: float
     executor: Executor
     progress: Progress
-    coarsest: int | None = None  # the level of the largest leaf or kept node near paint, if that is known
+    coarsest: int  # the level of the largest leaf or kept node that the layer is in or beside
 
     @property
     def is_all_painted(self) -> bool:

@@ -140,8 +140,9 @@ def merged(
             f"the layer paints {form.components} components, but {target!r} of the texture has "
             f"{stored.components}"
         )
-    task = Merge(texture, layer, surface, target, blend, opacity, executor, progress)
-    pieces = pieces_of(texture, layer)
+    coarsest = coarsest_near_layer(texture, layer)
+    task = Merge(texture, layer, surface, target, blend, opacity, executor, progress, coarsest)
+    pieces = pieces_of(texture, layer, coarsest)
     change = _merge_at_once(task) if pieces is None else _merge_pieces(task, pieces)
     return change and change._replace(before=with_channels_of(change.before, before))
 
@@ -151,7 +152,7 @@ def _merge_at_once(task: Merge) -> Change | None:
     texture, paint = task.texture, paint_of(task.layer, task.opacity)
     if not any(each.codes.size for each in paint):
         return None
-    around = tiles_around(texture, [each.codes for each in paint])
+    around = tiles_around(texture, [each.codes for each in paint], task.coarsest)
     draft = texture if around is None else cut_out(texture, around)
     made = merge_draft(task, draft, paint)
     task.progress("merge", 1, 1)
@@ -162,7 +163,6 @@ class Pieces(NamedTuple):
     """How a layer is divided."""
 
     level: int  # of the tiles
-    coarsest: int  # the level of the largest leaf or kept node that the layer is in or beside
     tiles: list[Int64s]  # of each piece, Morton codes, ascending
 
 
@@ -175,26 +175,32 @@ class _Piece(NamedTuple):
     lists: list[Int64s]
 
 
-def pieces_of(texture: OctreeTexture, layer: OctreeTexture) -> Pieces | None:
+def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
+    """Return the level of the largest leaf or kept node of a texture that a layer is in or beside."""
+    tree = layer.tree
+    largest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), 0)
+    codes = tree.level_codes(largest)
+    return coarsest_near(texture.tree, [codes[:0]] * largest + [codes])
+
+
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pieces | None:
     """Divide a layer for a texture; return None for one that is merged in one draft."""
-    tree, painted = texture.tree, layer.tree
+    tree, painted, level = texture.tree, layer.tree, coarsest - STEPS
     if painted.n_leaves + tree.n_leaves <= PIECE or not tree.n_leaves or not painted.n_leaves:
         return None
-    finest = next(level for level, (leaves, _) in enumerate(painted.cells_by_depth()) if leaves)
-    codes = painted.level_codes(finest)
-    coarsest = coarsest_near(tree, [codes[:0]] * finest + [codes], finest)
-    level = coarsest - STEPS
     if not 0 < level < tree.max_depth:
         return None
-    tiles = Tiles(level, with_boundary(distinct(codes >> 3 * (finest - level)), level))
+    tiles = Tiles(level, with_boundary(painted.level_codes(level), level))
     counts = cells_in(painted, tiles) + cells_in(tree, tiles)
     numbers = (np.cumsum(counts) - counts) // PIECE
+    if not numbers[-1]:
+        return None
     found = [tiles.codes[numbers == number] for number in distinct(numbers)]
     around = (Tiles(level, with_boundary(own, level)) for own in found)
     total = sum(int(cells_in(painted, own).sum() + cells_in(tree, own).sum()) for own in around)
-    if len(found) < 2 or total > MOST * counts.sum():
+    if total > MOST * counts.sum():
         return None
-    return Pieces(level, coarsest, found)
+    return Pieces(level, found)
 
 
 def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
@@ -208,7 +214,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
         with workers(Run(threads=1)) as one_worker:
-            own = task._replace(layer=layer, coarsest=pieces.coarsest, executor=one_worker, progress=silent)
+            own = task._replace(layer=layer, executor=one_worker, progress=silent)
             made = merge_draft(own, cut_out(texture, opened), paint)
         if made is None:
             return None
@@ -247,7 +253,7 @@ def paint_by_tiles(
     texture: OctreeTexture, layer: OctreeTexture
 ) -> Iterator[tuple[OctreeTexture, list[Paint]]]:
     """Yield piece by piece what of a layer is around it, and its paint as it lies on a texture's leaves."""
-    pieces = pieces_of(texture, layer)
+    pieces = pieces_of(texture, layer, coarsest_near_layer(texture, layer))
     if pieces is None:
         yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
         return

@@ -195,7 +195,8 @@ def _window_of(
     pixels[:, :, :3] *= pixels[:, :, 3:]
     for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
-    pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
+    if (limits[0] != limits[1]).any():
+        pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
     return Mips(rows, sizes, limits), window
 
 
@@ -357,10 +358,16 @@ def _bicubic(
     of_x, of_y = catmull_rom(np.float32(u - i)), catmull_rom(np.float32(v - j))
     none = np.float32(0.0)
     a = b = c = d = none
+    columns = (
+        min(max(i - 1, 0), width - 1),
+        min(max(i, 0), width - 1),
+        min(max(i + 1, 0), width - 1),
+        min(max(i + 2, 0), width - 1),
+    )
     for row in range(4):
         first = start + min(max(j + row - 1, 0), height - 1) * width
         for column in range(4):
-            at = first + min(max(i + column - 1, 0), width - 1)
+            at = np.uint64(first + columns[column])  # unsigned, it is not looked at for counting from the end
             weight = of_y[row] * of_x[column]
             a += weight * mips.pixels[at, 0]
             b += weight * mips.pixels[at, 1]

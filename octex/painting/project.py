@@ -9,16 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips
 from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow, pixels_under
-from octex.painting.sight import Shot, most_ahead, near_paint, renamed
+from octex.painting.sight import Shot, has_paint, most_ahead, near_paint, renamed
 from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
 from octex.view.shading import face_normals
 from octex.voxelize.fragments import Blocks
+from octex.voxelize.grid import BLOCK_BITS
 
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
@@ -103,8 +105,12 @@ class Projected(PaintSource):
         """Say of which blocks a shot may see something: what is not seen is not painted."""
         found = np.zeros(blocks.codes.size, np.bool_)
         for shot in self.shots:
+            seen = _summed(shot)
+            # Large blocks that are left out count for no average: those that are seen do.
+            is_coarse = blocks.bits == BLOCK_BITS or is_bent(shot.lens)
+            painted = seen if is_coarse else _sums_of(has_paint(shot))
             mark_seen_blocks(
-                shot.camera, _summed(shot), self.vertices, self.triangles, rest, blocks, corners, edge, found
+                shot.camera, seen, painted, self.vertices, self.triangles, rest, blocks, corners, edge, found
             )
         return found
 
@@ -182,6 +188,10 @@ class Projected(PaintSource):
 
 def _summed(shot: Shot) -> Int32s:
     """Return how many pixels that see something are above and left of others (height + 1, width + 1)."""
-    counts = np.zeros(np.add(shot.seen.triangle.shape, 1), np.int32)
-    np.cumsum(np.cumsum(shot.seen.triangle >= 0, 0, np.int32), 1, out=counts[1:, 1:])
+    return _sums_of(shot.seen.triangle >= 0)
+
+
+def _sums_of(chosen: Bools) -> Int32s:
+    counts = np.zeros(np.add(chosen.shape, 1), np.int32)
+    np.cumsum(np.cumsum(chosen, 0, np.int32), 1, out=counts[1:, 1:])
     return counts

@@ -309,10 +309,20 @@ def add_paint(
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 
 
+@inlined
+def _some_near(counts: Int32s, left: float, top: float, right: float, bottom: float, reach: int) -> bool:
+    """Say whether pixels are counted in a rectangle, or that far around it."""
+    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    i, j = min(max(int(left) - reach, 0), width), min(max(int(top) - reach, 0), height)
+    k, m = min(max(int(right) + reach + 1, i), width), min(max(int(bottom) + reach + 1, j), height)
+    return bool(counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0)
+
+
 @kernel
 def mark_seen_blocks(
     view: View,
     counts: Int32s,
+    painted: Int32s,
     vertices: Float64s,
     faces: Int32s,
     rest: Float64s,
@@ -321,11 +331,12 @@ def mark_seen_blocks(
     edge: float,
     found: Bools,
 ) -> None:
-    """Mark the blocks with triangles that may be seen.
+    """Mark the blocks with triangles that may be painted.
 
     ``counts`` (height + 1, width + 1) are summed seen pixels: a triangle's part in a block is in a rectangle.
+    ``painted`` likewise are those with paint; what is read of them is near that rectangle.
     """
-    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    cell = edge / (1 << blocks.bits)
     for block in range(found.size):
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             if found[block]:
@@ -347,6 +358,12 @@ def mark_seen_blocks(
             )
             left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
             is_known = area != 0.0
+            size_u = min(
+                edge, max(rest[p, u], rest[q, u], rest[r, u]) - min(rest[p, u], rest[q, u], rest[r, u])
+            )
+            size_v = min(
+                edge, max(rest[p, v], rest[q, v], rest[r, v]) - min(rest[p, v], rest[q, v], rest[r, v])
+            )
             for corner in range(4):
                 across = corners[block, u] + (edge if corner & 1 else 0.0)
                 along = corners[block, v] + (edge if corner & 2 else 0.0)
@@ -376,9 +393,12 @@ def mark_seen_blocks(
                 found[block] = True
                 break
             # What is painted is seen by some of the four pixels around it.
-            i, j = min(max(int(left) - 2, 0), width), min(max(int(top) - 2, 0), height)
-            k, m = min(max(int(right) + 3, i), width), min(max(int(bottom) + 3, j), height)
-            found[block] = counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0
+            if not _some_near(counts, left, top, right, bottom, 2):
+                continue
+            # Sixteen pixels are read, of a mip if what is in a cell is wider than two.
+            wide = (right - left) * (bottom - top) * min(cell / size_u, 1.0) * min(cell / size_v, 1.0)
+            reach = int(4.0 * np.sqrt(wide)) + 1 if wide > 1.0 else 2
+            found[block] = _some_near(painted, left, top, right, bottom, reach)
 
 
 @kernel

@@ -162,11 +162,17 @@ def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
 
 def near_paint(shot: Shot, reach: int) -> Shot:
     """Return a shot that sees nothing where its picture is transparent; as it is if a lens bends that."""
-    width, height = shot.mips.sizes[0, 1:]
-    has_paint = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
-    if is_bent(shot.lens) or has_paint.all():
+    painted = has_paint(shot)
+    if is_bent(shot.lens) or painted.all():
         return shot
-    return renamed(shot, np.where(_spread(has_paint, reach), shot.seen.triangle, np.int32(-1)))
+    return renamed(shot, np.where(_spread(painted, reach), shot.seen.triangle, np.int32(-1)))
+
+
+def has_paint(shot: Shot) -> Bools:
+    """Say which pixels (height, width) of a shot's picture are not transparent."""
+    width, height = shot.mips.sizes[0, 1:]
+    painted: Bools = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
+    return painted
 
 
 def renamed(shot: Shot, triangle: Int32s) -> Shot:

@@ -23,7 +23,7 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.sides import with_sides
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
-from octex.editing.draft import coarsest_near, coarsest_of
+from octex.editing.draft import coarsest_of
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.split import refaced
@@ -76,7 +76,7 @@ from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import is_within, with_boundary
 from octex.tree.edit import Edited, among, locate, raised, rebuilt, unchanged, with_all_above
-from octex.tree.layout import FACING_FLAGS, KEPT
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
@@ -258,12 +258,9 @@ def form_boundary(
     hides = bool(finer.leaves) and any((each.coverage >= task.hiding).any() for each in paint)
     unraised: list[Int64s] = []
     bare: list[Int64s] = []
-    coarsest = task.coarsest or 0
     if hides or any(codes.size for codes in finer.absent):
         unraised, bare = bare_surface(tree, is_skirt, paint, above, leaves, met)
-        if task.coarsest is None:
-            first = next(level for level, codes in enumerate(painted) if codes.size)
-            coarsest = coarsest_near(tree, painted, first)
+    coarsest = task.coarsest
     freed = free_leaves(tree, paint, leaves, bare, coarsest, task.hiding) if hides else []
     found = Boundary([], [], [], [], freed)
     skirts: list[Int64s] = []  # none lies in another
@@ -333,6 +330,7 @@ def raise_texture(
     added: list[Int64s] = []
     found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
     looked_up = [(_NONE, np.empty((0, 3)))]
+    shows = _showing(task, draft.tree, edited, paint)
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
         new = np.flatnonzero(edited.old[first : first + codes.size] < 0)
@@ -356,6 +354,7 @@ def raise_texture(
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
         is_kept = draft.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
+        is_refined &= is_node[new] | ~where.is_leaf | shows[where.cells]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
         below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
         rows.append((cells[is_refined], below))
@@ -381,6 +380,21 @@ def raise_texture(
         made = made.with_cells(with_summed_areas(made.tree, nodes), made.channels)
     is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
     return Raised(made, edited.old, is_fresh, is_skirt, added)
+
+
+def _showing(task: Merge, tree: Octree, edited: Edited, paint: Sequence[Paint]) -> Bools:
+    """Say in which leaves of a tree (cells,) something shows through paint on the new cells below them."""
+    if not (task.is_all_painted and task.blend in ("over", "replace")):
+        return np.ones(tree.n_cells, np.bool_)
+    shows = np.zeros(tree.n_cells, np.bool_)
+    for level, (codes, is_node) in enumerate(edited.tree.walk()):
+        first = int(edited.tree.arrays.level_cells[level])
+        new = codes[~is_node & (edited.old[first : first + codes.size] < 0)]
+        if level < len(paint):
+            hides = (paint[level].coverage == 1.0) & (paint[level].flags & SPLIT == 0)
+            new = new[~among(new, paint[level].codes[hides])]
+        shows[locate(tree, new, level).cells] = True
+    return shows
 
 
 def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: Int64s) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
 from octex.voxelize.grid import (
-    BLOCK_EDGE,
     COLUMN_FIRST,
     COLUMN_INSIDE,
     COLUMN_LAST,
@@ -109,6 +108,7 @@ def clip_to_columns(
     block_u: int,
     block_v: int,
     block_w: int,
+    edge: int,
     columns: Int64s,
     n_columns: int,
     polygons: Float64s,
@@ -153,7 +153,7 @@ def clip_to_columns(
         iu, iv = columns[i, COLUMN_U], columns[i, COLUMN_V]
         if iu != strip_u:
             strip_u = iu
-            if iu < last_u or iu == block_u + BLOCK_EDGE - 1:
+            if iu < last_u or iu == block_u + edge - 1:
                 n_strip, n_rest = split(
                     polygons, rest, n_rest, 1.0, 0.0, np.float64(iu - block_u + 1), strip, spare
                 )
@@ -166,7 +166,7 @@ def clip_to_columns(
         at_u, at_v = np.float64(iu - block_u), np.float64(iv - block_v)
         if columns[i, COLUMN_INSIDE] != 0:
             strip_is_cut = False
-            if first == last and block_w < first < block_w + BLOCK_EDGE - 1:
+            if first == last and block_w < first < block_w + edge - 1:
                 du, dv = at_u + 0.5 - u0, at_v + 0.5 - v0
                 _store_fragment(
                     (du * c_v - dv * c_u) * inverse,
@@ -189,7 +189,7 @@ def clip_to_columns(
                 strip, spare = spare, strip
                 strip_is_cut = True
             ends_strip = i == n_columns - 1 or columns[i + 1, COLUMN_U] != iu
-            if not ends_strip or iv == block_v + BLOCK_EDGE - 1:
+            if not ends_strip or iv == block_v + edge - 1:
                 n_column, n_strip = split(polygons, strip, n_strip, 0.0, 1.0, at_v + 1.0, column, spare)
                 strip, spare = spare, strip
             else:
@@ -199,7 +199,7 @@ def clip_to_columns(
             _, n_column = split(polygons, column, n_column, slope_u, slope_v, -base, dump, spare)
             column, spare = spare, column
         for w in range(first, last + 1):
-            if w < last or w == block_w + BLOCK_EDGE - 1:
+            if w < last or w == block_w + edge - 1:
                 n_cell, n_column = split(
                     polygons,
                     column,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
@@ -36,11 +36,12 @@ _TASKS, _LEAST_FRAGMENTS = 8, 250_000
 
 
 class Blocks(NamedTuple):
-    """Blocks of 32³ cells (or less, at the root) in Morton order, and the triangles that meet each."""
+    """Blocks of cells in Morton order, 32³ of them (at the root less), and the triangles that meet each."""
 
     codes: Int64s  # (blocks,)   Morton codes at the blocks' level
     starts: Int64s  # (blocks + 1,)   each block's first row of `members`
     members: Int32s  # (pairs,)   triangles, ascending within a block
+    bits: int = BLOCK_BITS  # a block's edge is 2 to the power of so many cells
 
 
 class Fragments(NamedTuple):
@@ -63,9 +64,9 @@ class BlockRange(NamedTuple):
 
 
 @inlined
-def _block_origin(code: int) -> tuple[int, int, int]:
+def _block_origin(code: int, bits: int) -> tuple[int, int, int]:
     i, j, k = decode(code)
-    return i << BLOCK_BITS, j << BLOCK_BITS, k << BLOCK_BITS
+    return i << bits, j << bits, k << bits
 
 
 @inlined
@@ -75,11 +76,12 @@ def _block_columns(
     normal: Int64s,
     shift: int,
     origin: Int64s,
+    edge: int,
     sides: Int64s,
     columns: Int64s,
 ) -> int:
     u, v = (axis + 1) % 3, (axis + 2) % 3
-    return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], sides, columns)
+    return columns_met(corners, normal, shift, origin[u], origin[v], origin[axis], edge, sides, columns)
 
 
 @kernel
@@ -88,13 +90,13 @@ def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) 
 
     It sizes the arrays of `cut`, and divides the work.
     """
-    shift = GRID_BITS - depth
+    shift, edge = GRID_BITS - depth, 1 << blocks.bits
     bounds = np.empty(blocks.codes.size, np.int64)
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     for block in range(blocks.codes.size):
         bounds[block] = 0
-        origin = _block_origin(blocks.codes[block])
+        origin = _block_origin(blocks.codes[block], blocks.bits)
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             axis = load_triangle(grid, triangles, int(np.int64(blocks.members[row])), corners, normal)
             if axis < 0:
@@ -103,7 +105,7 @@ def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) 
             for i in range(3):
                 start = origin[(axis + 1 + i) % 3]
                 low = max(min(corners[0, i], corners[1, i], corners[2, i]) >> shift, start)
-                high = min(max(corners[0, i], corners[1, i], corners[2, i]) >> shift, start + BLOCK_EDGE - 1)
+                high = min(max(corners[0, i], corners[1, i], corners[2, i]) >> shift, start + edge - 1)
                 span = max(high - low + 1, 0)
                 cells *= span if i < 2 else min(span, MOST_IN_COLUMN)
             bounds[block] += cells
@@ -123,7 +125,7 @@ def _bin(
 
     ``most`` is the sum, ``most_in_block`` the largest of what `most_fragments` tells.
     """
-    shift = GRID_BITS - depth
+    shift, edge = GRID_BITS - depth, 1 << blocks.bits
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     sides = np.empty((6, 3), np.int64)
@@ -140,14 +142,14 @@ def _bin(
     pair_cells = np.empty(most_in_block, np.int32)
     pair_triangles = np.empty(most_in_block, np.int32)
     for block in range(blocks.codes.size):
-        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
+        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block], blocks.bits)
         n_pairs = 0
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             triangle = int(np.int64(blocks.members[row]))
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue
-            n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
+            n_columns = _block_columns(axis, corners, normal, shift, origin, edge, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             for i in range(n_columns):
                 in_plane = (SPREAD[columns[i, COLUMN_U] - origin[u]] << u) | (
@@ -175,7 +177,9 @@ def _bin(
         for i in range(n_pairs):
             counts[pair_cells[i]] = 0
     starts[n_blocks] = n_members
-    return Blocks(codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy())
+    return Blocks(
+        codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy(), blocks.bits
+    )
 
 
 def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
@@ -204,19 +208,20 @@ def block_levels(depth: int) -> list[int]:
 @kernel
 def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth: int) -> Fragments:
     """Cut the triangles of a run of blocks along the cells of ``depth``."""
-    shift = GRID_BITS - depth
+    shift, edge = GRID_BITS - depth, 1 << blocks.bits
+    n_words = max(edge * edge * edge // 8, 1)
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     sides = np.empty((6, 3), np.int64)
-    columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
+    columns = np.empty((edge * edge, 5), np.int64)
     origin = np.empty(3, np.int64)
     polygons = np.empty((POLYGONS, 2, MAX_VERTICES), np.float64)
-    mask = np.empty(BLOCK_CELLS // 8, np.uint64)
+    mask = np.empty(n_words, np.uint64)
     for word in range(mask.size):
         mask[word] = np.uint64(0)
-    ranks = np.empty(BLOCK_CELLS // 8, np.int32)
-    used = np.empty(BLOCK_CELLS // 8, np.int32)
-    codes = np.empty(min(run.most, (run.last_block - run.first_block) * BLOCK_CELLS), np.int64)
+    ranks = np.empty(n_words, np.int32)
+    used = np.empty(n_words, np.int32)
+    codes = np.empty(min(run.most, (run.last_block - run.first_block) * edge * edge * edge), np.int64)
     flags = np.empty(codes.size, np.uint8)
     n_cells = 0
     n_entries = 0
@@ -226,14 +231,14 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
     areas = np.empty(run.most, np.float64)
     n_fragments = int(np.int64(0))  # a constant would have numba compile `clip_to_columns` again for it
     for block in range(run.first_block, run.last_block):
-        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block])
+        origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block], blocks.bits)
         first_fragment = n_fragments
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             triangle = int(np.int64(blocks.members[row]))
             axis = load_triangle(grid, triangles, triangle, corners, normal)
             if axis < 0:
                 continue
-            n_columns = _block_columns(axis, corners, normal, shift, origin, sides, columns)
+            n_columns = _block_columns(axis, corners, normal, shift, origin, edge, sides, columns)
             u, v = (axis + 1) % 3, (axis + 2) % 3
             facing = 2 * axis + (1 if normal[2] < 0 else 0)
             if n_columns > 0:
@@ -244,6 +249,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
                     origin[u],
                     origin[v],
                     origin[axis],
+                    edge,
                     columns,
                     n_columns,
                     polygons,
@@ -277,7 +283,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
                 octant = trailing_zeros(left) >> 3
                 byte = (left >> np.uint64(8 * octant)) & np.uint64(255)
                 left ^= byte << np.uint64(8 * octant)
-                codes[n_cells] = (blocks.codes[block] << (3 * BLOCK_BITS)) | (word << 3) | octant
+                codes[n_cells] = (blocks.codes[block] << (3 * blocks.bits)) | (word << 3) | octant
                 flags[n_cells] = byte
                 n_cells += 1
         for fragment in range(first_fragment, n_fragments):
@@ -301,7 +307,24 @@ def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
     chosen[0] |= not chosen.any()
     counts = np.diff(blocks.starts)
     starts = np.concatenate([[0], np.cumsum(counts[chosen])])
-    return Blocks(blocks.codes[chosen], starts, blocks.members[np.repeat(chosen, counts)])
+    return blocks._replace(
+        codes=blocks.codes[chosen], starts=starts, members=blocks.members[np.repeat(chosen, counts)]
+    )
+
+
+def smaller_blocks(
+    grid: Int32s, triangles: Int32s, blocks: Blocks, level: int, depth: int
+) -> tuple[Blocks, Fragments]:
+    """Cut blocks of cells of ``depth`` into those of a deeper level; return their fragments, too."""
+    bits = depth - level
+    coarse = blocks._replace(bits=blocks.bits - bits)
+    most = int(most_fragments(grid, triangles, coarse, level).sum())
+    fragments = cut(grid, triangles, coarse, BlockRange(0, blocks.codes.size, most), level)
+    counts = bit_counts(fragments.flags)
+    owners = np.repeat(np.arange(counts.size), counts)[fragments.entries]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=counts.size))])
+    members = fragments.triangles[np.argsort(owners, kind="stable")]
+    return Blocks(fragments.codes, starts, members, bits), fragments
 
 
 def even_runs(bounds: Int64s) -> list[BlockRange]:

@@ -175,19 +175,20 @@ def columns_met(
     block_u: int,
     block_v: int,
     block_w: int,
+    edge: int,
     sides: Int64s,
     columns: Int64s,
 ) -> int:
     """List the cells of one block that a triangle meets, column by column; return the number of columns.
 
-    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell. ``columns`` of shape
-    (BLOCK_EDGE², 5) receives them sorted by u, then v; ``sides`` (6, 3) is scratch.
+    A cell's edge is ``1 << shift`` grid steps; ``block_*`` is the block's first cell, of ``edge`` each way.
+    ``columns`` of shape (edge², 5) receives them sorted by u, then v; ``sides`` (6, 3) is scratch.
     """
     cell = 1 << shift
     first_u = max(min(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u)
-    last_u = min(max(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u + BLOCK_EDGE - 1)
+    last_u = min(max(corners[0, 0], corners[1, 0], corners[2, 0]) >> shift, block_u + edge - 1)
     first_v = max(min(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v)
-    last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + BLOCK_EDGE - 1)
+    last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + edge - 1)
     first_w = min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
     last_w = max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
     # How w rises from cell to cell along u and v, and its value at the corner of cell (0, 0).
@@ -244,7 +245,7 @@ def columns_met(
             ):
                 last -= 1
             first = max(first, block_w)
-            last = min(last, block_w + BLOCK_EDGE - 1)
+            last = min(last, block_w + edge - 1)
             if first <= last:
                 columns[count, COLUMN_U] = iu
                 columns[count, COLUMN_V] = iv

@@ -149,6 +149,42 @@ def sum_children(children: Sums) -> Sums:
     return Sums(parent_codes[:cells].copy(), parent_flags[:cells].copy(), parent_sums[:entries])
 
 
+@kernel
+def coverages(level: Sums, alpha: int) -> Float64s:
+    """Return the mean coverage (cells,) of a level; ``alpha`` is the column that holds it."""
+    found = np.empty(level.codes.size, np.float64)
+    row = 0
+    for cell in range(found.size):
+        end = row + popcount(np.uint64(level.flags[cell]))
+        weight = area = 0.0
+        for entry in range(row, end):
+            weight += level.sums[entry, alpha]
+            area += level.sums[entry, -1]
+        found[cell] = weight / area
+        row = end
+    return found
+
+
+@kernel
+def some_cells(level: Sums, chosen: Int64s) -> Sums:
+    """Return the sums of those cells of a level that are ``chosen``, ascending codes."""
+    codes, flags, sums = level
+    flags_left = np.empty(chosen.size, np.uint8)
+    sums_left = np.empty((min(6 * chosen.size, sums.shape[0]), sums.shape[1]), np.float64)
+    n = row = end = 0
+    for cell in range(codes.size):
+        count = popcount(np.uint64(flags[cell]))
+        if n < chosen.size and codes[cell] == chosen[n]:
+            flags_left[n] = flags[cell]
+            n += 1
+            for entry in range(row, row + count):
+                for k in range(sums.shape[1]):
+                    sums_left[end, k] = sums[entry, k]
+                end += 1
+        row += count
+    return Sums(chosen, flags_left, sums_left[:end])
+
+
 @inlined
 def _store_mean(
     sums: Float64s,

@@ -111,7 +111,7 @@ def test_the_brightest_light_far_away_limits_averages_of_a_draft_too() -> None:
     found = octex.fill(bright, surface, sphere, (7, 7, 7), blend="add")
     with mock.patch.object(tilewise, "tiles_around", lambda *_: None):
         assert_same(found, octex.fill(bright, surface, sphere, (7, 7, 7), blend="add"))
-    tiles = tiles_around(bright, [np.empty(0, np.int64)] * 7 + [bright.tree.level_codes(7)[:1]])
+    tiles = tiles_around(bright, [np.empty(0, np.int64)] * 7 + [bright.tree.level_codes(7)[:1]], 7)
     assert tiles is not None
     values, part = bright.channels["base_color"].values, cut_out(bright, tiles).channels["base_color"].values
     assert part.max() == values.max() > 1
@@ -161,7 +161,7 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     how: dict[str, Any] = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
     with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
-        assert tilewise.pieces_of(texture, layer) is not None
+        assert tilewise.pieces_of(texture, layer, tilewise.coarsest_near_layer(texture, layer)) is not None
         found = octex.merge(texture, layer, surface, **how)
         covered = with_coverage(found, [layer])
     found.validate()
@@ -206,7 +206,7 @@ def test_a_small_stroke_needs_a_small_draft() -> None:
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)
     codes = [np.empty(0, np.int64)] * 8 + [texture.tree.level_codes(8)[:10]]
-    tiles = tiles_around(texture, codes)
+    tiles = tiles_around(texture, codes, 8)
     assert tiles is not None
     assert tiles.level == 5
     assert np.isin(distinct(codes[8] >> 9), tiles.codes).all()
