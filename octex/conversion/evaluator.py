@@ -13,11 +13,20 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
-from octex.field.splines import QUADRATIC, quadratic_weights
+from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import chosen, inlined, kernel, popcount, put, spline_box, trailing_zeros
-from octex.jit.vectors import four, four_at
+from octex.jit import (
+    chosen,
+    fused_inlined,
+    inlined,
+    kernel,
+    popcount,
+    put,
+    spline_at_eight,
+    trailing_zeros,
+)
+from octex.jit.vectors import eight, four, four_at
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -106,21 +115,37 @@ def find_coefficients(
             _gather(field, walk, windows, which, each, is_facing, view)
 
 
-@inlined
+@fused_inlined
 def add_up(
-    windows: Windows, which: int, vectors: int, level: int, x: float, y: float, z: float, totals: Float32s
+    windows: Windows,
+    which: int,
+    vectors: int,
+    level: int,
+    points: tuple[Any, Any, Any],
+    totals: Float32s,
+    first: int,
 ) -> None:
-    """Write the sums of coefficients under the spline's weights at a point in the middle cell, 0 … 1."""
-    of_x, of_y, of_z = _weights(x), _weights(y), _weights(z)
+    """Write the sums of coefficients under the spline's weights at eight points in the middle cell, 0 … 1.
+
+    They go to columns of ``totals`` (4 · vectors, MOST_POINTS), from ``first`` on.
+    """
+    of_x, of_y, of_z = _weights(points[0]), _weights(points[1]), _weights(points[2])
     for vector in range(vectors):
-        first = ((which * vectors + vector) * _LEVELS + level) * _PLACES
-        _write(totals, vector, spline_box(windows.rows, first, (1, 3, 9), of_x, of_y, of_z))
+        row = ((which * vectors + vector) * _LEVELS + level) * _PLACES
+        found = spline_at_eight(windows.rows, row, of_x, of_y, of_z)
+        at = 4 * vector * totals.shape[1] + first
+        put(totals, at, found[0])
+        put(totals, at + totals.shape[1], found[1])
+        put(totals, at + 2 * totals.shape[1], found[2])
+        put(totals, at + 3 * totals.shape[1], found[3])
 
 
-@inlined
-def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
-    a, b, c = quadratic_weights(t)
-    return np.float32(a), np.float32(b), np.float32(c)
+@fused_inlined
+def _weights(t: Any) -> Any:
+    """Return the weights of the quadratic B-spline at eight points."""
+    half, one = eight(0.5), eight(1.0)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return low, one - low - high, high
 
 
 @inlined
