@@ -44,8 +44,6 @@ _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
 #: turn.
 _PATIENCE = 2
-#: Each so many finest cells are tested before all are.
-_SPARSE = 8
 #: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
 Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
 #: Splits leaves of a tree, given their means and their fitted values.
@@ -185,23 +183,17 @@ class _Merger:
         depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:
-        """Split merged leaves until the field is near everywhere, looked up with normals too.
-
-        Where it is not, it mostly is not in many cells: some of them find most leaves, before all are tested.
-        """
+        """Split merged leaves until the field is near everywhere, looked up with normals too."""
         self._split(depths)
         cells = np.arange(depths.size)
-        for step in (_SPARSE, 1):
-            tested = cells % step == 0
-            suspects = tested
-            for attempt in count():
-                pruned = prune(self._finest, depths)
-                work = partial(far_all_over, self._field(pruned), self._reference, self._most)
-                chosen, far = np.flatnonzero(suspects), np.zeros(depths.size, np.bool_)
-                far[chosen] = np.concatenate(self._mapped(work, chosen))
-                suspects = self._refined(far, pruned, depths, 1 + attempt // _PATIENCE) & tested
-                if not suspects.any():
-                    break
+        for attempt in count():
+            pruned = prune(self._finest, depths)
+            work = partial(far_all_over, self._field(pruned), self._reference, self._most)
+            far = np.zeros(depths.size, np.bool_)
+            far[cells] = np.concatenate(self._mapped(work, cells))
+            cells = np.flatnonzero(self._refined(far, pruned, depths, 1 + attempt // _PATIENCE))
+            if not cells.size:
+                break
 
     def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""
