@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ALPHA, ChannelFormat, decode
 from octex.checks import as_real
 from octex.conversion import large
 from octex.conversion.differences import (
@@ -157,9 +157,13 @@ class _Merger:
             return
         # Merged leaves are known by their means as yet.
         values = fit(pruned.tree, pruned.carried(self._known), is_merged)
+        whole, cells, end = self._whole, pruned.cells[merged], 0
+        rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
         for name, channel in values.items():
-            self._known[name].values[pruned.cells[merged]] = channel.values[merged]
-        self._whole = coefficients(self._finest.tree, self._known, self._forms)
+            self._known[name].values[cells] = channel.values[merged]
+        for form in self._forms:
+            start, end = end, end + form.components
+            rows[cells, start:end] = decode(values[form.name].values[merged], form.space)
 
     def _merge(self, level: int, depths: Uint8s) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.

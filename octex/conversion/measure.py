@@ -16,7 +16,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.split import SLOPE
-from octex.jit import chosen, inlined
+from octex.jit import chosen, inlined, mask_bits
 from octex.jit.vectors import eight, eight_at, lanes
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
@@ -24,6 +24,11 @@ _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIR
 #: sRGB's curve over the square root of light: straight lines between its points are within 2·10⁻⁴ codes.
 _STEPS = 1024
 _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
+
+
+#: The slope of sRGB's curve at 0, and bounds of it from some light on.
+_STEEPEST = np.float32(12.93)
+_STEEP = np.array([[0.01, 6.5], [0.05, 2.55], [0.2, 1.14]], np.float32)
 
 
 class ErrorColumns(NamedTuple):
@@ -140,6 +145,7 @@ def are_apart_by_less(
     """
     zero, room = eight(0.0), values.shape[2]
     one, other = component * room, (columns.kinds.size + component) * room
+    kind = columns.kinds[component]
     low, apart, spoilt = eight(np.inf), zero, zero
     for first in range(0, count, 8):
         found, wanted = eight_at(values, one + first), eight_at(values, other + first)
@@ -149,6 +155,13 @@ def are_apart_by_less(
         spoilt = spoilt + difference * zero  # no number where there is none
         smaller = chosen(found < wanted, found, wanted)
         low = chosen(smaller < low, smaller, low)
+    slopes = eight(1.0)
+    if kind == _LIGHT:
+        slopes = chosen(low > eight(_STEEP[0, 0]), eight(_STEEP[0, 1]), eight(_STEEPEST))
+        slopes = chosen(low > eight(_STEEP[1, 0]), eight(_STEEP[1, 1]), slopes)
+        slopes = chosen(low > eight(_STEEP[2, 0]), eight(_STEEP[2, 1]), slopes)
+    if mask_bits(apart * slopes + spoilt <= eight(most / 255.0)) == np.uint64(255):
+        return True
     darkest, largest = np.float32(np.inf), np.float32(0)
     for each in lanes(low):
         darkest = min(darkest, each)
@@ -156,8 +169,7 @@ def are_apart_by_less(
         largest = max(largest, each)
     for each in lanes(spoilt):
         largest += each
-    high = darkest + largest
-    return bool(_code_between(darkest, high, columns.kinds[component], columns.curve) <= most)
+    return bool(_code_between(darkest, darkest + largest, kind, columns.curve) <= most)
 
 
 @inlined
