@@ -22,8 +22,8 @@ from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
 from tests.make.painted import ball
+from tests.make.studio import _HOLD, Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
-from tests.viewer.test_painting import _HOLD, Studio
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
 VIEW = 240, 200

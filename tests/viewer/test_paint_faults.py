@@ -23,8 +23,8 @@ from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
+from tests.make.studio import Studio, pictured
 from tests.viewer.test_paint_export import served as served
-from tests.viewer.test_painting import Studio, pictured
 from tests.viewer.test_session import Served, canvas, plain, stroke
 
 

@@ -23,9 +23,9 @@ from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
+from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_painting import _HOLD, pictured
 from tests.viewer.test_session import NAN, SIZE, Served, canvas, plain, stroke
 
 SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}

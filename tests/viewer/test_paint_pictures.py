@@ -23,7 +23,7 @@ from tests.conftest import needs_jit
 from tests.make.browser import camera_of, drawn, served
 from tests.make.painted import square, together
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio
+from tests.make.studio import _HOLD, Studio
 
 Codes = npt.NDArray[np.uint8]
 pytestmark = needs_jit
@@ -45,7 +45,6 @@ class Easel(Studio):
 
     def open(self) -> None:
         self.shown = self.page()
-        self.shown.evaluate("viewer.finest = 1")  # sharp pictures are then drawn four times as fast
 
     def clear(self) -> None:
         """Undo all, and forget what the page has sent."""

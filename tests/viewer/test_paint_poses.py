@@ -20,7 +20,7 @@ from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 from tests.viewer.test_session import NAN, canvas, plain, stroke
 
 FRAMES = 9

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.conftest import needs_jit
 from tests.make.browser import served
-from tests.viewer.test_painting import Studio
+from tests.make.studio import Studio
 
 #: How many pixels of the picture differ from one that is drawn anew, and how many of that one show the model.
 _UNLIKE = """() => {
