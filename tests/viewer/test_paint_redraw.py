@@ -34,7 +34,9 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) 
     with served(studio.viewer):
         page, number, near = studio.page(), 0, 0
         page.set_viewport_size({"width": 760, "height": 280})
-        page.evaluate("viewer.tell = () => {}")  # the cell under the pointer is not marked
+        page.evaluate(
+            "viewer.finest = 0.5; viewer.tell = () => {}"
+        )  # the cell under the pointer is not marked
         for view in ("orbit(0.3, 0.2)", "zoom(0.2)", "zoom(9.0)", "orbit(0.9, 0.1)"):
             page.evaluate(f"viewer.camera.{view}; viewer.move()")
             page.wait_for_function("viewer.isSharp", timeout=60_000)
