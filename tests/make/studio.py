@@ -63,14 +63,21 @@ class Studio:
         return page
 
     @contextmanager
+    def opened(self) -> Iterator[Any]:
+        """Serve the model, and lend a page that complains of nothing."""
+        with served(self.viewer):
+            page = self.page()
+            yield page
+            assert page.complaints == []
+            page.close()
+        self.session.close()
+
+    @contextmanager
     def shared(self) -> Iterator[Studio]:
         """Serve the model, with a page that tests share."""
-        with served(self.viewer):
-            self._shared = self.page()
+        with self.opened() as self._shared:
             self._state = self._shared.evaluate(_STATE)
             yield self
-            self._shared.close()
-        self.session.close()
 
     @contextmanager
     def restored(self) -> Iterator[Any]:

@@ -19,7 +19,7 @@ from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.viewer import write_page
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
+from tests.make.browser import Probe, camera_of, drawn, file_url, opened
 from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
@@ -181,8 +181,7 @@ def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop: Works
 @needs_jit
 def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: Any, tmp_path: Path) -> None:
     studio = Studio(browser, tmp_path)
-    with served(studio.viewer):
-        page = studio.page()
+    with studio.opened() as page:
         page.evaluate("viewer.painting.set({ size: 77 })")
         page.click("#material summary")
         page.select_option("#add-channel", "roughness")
@@ -197,8 +196,6 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
         page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
         rough = studio.session.shown.texture.channels["roughness"].values
         assert (rough.min(), rough.max()) == (76, 255)
-        page.close()
-    studio.session.close()
 
 
 @needs_jit

@@ -20,7 +20,7 @@ import octex
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
-from tests.make.browser import camera_of, drawn, served
+from tests.make.browser import camera_of, drawn
 from tests.make.painted import square, together
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio
@@ -42,9 +42,6 @@ class Easel(Studio):
             return take(body)
 
         self.session.take = taken  # type: ignore[method-assign]
-
-    def open(self) -> None:
-        self.shown = self.page()
 
     def clear(self) -> None:
         """Undo all, and forget what the page has sent."""
@@ -113,12 +110,8 @@ class Easel(Studio):
 @contextmanager
 def painted_in_a_page(browser: Any, folder: Path, surface: Surface | None = None) -> Iterator[Easel]:
     found = Easel(browser, folder, surface)
-    with served(found.viewer):
-        found.open()
+    with found.opened() as found.shown:
         yield found
-        assert found.shown.complaints == []
-        found.shown.close()
-    found.session.close()
 
 
 @pytest.fixture(scope="module")
