@@ -196,6 +196,8 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
         page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
         rough = studio.session.shown.texture.channels["roughness"].values
         assert (rough.min(), rough.max()) == (76, 255)
+        assert all("Failed to load resource" in each for each in page.complaints), page.complaints
+        page.complaints.clear()  # it was loaded anew while it asked
 
 
 @needs_jit
