@@ -484,6 +484,7 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, p
     assert chosen == {"backFaces": True, "hidden": True, "mirror": "y", "blend": "screen"}
     assert found["offset"] == pytest.approx(0.2, abs=0.01)
     assert np.linalg.norm(found["at"]) == pytest.approx(1, abs=0.02)
+    page.keyboard.press("Control+z")  # fills of finer cells take long
     for filled, like in (
         ("color", [8, True]),
         ("colors", [8, False]),

@@ -25,7 +25,7 @@ from tests.make.studio import _HOLD, Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
-VIEW = 150, 125
+VIEW = 240, 200
 
 
 class Workshop(Studio):
