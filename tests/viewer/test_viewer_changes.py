@@ -180,7 +180,7 @@ def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any
     rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
     octex.convert(rough, depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240))
+        page = opened(browser, viewer.url, (320, 240), finest=2)
         octex.convert(rough, depth=3, channels=["base_color"]).save(path)
         page.wait_for_function(
             "globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete"
