@@ -15,9 +15,8 @@ from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Blend
 from octex.viewer.session import Session
 from tests.conftest import needs_jit
-from tests.make.browser import served
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
 
 
@@ -150,20 +149,13 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     assert_same(session.shown.texture, canvas()[0])
 
 
-@pytest.fixture
-def studio(browser: Any, tmp_path: Path) -> Iterator[Studio]:
-    found = Studio(browser, tmp_path)
-    with served(found.viewer):
-        yield found
-    found.session.close()
-
-
 @needs_jit
-def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio: Studio) -> None:
-    page = studio.page()
+def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(
+    studio: Studio, page: Any
+) -> None:
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
-    studio.is_done(page, 1)
+    studio.is_done(page)
     assert page.evaluate("viewer.painting.layers.chosen") == 1
     before = pictured(page)
     page.evaluate(_HOLD)
@@ -171,7 +163,7 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.wait_for_function("viewer.painting.sending.waiting.length === 1")
     shown = pictured(page)
     page.evaluate("release()")
-    studio.is_done(page, 2)
+    studio.is_done(page)
     baked = pictured(page)
     inside = np.abs(shown - before).max(axis=2) > 60
     assert inside.mean() > 0.02
@@ -179,27 +171,21 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.keyboard.press("e")
     page.evaluate("viewer.painting.set({ size: 160, hardness: 1 })")
     studio.drag(page, (-60, 0), (0, -40), (60, 20))
-    studio.is_done(page, 3)
+    studio.is_done(page)
     assert np.abs(pictured(page) - before).max() <= 1
     page.click("#layer-delete")
-    studio.is_done(page, 4)
+    studio.is_done(page)
     assert page.evaluate("[viewer.painting.layers.chosen, viewer.painting.last.steps.at(-1)]") == [
         None,
         "Delete a layer",
     ]
-    assert page.complaints == []
-    page.close()
 
 
 @needs_jit
-def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> None:
-    page = studio.page()
-    number = 0
+def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio, page: Any) -> None:
 
     def done() -> list[dict[str, Any]]:
-        nonlocal number
-        number += 1
-        studio.is_done(page, number)
+        studio.is_done(page)
         return studio.session.shown.told["layers"]  # type: ignore[no-any-return]
 
     page.evaluate("document.getElementById('layers').open = true")
@@ -232,8 +218,6 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> N
     page.keyboard.press("Control+z")
     assert not done()[0]["hasMask"]
     assert page.evaluate("viewer.painting.layers.target.mask") is False
-    assert page.complaints == []
-    page.close()
 
 
 def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path: Path) -> None:

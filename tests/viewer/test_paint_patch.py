@@ -19,13 +19,11 @@ from octex.source.surface import Surface
 from octex.viewer.commands import command_of, stroke_of
 from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
-from tests.make.browser import opened
-from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
+from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_painting import _HOLD, pictured
 from tests.viewer.test_session import NAN, SIZE, Served, canvas, plain, stroke
 
 SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
@@ -169,9 +167,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
     browser: Any, tmp_path: Path
 ) -> None:
     studio = Bending(browser, tmp_path)
-    with serving(studio.viewer):
-        page = opened(browser, studio.viewer.url, (900, 420))
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+    with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         model, camera = pictured(page), page.evaluate("JSON.stringify(viewer.camera.state)")
         page.keyboard.press("v")
@@ -221,9 +217,6 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.locator("#flat").is_hidden()
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
         assert page.evaluate("viewer.look.moved") == sent["moved"]
-        assert page.complaints == []
-        page.close()
-    studio.session.close()
 
 
 def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path: Path) -> None:

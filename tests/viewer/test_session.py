@@ -456,7 +456,7 @@ class Served:
 
 @pytest.fixture
 def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setattr(server, "_FIRST", 40)
+    monkeypatch.setattr(server, "_FIRST", 400)
     found = Served(tmp_path)
     yield found
     monkeypatch.setattr(server, "_FIRST", 0)

@@ -110,7 +110,7 @@ def main() -> None:
         session = Session(texture, surface, Path(folder, "painted.octex"))
         viewer = Viewer(lambda: texture, Path(folder, "droid.octex"), surface, session=session)
         with served(viewer):
-            page = opened(browser, viewer.url, SIZE)
+            page = opened(browser, viewer.url, SIZE, finest=2)
             page.wait_for_function("viewer.painting && viewer.isSharp", timeout=_PATIENCE)
             hand = Hand(page)
             paint(hand)
