@@ -16,10 +16,10 @@ from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS
 from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
+    from octex.session.painting import Session
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
-    from octex.viewer.session import Session
 
 _DEPTH = 9
 
@@ -94,7 +94,7 @@ def _session(
     progress: Reporter,
 ) -> Session:
     """Return the session that paints the texture."""
-    from octex.viewer.session import Session
+    from octex.session.painting import Session
 
     assert surface is not None and not isinstance(texture, octex.TextureSet)
     session = Session(texture, surface, options.paint, motion=motion, recover=options.recover)
@@ -158,7 +158,7 @@ def _check(options: Options, is_set: bool) -> None:
 
 def _check_painting(options: Options, is_set: bool) -> None:
     """Refuse what cannot be painted in a page."""
-    from octex.viewer.journal import layers_file
+    from octex.session.journal import layers_file
 
     if options.MODEL is None:
         raise ArgumentError("--paint needs a MODEL")

@@ -52,6 +52,7 @@ ROWS = [
     {"baking"},
     {"formats"},
     {"drawing"},
+    {"session"},
     {"viewer"},
     {"cli"},
 ]

@@ -14,11 +14,11 @@ import octex
 from octex.channels import ChannelFormat, encode
 from octex.drawing import render_surface, texture_shader
 from octex.drawing.environment import Environment
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.viewer import Viewer, write_page
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened, served
 from tests.make.painted import ball

@@ -13,7 +13,7 @@ import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Blend
-from octex.viewer.session import Session
+from octex.session.painting import Session
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.same import assert_same

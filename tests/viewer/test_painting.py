@@ -11,10 +11,10 @@ import numpy.typing as npt
 import pytest
 
 import octex
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import drawn, opened, served
 from tests.make.painted import ball
