@@ -30,7 +30,7 @@ from octex.painting.stack import (
     with_composite,
     with_layer_channels,
 )
-from octex.painting.stack_file import as_file, from_file
+from octex.painting.stack_file import Keep, as_file, from_file
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface
@@ -55,10 +55,13 @@ class Layers(Painter):
 
     All layers have the cells of one tree: fine paint in one makes all of them finer there, without changing
     what they look like.
+
+    A saved texture whose layers no longer make what it shows was edited since: it raises ArgumentError unless
+    ``keep`` says what to go on with, "shown" or "layers". Edits of what is shown do not reach the layers.
     """
 
-    def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
-        texture, stack = from_file(as_texture(texture))
+    def __init__(self, texture: OctreeTexture, surface: Surface, *, keep: Keep | None = None) -> None:
+        texture, stack = from_file(as_texture(texture), keep)
         super().__init__(texture, surface)
         self._stack: Stack = stack
         self._last = max((layer.number for layer in stack), default=0)  # number of a layer

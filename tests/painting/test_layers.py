@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from octex.channels import decode, encode
 from octex.errors import ArgumentError
 from octex.painting.layers import Layers
 from octex.painting.stack import LAYER_BLENDS, composite_name, shown_names, with_composite
+from octex.painting.stack_file import as_file
 from octex.texture import Channel, OctreeTexture
 from tests.editing.test_draft import case
 from tests.make.same import assert_same
@@ -315,10 +317,18 @@ def test_a_stack_that_is_saved_is_opened_as_it_was(seed: int, tmp_path: Path) ->
     assert_same(again.texture(), octex.Layers(opened, surface).texture())
 
 
-BROKEN = ["", "{", "3", "[3]", '[{"number": 1}]', '[{"number": 0, "name": "a"}]']
+BROKEN = ['{"number": 1}', '{"number": 0, "name": "a"}', '{"number": 1, "name": "a", "blend": "erase"}', "3"]
+LISTS = [
+    "",
+    "{",
+    "3",
+    "[]",
+    "{}",
+    *(f'{{"composite": "", "channels": [], "layers": [{each}]}}' for each in BROKEN),
+]
 
 
-@pytest.mark.parametrize("text", [*BROKEN, '[{"number": 1, "name": "a", "blend": "erase"}]'])
+@pytest.mark.parametrize("text", LISTS)
 def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
     surface, texture, _ = start()
     metadata = {"layers": text}
@@ -344,3 +354,68 @@ def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path:
         broken = OctreeTexture(saved.tree, channels, saved.placement, saved.bounds, saved.metadata)
         with pytest.raises(ArgumentError, match=r"layer 'paint' paints .* in another way than the texture"):
             octex.Layers(broken, surface)
+
+
+def grey(surface: octex.Surface) -> OctreeTexture:
+    return octex.convert(surface, 6, sources={"base_color": (0.5, 0.5, 0.5)})
+
+
+#: Calls that change what a texture shows.
+EDITS: dict[str, Callable[[OctreeTexture, octex.Surface], OctreeTexture]] = {
+    "blur": lambda texture, _: octex.blur(texture, 0.1),
+    "levels": lambda texture, _: octex.levels(texture, "base_color", 0.1, 0.8),
+    "curves": lambda texture, _: octex.curves(texture, "base_color", [(0, 0.2), (1, 1)]),
+    "mix": lambda texture, surface: octex.mix(texture, grey(surface), 0.5),
+    "combine": lambda texture, surface: octex.combine(
+        texture, octex.crop(grey(surface), (-1, 0, -1), (1, 1, 1))
+    ),
+    "paint": lambda texture, surface: octex.paint(texture, surface, brush(surface, 200, 30)),
+    "fill": lambda texture, surface: octex.fill(texture, surface, everywhere, (0.2, 0.4, 0.6)),
+    "merge": lambda texture, surface: octex.merge(
+        texture, octex.project(surface, brush(surface, 200, 30), like=texture), surface
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+@pytest.mark.parametrize("ending", ["octex", "octz"])
+def test_neither_an_edit_of_what_is_shown_nor_the_layers_are_lost(
+    name: str, ending: str, tmp_path: Path
+) -> None:
+    surface, _, layers = start()
+    layers.add_layer("paint", opacity=0.7)
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
+    layers.save(tmp_path / f"stack.{ending}")
+    saved = octex.open(tmp_path / f"stack.{ending}")
+    assert_same(octex.Layers(saved, surface).texture(), layers.texture())
+    path = tmp_path / f"edited.{ending}"
+    made = EDITS[name](saved, surface)
+    made.save(path)
+    edited = octex.open(path)
+    with pytest.raises(ArgumentError, match="edited after its layers were saved"):
+        octex.Layers(edited, surface)
+    flat = octex.Layers(edited, surface, keep="shown")
+    assert flat.layers == ()
+    for each, own in flat.texture().channels.items():
+        for one, other in zip(own[1:], made.channels[each][1:], strict=True):
+            assert np.array_equal(one, other)
+    again = octex.Layers(edited, surface, keep="layers")  # with the paint that they still have
+    assert again.layers == layers.layers
+    for choice in (flat, again):  # what is chosen is no longer asked for
+        choice.save(tmp_path / "chosen.octex")
+        assert_same(octex.Layers(octex.open(tmp_path / "chosen.octex"), surface).texture(), choice.texture())
+
+
+def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers() -> None:
+    surface, _, layers = start()
+    layers.add_layer("paint")
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
+    cropped = octex.crop(as_file(layers._texture, layers.layers), (-2, -2, 0), (2, 2, 2))
+    again = octex.Layers(cropped, surface)
+    assert again.layers == layers.layers
+
+
+def test_what_is_to_be_kept_is_one_of_two() -> None:
+    surface, texture, _ = start()
+    with pytest.raises(ArgumentError, match="keep"):
+        octex.Layers(texture, surface, keep="all")  # type: ignore[arg-type]

@@ -13,7 +13,8 @@ import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Blend
-from octex.session.painting import Session
+from octex.session.painting import Session, Shown
+from octex.viewer import Viewer
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.same import assert_same
@@ -270,3 +271,38 @@ def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path: 
     words = ["view", *(str(tmp_path / name) for name in ("ball.octex", "ball.glb")), "--paint"]
     assert main([*words, str(tmp_path / "out.octex")]) == ExitCode.REFUSED
     assert "out.layers.octex" in capsys.readouterr().err
+
+
+def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    texture, surface = canvas()
+    layers = octex.Layers(texture, surface)
+    layers.add_layer("Dirt")
+    layers.fill(ones, "#102030")
+    path, edited, model = (str(tmp_path / name) for name in ("stack.octex", "edited.octex", "ball.obj"))
+    layers.save(path)
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices)
+    Path(model).write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in surface.triangles + 1))
+    assert main(["edit", path, edited, "--levels", "0.1,0.8,1"]) == ExitCode.DONE
+    assert "the layers do not have it" in capfd.readouterr().err
+    words = ["view", edited, model, "--paint", str(tmp_path / "out.octex"), "--no-browser"]
+    assert main(words) == ExitCode.REFUSED
+    assert "edited.octex: the texture was edited after its layers were saved" in capfd.readouterr().err
+    found = list[Shown]()
+
+    def run(viewer: Viewer) -> None:
+        viewer._server.server_close()
+        assert viewer.session is not None
+        found.append(viewer.session.shown)
+
+    monkeypatch.setattr(Viewer, "run", run)
+    for choice in ("shown", "layers"):
+        assert main([*words, "--keep", choice]) == ExitCode.DONE
+    for name, own in found[0].texture.channels.items():
+        assert np.array_equal(own.values, octex.open(edited).channels[name].values)
+    assert found[0].told["layers"] == []
+    assert [each["title"] for each in found[1].told["layers"]] == ["Dirt"]
+    assert np.array_equal(
+        found[1].texture.channels["base_color"].values, layers.texture().channels["base_color"].values
+    )
