@@ -337,6 +337,10 @@ class Session:
             self._painter.change_layer(number, **given)
         elif action == "move":
             self._painter.move_layer(number, **given)
+        elif action == "copy":
+            self._painter.copy_layer(number)
+        elif action == "merge":
+            self._painter.merge_layer(number)
         else:
             self._painter.delete_layer(number)
         self._did(command, [self._painter.changes])

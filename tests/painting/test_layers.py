@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +80,9 @@ def assert_is_composite(layers: Layers) -> None:
 def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, depth: int) -> None:
     """Do something at random."""
     numbers = [layer.number for layer in layers.layers]
-    move = random.choice(["add", "paint", "fill", "change", "move", "delete", "undo", "redo"],
-                         p=[0.12, 0.25, 0.15, 0.15, 0.06, 0.05, 0.15, 0.07])  # fmt: skip
+    move = random.choice(["add", "paint", "fill", "change", "move", "copy", "merge", "delete", "undo",
+                          "redo"],
+                         p=[0.12, 0.23, 0.13, 0.12, 0.05, 0.05, 0.07, 0.04, 0.13, 0.06])  # fmt: skip
     if move in ("paint", "fill"):
         chosen = None if not numbers or random.random() < 0.2 else int(random.choice(numbers))
         layers.choose(chosen, mask=chosen is not None and bool(random.random() < 0.15))
@@ -103,8 +105,9 @@ def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, 
         layers.change_layer(int(random.choice(numbers)), **changes[random.integers(5)])
     elif move == "move" and numbers:
         layers.move_layer(int(random.choice(numbers)), int(random.integers(len(numbers))))
-    elif move == "delete" and numbers:
-        layers.delete_layer(int(random.choice(numbers)))
+    elif move in ("copy", "merge", "delete") and numbers:
+        with suppress(ArgumentError):  # not all can be merged
+            getattr(layers, f"{move}_layer")(int(random.choice(numbers)))
     elif move in ("undo", "redo"):
         getattr(layers, move)()
 
@@ -419,3 +422,62 @@ def test_what_is_to_be_kept_is_one_of_two() -> None:
     surface, texture, _ = start()
     with pytest.raises(ArgumentError, match="keep"):
         octex.Layers(texture, surface, keep="all")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_copy_hidden_changes_nothing_and_merged_layers_look_as_both_did(seed: int) -> None:
+    surface, _, layers = start()
+    random = np.random.default_rng(seed)
+    for number in range(3):
+        layers.add_layer(opacity=float(random.choice([1.0, 0.4])))
+        layers.fill(octex.Sphere(tuple(random.normal(size=3)), 0.9, soft=0.3), random.random(3))
+        layers.paint(shots(surface, random), max_depth=6 + number % 2)
+    layers.choose(2, mask=True)
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.5), "#000000", blend="erase")
+    layers.change_layer(2, has_mask=True)
+    before, stack, count = layers.texture(), layers.layers, layers.count
+    copied = layers.copy_layer(2)
+    assert [each.number for each in layers.layers] == [1, 2, copied.number, 3]
+    layers.change_layer(2, is_visible=False)
+    assert_same(layers.texture(), before)
+    layers.fill(everywhere, "#ff0000")
+    layers.paint(brush(surface, 200, 30), max_depth=8)  # its cells are new arrays
+    layers.undo()
+    layers.undo()
+    layers.undo()
+    layers.undo()
+    layers.redo()
+    assert layers.chosen is not None
+    layers.change_layer(2, is_visible=False)
+    assert_same(layers.texture(), before)
+    layers.delete_layer(copied.number)
+    layers.change_layer(2, is_visible=True)
+    assert_same(layers.texture(), before)
+    one = layers.merge_layer(2)
+    assert [each.number for each in layers.layers] == [one.number, 3]
+    assert layers.chosen == one.number
+    assert_is_composite(layers)
+    after, hits = layers.texture(), surface.scatter(2000, seed)
+    for width in (0.0, 0.3):
+        found, expected = (each.sample(hits.rest, width=width) for each in (after, before))
+        assert np.abs(found - expected).max() <= 4 / 255
+    while layers.count > count:
+        layers.undo()
+    assert layers.layers == stack
+    assert_same(layers.texture(), before)
+    while layers.redo():
+        pass
+    assert_same(layers.texture(), after)
+
+
+def test_layers_that_cannot_be_one_are_refused() -> None:
+    _, _, layers = start()
+    layers.add_layer()
+    with pytest.raises(ArgumentError, match="no layer below"):
+        layers.merge_layer(1)
+    layers.add_layer("Shade", blend="multiply")
+    with pytest.raises(ArgumentError, match="'Shade' is hidden or not normal"):
+        layers.merge_layer(2)
+    layers.change_layer(2, blend="over", is_visible=False)
+    with pytest.raises(ArgumentError, match="'Shade' is hidden or not normal"):
+        layers.merge_layer(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +64,9 @@ class Both:
     def do(self, random: np.random.Generator) -> None:
         """Do one thing at random."""
         layers, numbers = self.layers, [each.number for each in self.layers.layers]
-        move = random.choice(["stroke", "fill", "add", "set", "move", "delete", "undo", "redo"],
-                             p=[0.35, 0.1, 0.12, 0.15, 0.06, 0.04, 0.12, 0.06])  # fmt: skip
+        move = random.choice(["stroke", "fill", "add", "set", "move", "copy", "merge", "delete", "undo",
+                              "redo"],
+                             p=[0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06])  # fmt: skip
         number = int(random.choice(numbers)) if numbers else None
         if move in ("stroke", "fill"):
             target: dict[str, Any] = {} if number is None or random.random() < 0.2 else {"layer": number}
@@ -99,9 +101,10 @@ class Both:
             place = int(random.integers(len(numbers)))
             layers.move_layer(number, place)
             self.send("layer", action="move", layer=number, place=place)
-        elif move == "delete" and number is not None:
-            layers.delete_layer(number)
-            self.send("layer", action="delete", layer=number)
+        elif move in ("copy", "merge", "delete") and number is not None:
+            with suppress(ArgumentError):  # not all can be merged
+                getattr(layers, f"{move}_layer")(number)
+                self.send("layer", action=move, layer=number)
         elif move in ("undo", "redo"):
             getattr(layers, move)()
             self.send(move)
@@ -133,7 +136,10 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
         ({"action": "set", "layer": "1"}, "layer"),
         ({"action": "set"}, "name the layer to set"),
         ({"action": "move", "layer": 1}, "place"),
-        ({"action": "merge", "layer": 1}, "unknown action 'merge'; there are: add, set, move, delete"),
+        (
+            {"action": "split", "layer": 1},
+            "unknown action 'split'; there are: add, set, move, copy",
+        ),
         ({}, "unknown action"),
     ):
         with pytest.raises(ArgumentError, match=message):
