@@ -133,9 +133,10 @@ def _digest(channels: Mapping[str, Channel], texture: OctreeTexture) -> str:
 
 def _looks_like(made: OctreeTexture, texture: OctreeTexture) -> bool:
     """Say whether a stack gives what a file of it shows: as if all of it was cropped."""
-    is_leaf = np.ones(made.tree.n_cells, np.bool_)
-    is_leaf[node_cells(made.tree.arrays)] = False
-    chosen = is_leaf, is_leaf[rows_of(made.tree.split).cells], slice(None)
+    tree = made.tree
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree.arrays)] = False
+    chosen = is_leaf, is_leaf[rows_of(tree.split).cells], np.ones(tree.kept.cells.size, np.bool_)
     return all(
         np.array_equal(one[rows], other[rows])
         for name, own in shown(made, shown_names(made)).channels.items()
