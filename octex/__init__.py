@@ -43,6 +43,7 @@ The rooms, each of which knows only those before it (painting and photos know ea
     baking      textures to images at texture coordinates
     formats     files that are not our own
     drawing     pictures of models and textures: views, light, previews, comparison
+    session     painting that pages ask for: commands, done in order, undone, recovered and saved
     viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands
     docs        the pages of octex help and of the documentation site

@@ -57,6 +57,12 @@ def open_texture(path: Path | Address) -> OctreeTexture:
     return texture
 
 
+def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callable[[str], None]) -> None:
+    """Say of a texture with layers, which is edited, that they do not have the edit."""
+    if "layers" in texture.metadata:
+        tell_note(f"{path} has layers: the edit is of what it shows, and the layers do not have it")
+
+
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:
     """Return the number of a part of a folder."""
     from octex.checks import as_choice

@@ -104,6 +104,7 @@ _TABLE = """
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)
 --paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
+--keep WHAT           of a texture edited since its layers were saved: shown, or the layers
 --recover             paint again what a session did not save
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
@@ -157,6 +158,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.one_of(*v.PICTURES): "--pictures",
     v.one_of(*v.BALANCES): "--balance",
     v.one_of(*DRAWN): "--as",
+    v.one_of("shown", "layers"): "--keep",
     v.one_of(*UV): "--uv",
     v.one_of(*IMAGE_FORMATS): "--image-format",
     v.one_of(*UNITS): "--unit",
@@ -193,7 +195,7 @@ view  Show a texture in the browser, until you close the page; or write the page
   [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
   [MODEL]  its model; without it, the page shows the cells
   [PAGE]   NAME.html: write the page, which opens offline
-  --depth --part --max-size --paint --recover --port --no-browser SHAPE RUNNING
+  --depth --part --max-size --paint --keep --recover --port --no-browser SHAPE RUNNING
 
 draw  Draw a texture, a model or both: side by side, one view, or how they differ.
   > droid.octex droid.glb droid.png --light studio

@@ -53,6 +53,7 @@ ROWS = [
     {"baking"},
     {"formats"},
     {"drawing"},
+    {"session"},
     {"viewer"},
     {"cli"},
 ]

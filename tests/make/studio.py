@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 import octex
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
-from octex.viewer.session import Session
 from tests.make.browser import drawn, opened, served
 from tests.make.painted import ball
 

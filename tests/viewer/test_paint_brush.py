@@ -16,10 +16,10 @@ from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
+from octex.session.painting import Session, mirrored
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
 from tests.make.painted import ball, plain, together
 from tests.make.same import assert_same

@@ -15,10 +15,10 @@ import pytest
 
 import octex
 from octex.errors import OutputError
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, downloads, write_page
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving

@@ -17,8 +17,8 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
+from octex.session.painting import Session
 from octex.viewer import Viewer, answers, server
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving

@@ -10,11 +10,11 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
+from octex.session.commands import command_of, stroke_of
+from octex.session.painting import Session, mirrored
 from octex.source.motion import Animation, Links, Motion
 from octex.source.surface import Surface
 from octex.viewer import Viewer
-from octex.viewer.commands import command_of, stroke_of
-from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same

@@ -18,8 +18,8 @@ from typing import Any
 import PIL.Image
 
 import octex
+from octex.session.painting import Session
 from octex.viewer import Viewer
-from octex.viewer.session import Session
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
