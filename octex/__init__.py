@@ -33,6 +33,7 @@ The rooms, each of which knows only those before it (painting and photos know ea
     editing     what every change of a texture shares: averages, rows of split cells, refined cells
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
     voxelize    a surface in cells: those that it meets exactly, its fragments in them, sums a level
+    cleaning    what scans and generated meshes have too much of: duplicates, cracks, inner faces
     conversion  the tree of these, the fit, adaptive depth
     cameras     cameras, their lenses and their files
     view        what a camera sees: a z-buffer and the visibility of points
@@ -42,6 +43,7 @@ The rooms, each of which knows only those before it (painting and photos know ea
     baking      textures to images at texture coordinates
     formats     files that are not our own
     drawing     pictures of models and textures: views, light, previews, comparison
+    session     painting that pages ask for: commands, done in order, undone, recovered and saved
     viewer      textures in a browser: a page, the walk as a shader, a server
     cli         the commands
     docs        the pages of octex help and of the documentation site
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
     from octex.cameras.camera import Camera as Camera
     from octex.cameras.files import read_cameras as read_cameras
     from octex.cameras.files import write_cameras as write_cameras
+    from octex.cleaning.repair import repair as repair
     from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
     from octex.conversion.sets import convert_set as convert_set
@@ -121,6 +124,7 @@ _EXPORTS = {
     "baking.vertices": "bake_vertices",
     "cameras.camera": "Camera",
     "cameras.files": "read_cameras write_cameras",
+    "cleaning.repair": "repair",
     "conversion.apart": "separate",
     "conversion.convert": "convert",
     "conversion.sets": "convert_set",

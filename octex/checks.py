@@ -29,10 +29,9 @@ def as_points(points: npt.ArrayLike, name: str = "points") -> Floats:
 
 def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
     """Return positions (n, 3) of any real type and order, not copied, or raise ArgumentError."""
-    try:
-        array = np.asarray(points)
-    except ValueError:  # rows of unequal lengths
-        raise ArgumentError(f"{name} must have shape (n, 3)") from None
+    array = as_array(points)
+    if array.dtype == np.void:  # rows of unequal lengths
+        raise ArgumentError(f"{name} must have shape (n, 3)")
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"{name} must be real numbers, not {array.dtype}")
     if array.shape == (0,):
@@ -43,11 +42,24 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
 
 
 def as_array(given: Any) -> Array:
-    """Return an array, not copied if it is one; one of shape () and void type for rows of unequal lengths."""
+    """Return an array, not copied if it is one; one of shape () and void type for rows of unequal lengths.
+
+    Tensors of other libraries are read by ``__array__``, or else by ``__dlpack__``. Raises ArgumentError for
+    one that cannot be read, such as a tensor on a GPU.
+    """
+    is_tensor = hasattr(given, "__dlpack__") and not isinstance(given, np.ndarray)
     try:
-        return np.asarray(given)
-    except ValueError:
-        return np.empty((), np.void)
+        return np.from_dlpack(given) if is_tensor and not hasattr(given, "__array__") else np.asarray(given)
+    except Exception as error:
+        if not is_tensor:
+            if isinstance(error, ValueError):
+                return np.empty((), np.void)
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+        raise ArgumentError(
+            f"octex reads arrays in main memory, and this {type(given).__name__} cannot be read as one "
+            f"({reason}); give a copy there, like tensor.detach().cpu()"
+        ) from None
 
 
 def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:

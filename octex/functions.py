@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from octex.arrays import Array, Float64s
+from octex.checks import as_array
 from octex.errors import ArgumentError
 
 _MOST = float(np.finfo(np.float64).max)
@@ -43,10 +44,9 @@ def answer(
         points = f"{count} points from {place(0)} on" if count else "no points"
         raise ArgumentError(f"{what} raised {reason} for {points}") from error
     wanted = " or ".join(map(str, shapes))
-    try:
-        values = np.asarray(found)
-    except ValueError:  # rows of unequal lengths
-        raise ArgumentError(f"{what} must return an array of shape {wanted}") from None
+    values = as_array(found)
+    if values.dtype == np.void:  # rows of unequal lengths
+        raise ArgumentError(f"{what} must return an array of shape {wanted}")
     if values.shape not in shapes:
         raise ArgumentError(
             f"{what} must return an array of shape {wanted}, not {values.shape}, for {count} points"

@@ -33,8 +33,8 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that take longest: at the end, one process would run them alone."""
-    items.sort(key=lambda item: item.path.stem not in ("test_bench", "test_samples", "test_viewer"))
+    """Begin with the rooms whose files take longest: at the end, one process would run them alone."""
+    items.sort(key=lambda item: item.path.parent.name not in ("house", "viewer"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, tell_file
-from octex.cli.inputs import open_texture, refuse, shaped_model
+from octex.cli.inputs import open_texture, refuse, shaped_model, told_repair
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
@@ -52,7 +52,9 @@ def bake(options: Options, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_texture(options.TEXTURE)
-            surface = shaped_model(options.MODEL, options, normals=True)
+            cell = texture.placement.size / 2.0**texture.tree.max_depth
+            surface = shaped_model(options.MODEL, options, cell, normals=True)
+            made, lines = told_repair(surface)
             original = None if options.original is None else octex.load_surface(options.original)
         if options.displace is not None:
             channel, height, middle = options.displace
@@ -83,7 +85,7 @@ def bake(options: Options, program: str) -> int:
     read = [each.texture for material in materials for each in material.inputs.values()]
     size = max((each.texels.shape[1] for each in read if each is not None), default=0)
     names = [form.name for form in baked.channels]
-    made = {
+    made |= {
         "channels": names,
         "triangles": len(baked.triangles),
         "vertices": len(baked.vertices),
@@ -92,12 +94,11 @@ def bake(options: Options, program: str) -> int:
         "image_bytes": written.image_bytes,
     }
     where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
-    hints = []
     if images == "png" and written.image_bytes > _LARGE:
         webp = "" if ending in USD_ENDINGS else "webp makes them smaller without loss, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
-        hints = [f"{taken}: --image-format {webp}jpeg makes colours far smaller with some"]
-    return tell_file(options, f"{', '.join(names)} {where}", made, *hints)
+        lines.append(f"{taken}: --image-format {webp}jpeg makes colours far smaller with some")
+    return tell_file(options, f"{', '.join(names)} {where}", made, *lines)
 
 
 def _write_ptex(options: Options, program: str) -> int:

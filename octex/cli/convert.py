@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
-from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse
+from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, told_repair
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName
 from octex.errors import ArgumentError, OutputError
@@ -130,6 +130,9 @@ def _convert(options: Options, program: str) -> int:
         faces = (options.within or (None, None))[1] is not None
         why = "is near enough and faces as they do" if faces else "is near enough"
         lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
+    repaired, told = told_repair(surface)
+    made |= repaired
+    lines += told
     if found is not None:
         separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
         made["separated"] = {**overlaps_as_json(found), "moved": separation["moved"]}
@@ -197,9 +200,10 @@ def _convert_parts(options: Options, program: str) -> int:
         with progress.stage("write"):
             made.save(folder)
     leaves = sum(texture.tree.n_leaves for texture in made.values())
-    facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"]}
+    repaired, told = told_repair(surface)
+    facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"], **repaired}
     text = f"{len(made):,} part{'' if len(made) == 1 else 's'}, {leaves:,} leaves"
-    return tell_file(options, text, facts)
+    return tell_file(options, text, facts, *told)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
 from octex.cli.convert import OUTPUT_ENDINGS, check_output_kind, write_texture
-from octex.cli.inputs import open_texture
+from octex.cli.inputs import open_texture, tell_layers
 from octex.cli.parser import Options
 from octex.cli.values import ARCHIVE_ENDING
 from octex.errors import ArgumentError, InputError
@@ -29,17 +29,18 @@ def edit(options: Options, program: str) -> int:
     outputs = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     check_outputs(outputs, [options.TEXTURE, *others], force=options.force)
     with Reporter(program, options.quiet) as progress:
-        texture = _edited(options)
+        texture = _edited(options, progress)
         write_texture(texture, options.OUTPUT, progress, options.loss or 0)
     return tell_file(options, *facts_of(texture))
 
 
-def _edited(options: Options) -> OctreeTexture:
+def _edited(options: Options, progress: Reporter) -> OctreeTexture:
     """Open the texture and apply each option."""
     from octex.processing.edit import noted
     from octex.texture import OctreeTexture
 
     texture = open_texture(options.TEXTURE)
+    tell_layers(texture, options.TEXTURE, progress.note)
     if options.channels is not None:
         from octex.checks import as_choice
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -56,6 +57,12 @@ def open_texture(path: Path | Address) -> OctreeTexture:
     return texture
 
 
+def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callable[[str], None]) -> None:
+    """Say of a texture with layers, which is edited, that they do not have the edit."""
+    if "layers" in texture.metadata:
+        tell_note(f"{path} has layers: the edit is of what it shows, and the layers do not have it")
+
+
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:
     """Return the number of a part of a folder."""
     from octex.checks import as_choice
@@ -83,13 +90,31 @@ def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
         raise CameraError(f"{file}: {error}") from None
 
 
-def shaped_model(path: Path, options: Options, **settings: Any) -> Surface:
-    """Read a model as ``octex.load_surface`` does, with --rest, --pose and --subdiv."""
-    surface = octex.load_surface(path, options.rest, pose=options.pose, **settings)
+def shaped_model(path: Path, options: Options, cell: float | None = None, **settings: Any) -> Surface:
+    """Read a model as ``octex.load_surface`` does, with --rest, --pose, --repair and --subdiv.
+
+    Cracks narrower than ``cell`` are closed (default: those narrower than the cells that options ask for).
+    """
+    surface = octex.load_surface(path, options.rest, pose=options.pose, finite=options.repair, **settings)
+    if options.repair:
+        cell = options.cell if cell is None else cell
+        if cell is None and options.depth is not None:
+            cell = float((surface.bounds[1] - surface.bounds[0]).max()) / 2.0**options.depth
+        surface, _ = octex.repair(surface, cell=cell)
     if options.subdiv is None:
         return surface
     levels, rest = options.subdiv
     return octex.subdivide(surface, levels, rest=rest)
+
+
+def told_repair(surface: Surface | None) -> tuple[dict[str, Any], list[str]]:
+    """Return what --repair changed, for a machine and as a line; nothing without it."""
+    from octex.cleaning.repair import REPAIR, Repairs
+
+    if surface is None or REPAIR not in surface.provenance:
+        return {}, []
+    found = Repairs(**json.loads(surface.provenance[REPAIR]))
+    return {REPAIR: found._asdict()}, [f"repair: {found}"]
 
 
 def bare_model(path: Path, options: Options) -> Surface:
@@ -104,11 +129,11 @@ def check_model(options: Options, path: Path | Address) -> None:
     models = [path, *options.also]
     has_function = any(function_name(str(each)) for each in models)
     if has_function:
-        refuse(options, ("--pose", "--subdiv"), "applies to meshes, not to functions")
+        refuse(options, ("--pose", "--subdiv", "--repair"), "applies to meshes, not to functions")
     elif options.grid is not None:
         raise ArgumentError("--grid applies to implicit surfaces only: FILE.py:NAME")
     if options.also:
-        refuse(options, ("--rest", "--pose"), "applies to one model; leave out --also")
+        refuse(options, ("--rest", "--pose", "--repair"), "applies to one model; leave out --also")
     if options.transfer is None:
         refuse(options, ("--radius", "--within"), "needs --transfer")
     if options.radius is not None and (options.within or (None,))[0] is not None:

@@ -28,6 +28,8 @@ _TABLE = """
 
 --rest MESH           the undeformed model, with the same vertices and triangles
 --pose NAME@SECONDS   pose of an animated glTF model, like Run@0.5
+--repair              leave out triangles without area, copies and inner ones; close cracks narrower than
+                      a cell
 --subdiv N[,limit]    subdivide a control cage N times; limit: rest positions on the limit surface
 --also MODEL          another model that shares the texture; may be repeated
 --grid BOX,EDGE       for a function: its box and the triangles' edges, x0,y0,z0,x1,y1,z1,EDGE
@@ -102,6 +104,7 @@ _TABLE = """
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)
 --paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
+--keep WHAT           of a texture edited since its layers were saved: shown, or the layers
 --recover             paint again what a session did not save
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
@@ -155,6 +158,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.one_of(*v.PICTURES): "--pictures",
     v.one_of(*v.BALANCES): "--balance",
     v.one_of(*DRAWN): "--as",
+    v.one_of("shown", "layers"): "--keep",
     v.one_of(*UV): "--uv",
     v.one_of(*IMAGE_FORMATS): "--image-format",
     v.one_of(*UNITS): "--unit",
@@ -182,7 +186,7 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
   INPUT    a model, points, voxels, a texture, or FILE.py:NAME, a function that is negative inside
   OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
   --depth --cell --max-error --detail --channels --dtype --source --project --transfer --radius --within
-  --filter SHAPE --also --grid --separate --parts --memory --no-fit --preview RUNNING
+  --filter SHAPE --repair --also --grid --separate --parts --memory --no-fit --preview RUNNING
 
 view  Show a texture in the browser, until you close the page; or write the page.
   > droid.octex droid.glb
@@ -191,7 +195,7 @@ view  Show a texture in the browser, until you close the page; or write the page
   [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
   [MODEL]  its model; without it, the page shows the cells
   [PAGE]   NAME.html: write the page, which opens offline
-  --depth --part --max-size --paint --recover --port --no-browser SHAPE RUNNING
+  --depth --part --max-size --paint --keep --recover --port --no-browser SHAPE RUNNING
 
 draw  Draw a texture, a model or both: side by side, one view, or how they differ.
   > droid.octex droid.glb droid.png --light studio
@@ -220,7 +224,7 @@ bake  Write a model with images, or vertex colours, of a texture, for other prog
   MODEL    the model of the texture; with --original, a simpler mesh of the same object
   OUTPUT   NAME.glb, .gltf, .obj, .usdz, .usd, .usda, .usdc, .3mf, .ply or .ptx
   --uv --texture-size --padding --channels --image-format --supersample --original --max-distance
-  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE RUNNING
+  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE --repair RUNNING
 
 edit  Make a texture from a texture. Options are applied in the order listed here.
   > droid.octex coarse.octex --depth 7

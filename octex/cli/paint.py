@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
-from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
+from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model, tell_layers
 from octex.cli.layers import Painting, channel_of, with_entries
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
@@ -96,6 +96,8 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
         if texture is None:
             progress.note("there is no texture yet: painting begins a new one")
+        else:
+            tell_layers(texture, options.TEXTURE, progress.note)
         with progress.stage("read"):
             if options.preview is None:
                 surface = whole = bare_model(options.MODEL, options)

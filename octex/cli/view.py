@@ -16,10 +16,10 @@ from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS
 from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
+    from octex.session.painting import Session
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
-    from octex.viewer.session import Session
 
 _DEPTH = 9
 
@@ -94,10 +94,16 @@ def _session(
     progress: Reporter,
 ) -> Session:
     """Return the session that paints the texture."""
-    from octex.viewer.session import Session
+    from octex.painting.stack_file import settled
+    from octex.session.painting import Session
 
     assert surface is not None and not isinstance(texture, octex.TextureSet)
-    session = Session(texture, surface, options.paint, motion=motion, recover=options.recover)
+    try:
+        if options.keep is not None:
+            texture = settled(texture, options.keep)
+        session = Session(texture, surface, options.paint, motion=motion, recover=options.recover)
+    except ArgumentError as error:
+        raise ArgumentError(f"{options.TEXTURE or options.MODEL}: {error}") from None
     if session.repeated:
         what = "command is" if session.repeated == 1 else "commands are"
         progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
@@ -134,7 +140,7 @@ def _check(options: Options, is_set: bool) -> None:
         if page is not None and page.exists():
             raise ArgumentError(f"{page}: is a page already; open it in a browser")
         raise ArgumentError("TEXTURE is missing; see octex view --help")
-    if path is None and kind_of(model) != "model":
+    if path is None and kind_of(model) == "cloud":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
         refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
@@ -143,7 +149,7 @@ def _check(options: Options, is_set: bool) -> None:
     if options.paint is not None:
         _check_painting(options, is_set)
     else:
-        refuse(options, ["--recover"], "needs --paint")
+        refuse(options, ["--recover", "--keep"], "needs --paint")
     if model is None:
         refuse(options, ["--rest", "--pose", "--subdiv"], "needs a MODEL")
     if page is None:
@@ -158,7 +164,7 @@ def _check(options: Options, is_set: bool) -> None:
 
 def _check_painting(options: Options, is_set: bool) -> None:
     """Refuse what cannot be painted in a page."""
-    from octex.viewer.journal import layers_file
+    from octex.session.journal import layers_file
 
     if options.MODEL is None:
         raise ArgumentError("--paint needs a MODEL")

@@ -15,30 +15,35 @@ from typing import TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int64s, Uint8s
-from octex.channels import decode
+from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.channels import ALPHA, ChannelFormat, decode
 from octex.checks import as_real
 from octex.conversion import large
-from octex.conversion.differences import Reference, coefficients, far_all_over
-from octex.conversion.measure import ErrorColumns, far_values
+from octex.conversion.differences import (
+    Reference,
+    coefficients,
+    far_all_over,
+    far_at_samples,
+    near_nodes,
+    values_at_samples,
+)
+from octex.conversion.evaluator import Coefficients
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
-from octex.conversion.samples import UNIT, Samples, sample_points
+from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
-from octex.parallel import Progress, Run, ordered_map, sharing
-from octex.texture import Channel, OctreeTexture
+from octex.field.weights import facings_of
+from octex.parallel import Progress, ordered_map, sharing
+from octex.texture import Channel
 from octex.tree.beside import near
 from octex.tree.octree import Octree, distinct
 
-#: Finest cells that are tested at once, and samples that are looked up at once.
-_BLOCK, _ROWS = 1 << 14, 1 << 20
+#: Finest cells, or nodes, that are tested at once.
+_BLOCK = 1 << 14
 #: What the fields are rounded by at most, in codes.
 _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
 #: turn.
 _PATIENCE = 2
-#: Each so many finest cells are tested before all are.
-_SPARSE = 8
-_BOX = np.array([[0.0] * 3, [1.0] * 3])
 #: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
 Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
 #: Splits leaves of a tree, given their means and their fitted values.
@@ -114,24 +119,23 @@ class _Merger:
     ) -> None:
         self._finest = finest
         self._known = dict(known)
-        self._samples = samples
-        self._columns = ErrorColumns.of(samples.channels)
         self._most = max_error + _ROUNDING
         self._limits = limits
         self._executor = executor
         self._progress = progress
-        self._full = self._texture(prune(finest, limits))
-        self._cells = np.arange(limits.size)
-        self._wanted = self._sampled(self._full, self._cells)
+        self._forms = [form for form in samples.channels if _varies(known[form.name], form)]
+        self._whole = coefficients(finest.tree, known, self._forms)
+        full = self._field(prune(finest, limits))
+        self._reference = Reference.of(full, samples, self._forms)
+        self._wanted = large.joined(self._by_runs(partial(values_at_samples, self._reference)))
 
     def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
-        means = OctreeTexture(self._finest.tree, self._known, UNIT, _BOX)
         for done, level in enumerate(range(depth - 1, -1, -1)):
             self._progress("adapt", done, depth + 3)
-            self._merge(means, level, depths)
+            self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
         # What was judged on even trees is judged again on the tree of many depths.
         self._split(depths)
@@ -153,68 +157,66 @@ class _Merger:
             return
         # Merged leaves are known by their means as yet.
         values = fit(pruned.tree, pruned.carried(self._known), is_merged)
+        whole, cells, end = self._whole, pruned.cells[merged], 0
+        rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
         for name, channel in values.items():
-            self._known[name].values[pruned.cells[merged]] = channel.values[merged]
+            self._known[name].values[cells] = channel.values[merged]
+        for form in self._forms:
+            start, end = end, end + form.components
+            rows[cells, start:end] = decode(values[form.name].values[merged], form.space)
 
-    def _merge(self, means: OctreeTexture, level: int, depths: Uint8s) -> None:
+    def _merge(self, level: int, depths: Uint8s) -> None:
         """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
 
         Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
         average is: beside an edge the former are not, but finer leaves on the edge will keep it.
         """
         finest, firsts = self._finest, self._finest.firsts[level]
-        candidates = np.maximum.reduceat(depths, firsts) == level + 1
-        if not candidates.any():
+        candidates = np.flatnonzero(np.maximum.reduceat(depths, firsts) == level + 1)
+        if not candidates.size:
             return
-        means = means.level(level)
-        own = [
-            decode(means.channels[form.name].values[-firsts.size :], form.space)
-            for form in self._samples.channels
-        ]
-
-        def are_near(cells: Int64s, found: Float32s) -> Bools:
-            far = np.zeros(depths.size, np.bool_)
-            far[cells] = self._far(cells, found)
-            return ~np.logical_or.reduceat(far, firsts)
-
+        even = self._whole._replace(arrays=finest.tree.truncated(level).arrays)
         # What is small, finer levels have seen: one of the finest cells in each child will do.
-        chosen = np.zeros(depths.size, np.bool_)
-        chosen[finest.first(level + 1)] = True
-        cells = np.flatnonzero(chosen & finest.spread(level, candidates))
-        merges = candidates & are_near(cells, self._sampled(means, cells))
-        cells = np.flatnonzero(finest.spread(level, candidates & ~merges))
-        nodes = np.searchsorted(firsts, cells, side="right") - 1
-        counts = np.diff(self._samples.firsts)[cells]
-        merges |= candidates & are_near(cells, np.repeat(np.concatenate(own, axis=1)[nodes], counts, axis=0))
+        children = np.append(np.arange(depths.size)[finest.first(level + 1)], depths.size)
+        firsts = np.append(firsts, depths.size)
+        nodes = firsts, np.searchsorted(children, firsts), children
+        own = int(finest.tree.arrays.level_cells[level])
+        work = partial(near_nodes, even, self._reference, self._wanted, self._most, nodes, own)
+        merges = np.zeros(firsts.size - 1, np.bool_)
+        merges[candidates] = np.concatenate(self._mapped(work, candidates))
         depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:
-        """Split merged leaves until the field is near everywhere, looked up with normals too.
-
-        Where it is not, it mostly is not in many cells: some of them find most leaves, before all are tested.
-        """
+        """Split merged leaves until the field is near everywhere, looked up with normals too."""
         self._split(depths)
-        reference = Reference.of(self._full, self._samples)
-        for step in (_SPARSE, 1):
-            tested = self._cells % step == 0
-            suspects = tested
-            for attempt in count():
-                pruned = prune(self._finest, depths)
-                found = coefficients(self._texture(pruned), self._samples.channels)
-                work = partial(far_all_over, found, reference, self._most)
-                cells, far = np.flatnonzero(suspects), np.zeros(depths.size, np.bool_)
-                blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-                with sharing(self._executor) as pool:  # all samples are read, which do not travel
-                    far[cells] = np.concatenate(list(ordered_map(pool, work, blocks)))
-                suspects = self._refined(far, pruned, depths, 1 + attempt // _PATIENCE) & tested
-                if not suspects.any():
-                    break
+        cells = np.arange(depths.size)
+        for attempt in count():
+            pruned = prune(self._finest, depths)
+            work = partial(far_all_over, self._field(pruned), self._reference, self._most)
+            far = np.zeros(depths.size, np.bool_)
+            far[cells] = np.concatenate(self._mapped(work, cells))
+            cells = np.flatnonzero(self._refined(far, pruned, depths, 1 + attempt // _PATIENCE))
+            if not cells.size:
+                break
 
     def _split(self, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is not near the full tree's at samples."""
         pruned = prune(self._finest, depths)
-        far = self._far(self._cells, self._sampled(self._texture(pruned), self._cells))
-        self._refined(far, pruned, depths, 1)
+        work = partial(far_at_samples, self._field(pruned), self._reference, self._wanted, self._most)
+        self._refined(np.concatenate(self._by_runs(work)), pruned, depths, 1)
+
+    def _mapped(self, work: Callable[[Int64s], Bools], items: Int64s) -> list[Bools]:
+        """Do work on items, many at once."""
+        blocks = [items[begin : begin + _BLOCK] for begin in range(0, items.size, _BLOCK)]
+        with sharing(self._executor) as pool:  # all samples are read, which do not travel
+            return list(ordered_map(pool, work, blocks))
+
+    def _by_runs(self, work: Callable[[int, int], Array]) -> list[Array]:
+        """Do work on runs of all finest cells."""
+        size = self._limits.size
+        runs = [(begin, min(begin + _BLOCK, size)) for begin in range(0, size, _BLOCK)]
+        with sharing(self._executor) as pool:
+            return list(ordered_map(pool, lambda run: work(*run), runs))
 
     def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
         """Split leaves by some levels for cells that fail; changes ``depths``.
@@ -240,23 +242,21 @@ class _Merger:
         cells = self._finest.codes[self._finest.firsts[level]] >> shift
         return self._finest.spread(level, near(cells, distinct(codes >> shift), level))
 
-    def _texture(self, pruned: Pruned) -> OctreeTexture:
-        return OctreeTexture(pruned.tree, pruned.carried(self._known), UNIT, _BOX)
+    def _field(self, pruned: Pruned) -> Coefficients:
+        """Return the field of a pruned tree."""
+        whole, tree = self._whole, pruned.tree
+        vectors = (whole.components + 4) // 4
+        rows = whole.rows.reshape(-1, 4 * vectors)
+        split = whole.first_row + np.flatnonzero(pruned.split_rows)
+        rows = large.taken(rows, np.concatenate([pruned.cells, split])).reshape(-1, 4)
+        return whole._replace(
+            arrays=tree.arrays, splits=facings_of(tree).rows, first_row=tree.n_cells, rows=rows
+        )
 
-    def _sampled(self, texture: OctreeTexture, cells: Int64s) -> Float32s:
-        """Look a field up at the samples of finest cells, without normals."""
-        rows, names = self._samples.rows(cells), [form.name for form in self._samples.channels]
-        found: Float32s = large.empty((rows.size, self._columns.kinds.size), np.float32)
-        for begin in range(0, rows.size, _ROWS):
-            points = sample_points(self._samples, rows[begin : begin + _ROWS], UNIT)
-            values = texture.sample(points, names, normalize=False, run=Run(executor=self._executor))
-            np.concatenate([values[name] for name in names], axis=1, out=found[begin : begin + _ROWS])
-        return found
 
-    def _far(self, cells: Int64s, found: Float32s) -> Bools:
-        """Say in which finest cells values found at the samples are too far from the full tree's."""
-        rows = self._samples.rows(cells)
-        far = far_values(found, self._wanted[rows], self._columns, self._most)
-        counts = np.diff(self._samples.firsts)[cells]
-        answer: Bools = np.logical_or.reduceat(far, np.cumsum(counts) - counts)
-        return answer
+def _varies(channel: Channel, form: ChannelFormat) -> bool:
+    """Say whether a channel is not the same everywhere; what covers others counts as if it was not."""
+    first = channel.values[:1]
+    return form.name == ALPHA.name or bool(
+        (channel.values != first).any() or (channel.split_values != first).any()
+    )

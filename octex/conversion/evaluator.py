@@ -13,11 +13,20 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
-from octex.field.splines import QUADRATIC, quadratic_weights
+from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import chosen, inlined, kernel, popcount, put, spline_box, trailing_zeros
-from octex.jit.vectors import four, four_at
+from octex.jit import (
+    chosen,
+    fused_inlined,
+    inlined,
+    kernel,
+    popcount,
+    put,
+    spline_at_eight,
+    trailing_zeros,
+)
+from octex.jit.vectors import eight, four, four_at
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -106,21 +115,37 @@ def find_coefficients(
             _gather(field, walk, windows, which, each, is_facing, view)
 
 
-@inlined
+@fused_inlined
 def add_up(
-    windows: Windows, which: int, vectors: int, level: int, x: float, y: float, z: float, totals: Float32s
+    windows: Windows,
+    which: int,
+    vectors: int,
+    level: int,
+    points: tuple[Any, Any, Any],
+    totals: Float32s,
+    first: int,
 ) -> None:
-    """Write the sums of coefficients under the spline's weights at a point in the middle cell, 0 … 1."""
-    of_x, of_y, of_z = _weights(x), _weights(y), _weights(z)
+    """Write the sums of coefficients under the spline's weights at eight points in the middle cell, 0 … 1.
+
+    They go to columns of ``totals`` (4 · vectors, MOST_POINTS), from ``first`` on.
+    """
+    of_x, of_y, of_z = _weights(points[0]), _weights(points[1]), _weights(points[2])
     for vector in range(vectors):
-        first = ((which * vectors + vector) * _LEVELS + level) * _PLACES
-        _write(totals, vector, spline_box(windows.rows, first, (1, 3, 9), of_x, of_y, of_z))
+        row = ((which * vectors + vector) * _LEVELS + level) * _PLACES
+        found = spline_at_eight(windows.rows, row, of_x, of_y, of_z)
+        at = 4 * vector * totals.shape[1] + first
+        put(totals, at, found[0])
+        put(totals, at + totals.shape[1], found[1])
+        put(totals, at + 2 * totals.shape[1], found[2])
+        put(totals, at + 3 * totals.shape[1], found[3])
 
 
-@inlined
-def _weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
-    a, b, c = quadratic_weights(t)
-    return np.float32(a), np.float32(b), np.float32(c)
+@fused_inlined
+def _weights(t: Any) -> Any:
+    """Return the weights of the quadratic B-spline at eight points."""
+    half, one = eight(0.5), eight(1.0)
+    low, high = half * (one - t) * (one - t), half * t * t
+    return low, one - low - high, high
 
 
 @inlined
@@ -145,31 +170,37 @@ def _gather(
         empty &= empty - np.uint64(1)
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
-    for vector in range(vectors):
-        at, range_row = start + vector * stride, (which * _LEVELS + level) * vectors + vector
-        low, high = four(np.inf), four(-np.inf)
-        if is_below:
-            low = four_at(windows.ranges, 8 * (range_row - vectors))
-            high = four_at(windows.ranges, 8 * (range_row - vectors) + 4)
-        left = leaves
-        while left != 0:
-            child = trailing_zeros(left)
-            left &= left - np.uint64(1)
-            place = at + place_of(2, begin, child)
-            cell = cell_at(field.arrays, walk, level, 0, child)
-            flags = field.arrays.flags[cell]
-            if is_facing:
-                _write(windows.rows, place, _faced(field, cell, flags, view, vectors, vector))
-                continue
-            kinds |= kind_of(flags)
-            _write(windows.rows, place, _covered(field, cell, vectors, vector))
-            low, high = _widened(low, high, field.rows, cell * vectors + vector)
-            if flags & np.uint8(SPLIT) != 0 and field.splits.size > 0:
-                for row in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
-                    low, high = _widened(low, high, field.rows, row * vectors + vector)
-        if not is_facing:
-            put(windows.ranges, 8 * range_row, low)
-            put(windows.ranges, 8 * range_row + 4, high)
+    first_range = (which * _LEVELS + level) * vectors
+    if not is_facing:
+        for vector in range(vectors):
+            low, high = four(np.inf), four(-np.inf)
+            if is_below:
+                low = four_at(windows.ranges, 8 * (first_range - vectors + vector))
+                high = four_at(windows.ranges, 8 * (first_range - vectors + vector) + 4)
+            put(windows.ranges, 8 * (first_range + vector), low)
+            put(windows.ranges, 8 * (first_range + vector) + 4, high)
+    while leaves != 0:
+        child = trailing_zeros(leaves)
+        leaves &= leaves - np.uint64(1)
+        at = start + place_of(2, begin, child)
+        cell = cell_at(field.arrays, walk, level, 0, child)
+        flags = field.arrays.flags[cell]
+        if is_facing:
+            for vector in range(vectors):
+                _write(windows.rows, at + vector * stride, _faced(field, cell, flags, view, vectors, vector))
+            continue
+        kinds |= kind_of(flags)
+        is_split = flags & np.uint8(SPLIT) != 0 and field.splits.size > 0
+        for vector in range(vectors):
+            row = cell * vectors + vector
+            if field.alpha < 0:
+                put(windows.rows, 4 * (at + vector * stride), four_at(field.rows, 4 * row))
+            else:
+                _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
+            _widen(windows.ranges, first_range + vector, field.rows, row)
+            if is_split:
+                for each in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
+                    _widen(windows.ranges, first_range + vector, field.rows, each * vectors + vector)
     windows.kinds[which, level] = kinds
     windows.known[which, level] = True
 
@@ -190,10 +221,11 @@ def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors:
 
 
 @inlined
-def _widened(low: Any, high: Any, rows: Float32s, row: int) -> tuple[Any, Any]:
-    """Return a range that holds a row of values, too."""
-    values = four_at(rows, 4 * row)
-    return chosen(values < low, values, low), chosen(values > high, values, high)
+def _widen(ranges: Float32s, which: int, rows: Float32s, row: int) -> None:
+    """Have a range hold a row of values, too."""
+    values, low, high = four_at(rows, 4 * row), four_at(ranges, 8 * which), four_at(ranges, 8 * which + 4)
+    put(ranges, 8 * which, chosen(values < low, values, low))
+    put(ranges, 8 * which + 4, chosen(values > high, values, high))
 
 
 @inlined

@@ -240,7 +240,8 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         components = group.columns.stop - group.columns.start
         is_light = int(group.format.space in ("srgb", "linear"))
         wanted = _four(targets[:, group.columns])
-        if group.format.name not in job.unfitted:
+        is_even = _is_even(wanted) and _is_even(values[:, group.columns])  # then means are the best values
+        if group.format.name not in job.unfitted and not is_even:
             means = _four(values[:, group.columns])
             found = means.copy()
             rows = lookups.residuals(found, wanted, shares, components, 0)
@@ -309,6 +310,11 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate([own, outside.found()]),
         unknowns,
     )
+
+
+def _is_even(rows: Float32s) -> bool:
+    """Say whether all rows are the same."""
+    return bool((rows[-1:] == rows[:1]).all() and (rows == rows[:1]).all())
 
 
 def _four(columns: Floats) -> Float32s:

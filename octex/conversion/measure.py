@@ -13,16 +13,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int64s
+from octex.arrays import Float32s, Float64s, Int64s
 from octex.channels import ChannelFormat, linear_to_srgb
 from octex.editing.split import SLOPE
-from octex.jit import inlined, kernel
+from octex.jit import chosen, inlined, mask_bits
+from octex.jit.vectors import eight, eight_at, lanes
 
 _LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
 _KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
-#: sRGB's curve over the square root of light: straight lines between its points are within 2·10⁻⁴ codes.
+#: sRGB's curve over the square root of light: straight lines between its points are within 2·10⁻⁴ codes, and
+#: within 2·10⁻³ at the curve's knee.
 _STEPS = 1024
 _CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
+
+
+#: The slope of sRGB's curve at 0, and bounds of it from some light on.
+_STEEPEST = np.float32(12.93)
+_STEEP = np.array([[0.01, 6.5], [0.05, 2.55], [0.2, 1.14]], np.float32)
 
 
 class ErrorColumns(NamedTuple):
@@ -69,54 +76,41 @@ def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
 
 
 @inlined
-def subtract(values: Float32s, columns: ErrorColumns, point: int, differences: Float64s) -> None:
-    """Write by how many codes a field is above the full tree's at a point, to a column of ``differences``.
+def subtract(
+    values: Float32s, columns: ErrorColumns, component: int, count: int, differences: Float64s
+) -> None:
+    """Write by how many codes a field is above the full tree's at points, to rows of ``differences``.
 
-    ``values`` (2, components, points) are those of both. ``differences`` (2 · components, points) are the
-    components', then those of unit vectors; 0 for what is no direction.
+    ``values`` (2, components, points) are those of both. ``differences`` (2, points) are the component's, and
+    that of unit vectors, 0 for what is no direction.
     """
-    components = columns.kinds.size
-    for component in range(components):
-        coverage = 1.0
-        if columns.alpha >= 0 and component != columns.alpha:
-            coverage = float(values[1, columns.alpha, point])
-        kind = columns.kinds[component]
+    kind, vector = columns.kinds[component], columns.vectors[component]
+    is_covered = columns.alpha >= 0 and component != columns.alpha
+    end = vector
+    while vector >= 0 and end < columns.kinds.size and columns.vectors[end] == vector:
+        end += 1
+    for point in range(count):
+        coverage = float(values[1, columns.alpha, point]) if is_covered else 1.0
         found, wanted = float(values[0, component, point]), float(values[1, component, point])
-        differences[component, point] = coverage * _code_between(wanted, found, kind, columns.curve)
-        apart = 0.0
-        if columns.vectors[component] >= 0:
+        differences[0, point] = coverage * _code_between(wanted, found, kind, columns.curve)
+        differences[1, point] = 0.0
+        if vector >= 0:
             one, other = 0.0, 0.0
-            for each in range(columns.vectors[component], components):
-                if columns.vectors[each] == columns.vectors[component]:
-                    one += float(values[0, each, point]) ** 2
-                    other += float(values[1, each, point]) ** 2
+            for each in range(vector, end):
+                one += float(values[0, each, point]) ** 2
+                other += float(values[1, each, point]) ** 2
             found = found / math.sqrt(one) if one > 0.0 else 0.0
             wanted = wanted / math.sqrt(other) if other > 0.0 else 0.0
-            apart = coverage * _code_between(wanted, found, kind, columns.curve)
-        differences[components + component, point] = apart
-
-
-@kernel
-def far_values(found: Float32s, wanted: Float32s, columns: ErrorColumns, most: float) -> Bools:
-    """Say which values (n, components) are more than ``most`` codes from the full tree's."""
-    components = columns.kinds.size
-    values = np.empty((2, components, 1), np.float32)
-    differences = np.empty((2 * components, 1), np.float64)
-    far = np.empty(found.shape[0], np.bool_)
-    for n in range(far.size):
-        for component in range(components):
-            values[0, component, 0], values[1, component, 0] = found[n, component], wanted[n, component]
-        subtract(values, columns, 0, differences)
-        far[n] = not are_near(differences, 0, most)
-    return far
+            differences[1, point] = coverage * _code_between(wanted, found, kind, columns.curve)
 
 
 @inlined
-def are_near(differences: Float64s, point: int, most: float) -> bool:
-    """Say whether there is no difference of more than ``most`` codes at a point."""
+def are_near(differences: Float64s, count: int, most: float) -> bool:
+    """Say whether there is no difference of more than ``most`` codes at any of so many points."""
     near = True
     for column in range(differences.shape[0]):
-        near &= abs(differences[column, point]) <= most  # what is not a number is far from anything
+        for point in range(count):
+            near &= abs(differences[column, point]) <= most  # what is not a number is far from anything
     return near
 
 
@@ -139,6 +133,45 @@ def are_near_between(differences: Float64s, count: int, most: float) -> bool:
         if not near:
             return False
     return True
+
+
+@inlined
+def are_apart_by_less(
+    values: Float32s, columns: ErrorColumns, component: int, count: int, most: float
+) -> bool:
+    """Say whether a component of no direction surely is ``most`` codes apart at most at all points.
+
+    Of all pairs of light that differ by as much, the darkest is apart by most codes. Rows of ``values`` are
+    filled up to a multiple of eight points.
+    """
+    zero, room = eight(0.0), values.shape[2]
+    one, other = component * room, (columns.kinds.size + component) * room
+    kind = columns.kinds[component]
+    low, apart, spoilt = eight(np.inf), zero, zero
+    for first in range(0, count, 8):
+        found, wanted = eight_at(values, one + first), eight_at(values, other + first)
+        difference = found - wanted
+        difference = chosen(difference > zero, difference, zero - difference)
+        apart = chosen(difference > apart, difference, apart)
+        spoilt = spoilt + difference * zero  # no number where there is none
+        smaller = chosen(found < wanted, found, wanted)
+        low = chosen(smaller < low, smaller, low)
+    slopes = eight(1.0)
+    if kind == _LIGHT:
+        slopes = chosen(low > eight(_STEEP[0, 0]), eight(_STEEP[0, 1]), eight(_STEEPEST))
+        slopes = chosen(low > eight(_STEEP[1, 0]), eight(_STEEP[1, 1]), slopes)
+        slopes = chosen(low > eight(_STEEP[2, 0]), eight(_STEEP[2, 1]), slopes)
+    if mask_bits(apart * slopes + spoilt <= eight(most / 255.0)) == np.uint64(255):
+        return True
+    darkest, largest = np.float32(np.inf), np.float32(0)
+    for each in lanes(low):
+        darkest = min(darkest, each)
+    for each in lanes(apart):
+        largest = max(largest, each)
+    for each in lanes(spoilt):
+        largest += each
+    dark, light = float(darkest), float(darkest + largest)
+    return _code_between(dark, light, kind, columns.curve) <= most
 
 
 @inlined

@@ -29,8 +29,9 @@ from octex.voxelize.fragments import Fragments
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.
 PLACE_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
-#: Most points of a patch: a sample and three for each corner of a polygon that has six, two of them twice.
-MOST_POINTS = 1 + 3 * 8
+#: Room for the points of a patch, which come by eights: a sample and three for each corner of a polygon that
+#: has six, two of them twice. No cell has more samples.
+MOST_POINTS = 32
 #: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
 #: 1 dB against the source filtered to the cell.
 LEAST_WIDTH = 0.5

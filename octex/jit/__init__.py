@@ -39,6 +39,7 @@ from octex.jit.vectors import put as put
 from octex.jit.vectors import refine_rows as refine_rows
 from octex.jit.vectors import sixteen as sixteen
 from octex.jit.vectors import sixteen_at as sixteen_at
+from octex.jit.vectors import spline_at_eight as spline_at_eight
 from octex.jit.vectors import spline_box as spline_box
 from octex.jit.vectors import squares_to_boxes as squares_to_boxes
 from octex.jit.vectors import weighted_cube as weighted_cube

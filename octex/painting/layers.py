@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from types import MappingProxyType
 from typing import NamedTuple
 
 from octex.channels import ALPHA, BASE_COLOR, alpha_of
@@ -25,12 +26,14 @@ from octex.painting.stack import (
     check_layer,
     composite_name,
     composited,
+    named,
     shown,
     shown_names,
+    united,
     with_composite,
     with_layer_channels,
 )
-from octex.painting.stack_file import as_file, from_file
+from octex.painting.stack_file import Keep, as_file, from_file
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface
@@ -42,7 +45,7 @@ class Restacked(NamedTuple):
 
     before: Stack
     after: Stack
-    removed: dict[str, Channel]  # what deleted layers had
+    channels: dict[str, Channel]  # of the layers that one of both does not have
 
 
 class Layers(Painter):
@@ -55,10 +58,13 @@ class Layers(Painter):
 
     All layers have the cells of one tree: fine paint in one makes all of them finer there, without changing
     what they look like.
+
+    A saved texture whose layers no longer make what it shows was edited since: it raises ArgumentError unless
+    ``keep`` says what to go on with, "shown" or "layers". Edits of what is shown do not reach the layers.
     """
 
-    def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
-        texture, stack = from_file(as_texture(texture))
+    def __init__(self, texture: OctreeTexture, surface: Surface, *, keep: Keep | None = None) -> None:
+        texture, stack = from_file(as_texture(texture), keep)
         super().__init__(texture, surface)
         self._stack: Stack = stack
         self._last = max((layer.number for layer in stack), default=0)  # number of a layer
@@ -114,10 +120,8 @@ class Layers(Painter):
         self, name: str | None = None, *, opacity: float = 1.0, blend: LayerBlend = "over"
     ) -> Layer:
         """Add an empty layer above the chosen one; choose and return it."""
-        self._last += 1
-        layer = check_layer(
-            Layer(self._last, f"Layer {self._last}" if name is None else name, opacity, blend)
-        )
+        title = f"Layer {self._last + 1}" if name is None else name
+        layer = check_layer(self._next(Layer(1, title, opacity, blend)))
         place = 0 if self._chosen is None else self._place_of(self._chosen) + 1
         self._restack((*self._stack[:place], layer, *self._stack[place:]))
         self.choose(layer.number)
@@ -159,6 +163,41 @@ class Layers(Painter):
         place = self._place_of(number)
         self._restack(self._stack[:place] + self._stack[place + 1 :])
 
+    def copy_layer(self, number: int) -> Layer:
+        """Add a copy of a layer above it; choose and return the copy."""
+        place = self._place_of(number)
+        own = self._stack[place]
+        copied = self._next(own)
+        channels = {name: each for name, each in self._texture.channels.items() if own.owns(name)}
+        made = {copied.of_own(own, name): each for name, each in channels.items()}
+        self._restack((*self._stack[: place + 1], copied, *self._stack[place + 1 :]), made)
+        self.choose(copied.number)
+        return copied
+
+    def merge_layer(self, number: int) -> Layer:
+        """Merge a layer with the one below it, of which both are seen and normal; choose and return it.
+
+        It looks as both did. Raises ArgumentError for the lowest layer and for others that cannot be one.
+        """
+        place = self._place_of(number)
+        if not place:
+            raise ArgumentError("there is no layer below the lowest one to merge it with")
+        both = self._stack[place - 1 : place + 1]
+        for each in both:
+            if not each.is_visible or each.blend != "over":
+                raise ArgumentError(f"layer {each.name!r} is hidden or not normal; only others can be merged")
+            if each.paints(ALPHA.name) in self._texture.channels:
+                raise ArgumentError(f"layer {each.name!r} paints alpha; it cannot be merged")
+        one = self._next(both[0]._replace(opacity=1.0, has_mask=False))
+        stack = *self._stack[: place - 1], one, *self._stack[place + 1 :]
+        self._restack(stack, united(self._texture, both, one))
+        self.choose(one.number)
+        return one
+
+    def _next(self, layer: Layer) -> Layer:
+        self._last += 1
+        return layer._replace(number=self._last)
+
     def _place_of(self, number: int) -> int:
         number = as_whole(number, "layer", 1, 2**53)
         for place, layer in enumerate(self._stack):
@@ -166,13 +205,14 @@ class Layers(Painter):
                 return place
         raise ArgumentError(f"there is no layer {number!r}")
 
-    def _restack(self, stack: Stack) -> None:
+    def _restack(self, stack: Stack, made: Mapping[str, Channel] = MappingProxyType({})) -> None:
+        """Put another stack in place; ``made`` are the channels of new layers."""
         if stack == self._stack:
             self.changes = ()
             return
         gone = _without(self._stack, stack)
         removed = {name: own for name, own in self._texture.channels.items() if _is_of(gone, name)}
-        step = Restacked(self._stack, stack, removed)
+        step = Restacked(self._stack, stack, {**removed, **made})
         self._apply(step)
         self._done.append(step)
         self._undone.clear()
@@ -182,7 +222,11 @@ class Layers(Painter):
         seen, gone = self.texture(), _without(step.before, step.after)
         channels = {name: own for name, own in self._texture.channels.items() if not _is_of(gone, name)}
         come = _without(step.after, step.before)
-        channels |= {name: own for name, own in step.removed.items() if _is_of(come, name)}
+        channels |= {  # copied, as later strokes write to them and the step stays as it is
+            name: named(Channel(own.format, *(each.copy() for each in own[1:])), name)
+            for name, own in step.channels.items()
+            if _is_of(come, name)
+        }
         if self._chosen in {layer.number for layer in gone}:
             below = step.before[: step.before.index(gone[0])]
             self._chosen, self._in_mask = below[-1].number if below else None, False
@@ -301,7 +345,7 @@ class Layers(Painter):
             was_done = super().undo()
             self._told([change.inverted() for change in reversed(step)])
             return was_done
-        self._apply(Restacked(step.after, step.before, step.removed))
+        self._apply(Restacked(step.after, step.before, step.channels))
         self._undone.append(self._done.pop())
         return True
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from octex.arrays import Bools
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
-from octex.checks import as_choice, as_depth, as_flag, as_number, as_whole
+from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.painting.picture import Projection
 from octex.texture import OctreeTexture, as_texture
@@ -81,10 +81,7 @@ class PaintOptions:
 
 def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
     """Return which of ``count`` triangles a region has, given as numbers or bools; None for another kind."""
-    try:
-        part = np.asarray(region)
-    except ValueError:  # rows of unequal lengths
-        return None
+    part = as_array(region)
     if part.dtype == np.bool_ and part.shape == (count,):
         return part
     is_whole = part.ndim == 1 and part.dtype.kind in "iu"

@@ -62,6 +62,13 @@ class Layer(NamedTuple):
         """The name of the layer's mask: how much of it is hidden."""
         return channel_in(f"{self.number} mask", ALPHA.name)
 
+    def of_own(self, other: Layer, name: str) -> str:
+        """Return what another layer's channel is called in this one."""
+        if name == other.mask:
+            return self.mask
+        own, plain = (channel_in(f"{each.number} ", plain_name(name)) for each in (other, self))
+        return plain + name.removeprefix(own)
+
     def painted(self, names: Sequence[str] | Mapping[str, Channel]) -> list[str]:
         """Return the channels, of some, that the layer paints."""
         return [name for name in names if self.paints(name) in names]
@@ -183,6 +190,26 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
                 getattr(made[name], kind)[here] = encode(values, form.dtype, form.space)
     _average(whole, layers, made)
     return whole
+
+
+def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Channel]:
+    """Return the channels of a layer that looks as some do, each over those before it."""
+    made = {}
+    counts = row_counts(texture.tree)
+    for name in bottom_names(texture):
+        own = [layer.paints(name) for layer in layers if layer.paints(name) in texture.channels]
+        if not own:
+            continue
+        used = {*own, *map(alpha_of, own), *(layer.mask for layer in layers)}
+        channels = {each: channel for each, channel in texture.channels.items() if each in used}
+        for form in (texture.channels[name].format, COVERAGE._replace(name=ALPHA.name)):
+            nothing = (np.zeros((count, form.components), form.dtype) for count in counts)
+            channels[form.name] = Channel(form, *nothing)
+        whole = with_composite(texture.with_cells(texture.tree, channels), layers).channels
+        paint = into.paints(name)
+        for wanted, plain in ((paint, name), (alpha_of(paint) or "", ALPHA.name)):
+            made[wanted] = named(whole[composite_name(plain)], wanted)
+    return made
 
 
 def _has_paint(texture: OctreeTexture, layer: Layer) -> bool:

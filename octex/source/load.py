@@ -19,11 +19,13 @@ from octex.source.images.filters import FILTERS
 from octex.source.models.gltf import load_gltf, load_gltf_motion
 from octex.source.models.meshfiles import load_off, load_stl
 from octex.source.models.obj import load_obj
+from octex.source.models.ovoxel import load_voxel_surface
 from octex.source.models.ply import Ply
 from octex.source.models.reading import Options
 from octex.source.models.threemf import load_3mf
 from octex.source.motion import Motion
 from octex.source.surface import Surface
+from octex.source.voxels import VOXEL_ENDINGS
 
 
 def _load_usd(path: Path, options: Options) -> Surface:
@@ -44,6 +46,7 @@ _READERS: dict[str, Callable[[Path, Options], Surface]] = {
     ".off": load_off,
     ".stl": load_stl,
     ".3mf": load_3mf,
+    **dict.fromkeys(VOXEL_ENDINGS, load_voxel_surface),
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _load_usd),
 }
 
@@ -60,6 +63,7 @@ def load_surface(
     filter: str = "ewa",
     normals: bool = False,
     pose: str | None = None,
+    finite: bool = False,
 ) -> Surface:
     """Read a model: its triangles as placed in the scene, and its materials.
 
@@ -72,6 +76,8 @@ def load_surface(
     normals    keep the model's shading normals as ``Surface.frames``
     pose       "NAME@SECONDS": the pose of an animated glTF model, by its nodes, skins and morph targets. Rest
                positions do not change. See ``octex help surfaces``
+    finite     leave out triangles with vertices that are not finite, instead of refusing the model;
+               ``provenance["not_finite"]`` is their number
 
     Raises ModelError or ImageError, with one line that names the file, the cause and the remedy;
     MissingExtraError if a format needs an extra; ArgumentError for names and values that do not fit, or a
@@ -86,7 +92,8 @@ def load_surface(
     if pose is not None and file.suffix.lower() not in _GLTF:
         raise ArgumentError(f"{file.name} cannot be posed as {pose!r}: only glTF models can")
     with_normals = as_flag(normals, "normals") or "normal" in replaced
-    surface = _read(file, Options(True, wanted, filter, tuple(replaced), with_normals, pose))
+    finite = as_flag(finite, "finite")
+    surface = _read(file, Options(True, wanted, filter, tuple(replaced), with_normals, pose, finite))
     surface.provenance["filter"] = filter
     if pose is not None:
         surface.provenance["pose"] = pose
@@ -139,7 +146,8 @@ def _read(path: Path, options: Options) -> Surface:
             raise ModelError(f"{path.name} is empty; export the model again")
         digest = hashlib.sha256(data).hexdigest()
         del data
-        surface = reader(path, options)
+        with np.errstate(all="ignore" if options.finite else None):
+            surface = reader(path, options)
     surface.provenance = {"source": path.name, "sha256": digest, **surface.provenance}
     return surface
 

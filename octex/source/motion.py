@@ -44,6 +44,16 @@ class Motion(NamedTuple):
     animations: list[Animation]
     faults: list[str]  # of animations that are broken, a line each
 
+    def start_on(self, vertices: Float64s, rest: Float64s) -> str | None:
+        """Say which positions of a surface the bones move: "rest" or "position"; None for neither."""
+        edge = float(np.ptp(self.positions, axis=0).max())
+        for name, positions in (("position", vertices), ("rest", rest)):
+            if positions.shape == self.positions.shape and np.allclose(
+                positions, self.positions, rtol=0.0, atol=1e-6 * edge
+            ):
+                return name
+        return None
+
     def positions_at(self, animation: int, time: float) -> Float64s:
         """Return where the vertices (n, 3) are at a time in seconds, linear between frames.
 

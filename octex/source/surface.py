@@ -30,6 +30,8 @@ from octex.source.parts import SEPARATION, Overlaps, separated_rest, separation_
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
+#: The entry of provenance that counts triangles left out as they have vertices that are not finite.
+NOT_FINITE = "not_finite"
 #: The level whose cells say whether a surface and a texture share points.
 _COARSE = 6
 

@@ -1,32 +1,24 @@
-"""Sparse voxels: values in the cells of a grid, which are a texture by themselves.
-
-The layout of .vxz files is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0. The octree of
-a chunk has a byte for each node, depth first, whose bit 4x + 2y + z says that there is a child.
-"""
+"""Sparse voxels: values in the cells of a grid, which are a texture by themselves."""
 
 from __future__ import annotations
 
-import json
-import lzma
 import os
-import struct
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Int64s, Uint8s, bit_counts
+from octex.arrays import Array, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
 from octex.checks import as_array, as_entries, as_path, as_positive, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
 from octex.files import open_file, read_bytes, reading
-from octex.jit import kernel
 from octex.source.materials import MOST_IN_FLOAT16
 from octex.source.models.reading import npz_arrays
+from octex.source.models.vxz import unpack_vxz
 
 #: The endings of files of voxels; a .npz may be one of points instead.
 VOXEL_ENDINGS = (".npz", ".vxz")
@@ -35,13 +27,13 @@ _COORDS = ("coords", "coord", "coordinates", "ijk", "voxels", "indices")
 _DEPTHS = ("depths", "depth")
 _COLORS = ("base_color", "colors", "color", "rgb", "rgba", "values")
 # What files have beside values, octex's own and O-Voxel's.
-_OTHERS = {"points", "normals", "areas", "origin", "size", "voxel_size", "dual_vertices", "intersected"}
+_OTHERS = {"points", "normals", "areas", "origin", "size", "voxel_size", "vertices", "faces"}
+_OTHERS |= {"dual_vertices", "intersected", "split_weight"}
+#: The columns of ``attrs``, as TRELLIS.2's pipeline has them, and where each channel begins.
+_ATTRIBUTES, _FIRSTS = ("base_color", "metallic", "roughness", "alpha"), (3, 4, 5)
+_N_ATTRIBUTES = 6
 # Colours may be above 1 by so much, and are then 1.
 _ROUNDING = 1e-5
-_LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
-# Deflate packs at most 1032 bytes into one; LZMA about 7000.
-_MOST_PER_BYTE = 8192
-_DEEPEST_CHUNK = 10
 
 
 class Values(NamedTuple):
@@ -103,29 +95,25 @@ class Voxels:
         ``.npz``: arrays ``coords``, perhaps ``depths`` (or ``depth``), ``origin`` and ``size`` (or
         ``voxel_size``, of the finest cells), and one a channel by its name, as the class takes them: the
         arrays that octex writes. ``coord``, ``ijk``, ``indices`` and ``voxels`` are coords as well;
-        ``colors``, ``rgb`` and ``values`` of three or four columns are base_color.
-        ``.vxz``: O-Voxel's, of the cube from −0.5 to 0.5, without its dual grid.
+        ``colors``, ``rgb`` and ``values`` of three or four columns are base_color. ``attrs`` (n, 6) are
+        TRELLIS.2's: base colour (sRGB, also as floats), metallic, roughness and alpha.
+        ``.vxz``: O-Voxel's, of the cube from −0.5 to 0.5. The file does not say how many voxels that cube is
+        wide: octex takes the least of 2ᵏ and 3 · 2ᵏ that all coords are below.
 
         Raises ModelError, with the file's name, for a file that is missing, damaged or has other contents.
         """
         path = as_path(path)
-        with reading(path):
-            if path.suffix.lower() == ".vxz":
-                coords, found = unpack_vxz(read_bytes(path), path.name)
-                arrays: dict[str, Array] = {"coords": coords, **found, "origin": np.full(3, -0.5)}
-                arrays["size"] = np.array(1.0)
-            else:
-                arrays = npz_arrays(path)
-        place = next((each for each in _COORDS if each in arrays), None)
-        if place is None:
-            raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
-        coords = arrays[place]
-        depth = next((arrays[each] for each in _DEPTHS if each in arrays), None)
+        return cls.of(voxel_arrays(path), path.name)
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], name: str) -> Voxels:
+        """Return the voxels of what ``voxel_arrays`` returned of a file with this name."""
+        coords = arrays["coords"]
         size = arrays.get("size")
         channels = {
             each: rows
             for each, rows in arrays.items()
-            if each not in {place, *_DEPTHS, *_OTHERS}
+            if each not in {"coords", *_DEPTHS, *_OTHERS}
             and rows.ndim in (1, 2)
             and rows.shape[:1] == coords.shape[:1]
         }
@@ -136,14 +124,14 @@ class Voxels:
             voxels = cls(
                 coords,
                 channels,
-                depth=depth,
+                depth=next((arrays[each] for each in _DEPTHS if each in arrays), None),
                 origin=arrays.get("origin", np.zeros(3)),
                 size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
-                name=path.name,
+                name=name,
             )
             if size is None and "voxel_size" in arrays:
-                edge = as_reals(arrays["voxel_size"].reshape(-1)[:1], f"{path.name}: voxel_size", (1,))[0]
-                voxels.size = as_positive(float(edge), f"{path.name}: voxel_size") * voxels.size
+                edge = as_reals(arrays["voxel_size"].reshape(-1)[:1], f"{name}: voxel_size", (1,))[0]
+                voxels.size = as_positive(float(edge), f"{name}: voxel_size") * voxels.size
         except ArgumentError as error:
             raise ModelError(str(error)) from None
         return voxels
@@ -223,106 +211,43 @@ def is_voxels(path: Path) -> bool:
         return False
 
 
-def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
-    """Return the coords (n, 3) of a file's voxels, and their values (n, components), uint8, by name.
+def voxel_arrays(path: Path) -> dict[str, Array]:
+    """Return the arrays of a file of voxels by name, ``coords`` among them, and attributes as channels.
 
-    Raises ModelError, with ``name``, for what is damaged, and for filters and codes that octex does not read.
+    Raises ModelError for a file without coords, and what reading the file raises.
     """
-    if data[:3] != b"VXZ" or len(data) < 8:
-        raise ModelError(f"{name} is not a .vxz file, or is damaged")
-    if data[3]:
-        raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0")
-    try:
-        (start,) = struct.unpack_from(">I", data, 4)
-        header = json.loads(data[8:start])
-        for key, known in (("filter", ("none",)), ("compression", ("none", "deflate", "lzma"))):
-            if header[key] not in known:
-                raise ModelError(
-                    f"{name} has the {key} {header[key]!r}, which octex does not read; write it with "
-                    f"{key}={known[-1]!r}"
-                )
-        parts = [_chunk(memoryview(data)[start:], chunk, header) for chunk in header["chunks"]]
-    except ModelError:
-        raise
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
-        raise ModelError(f"{name} is damaged ({type(error).__name__}: {error}); write it again") from None
-    except (zlib.error, lzma.LZMAError, RecursionError, struct.error) as error:
-        raise ModelError(f"{name} is damaged ({error}); write it again") from None
-    if not parts:
-        raise ModelError(f"{name} has no voxels")
-    names = parts[0][1]
-    values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
-    return np.concatenate([coords for coords, _ in parts]), values
+    with reading(path):
+        if path.suffix.lower() == ".vxz":
+            coords, arrays = unpack_vxz(read_bytes(path), path.name)
+            arrays["coords"] = coords
+        else:
+            arrays = npz_arrays(path)
+    place = next((each for each in _COORDS if each in arrays), None)
+    if place is None:
+        raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
+    coords = arrays["coords"] = arrays.pop(place)
+    if "attrs" in arrays:
+        arrays |= _channels_of(arrays.pop("attrs"), len(coords), path.name)
+    is_cube = path.suffix.lower() == ".vxz" or "intersected" in arrays
+    if is_cube and not {"origin", "size", "voxel_size"} & arrays.keys() and coords.dtype.kind in "iu":
+        highest = max(int(coords.max(initial=0)), 0)
+        depth = highest.bit_length()
+        # TRELLIS.2 makes 512, 1024 and 1536 voxels a side.
+        side = 3 << (depth - 2) if depth > 1 and highest < 3 << (depth - 2) else 1 << depth
+        arrays["origin"], arrays["size"] = np.full(3, -0.5), np.array((1 << depth) / side)
+    return arrays
 
 
-def _chunk(
-    data: memoryview, chunk: dict[str, Any], header: dict[str, Any]
-) -> tuple[Int64s, dict[str, Array]]:
-    first, length = chunk["ptr"]
-    content = data[first : first + length]
-
-    def part(key: str) -> Uint8s:
-        begin, size = chunk[key]
-        if begin < 0 or size < 0 or begin + size > len(content):
-            raise ValueError(f"{key} reaches outside of its chunk")
-        return np.frombuffer(_unpacked(content[begin : begin + size], header["compression"]), np.uint8)
-
-    edge = int(header["chunk_size"])
-    depth = edge.bit_length() - 1
-    if edge != 1 << depth or not 1 <= depth <= _DEEPEST_CHUNK:
-        raise ValueError(f"a chunk size of {edge}")
-    masks = part("svo")
-    count = int(bit_counts(masks).sum())
-    coords = np.empty((count, 3), np.int64)
-    leaves = _walk(masks, depth, coords)
-    if leaves < 0:
-        raise ValueError("its octree ends early, or has more than it says")
-    coords = coords[:leaves]
-    widths = {str(each): int(width) for each, width in header["attr"]}
-    style = header["attr_interleave"]
-    values: dict[str, Array] = {}
-    if style == "all":
-        rows = part("attr").reshape(leaves, sum(widths.values()))
-        ends = np.cumsum([*widths.values()])
-        values = dict(zip(widths, np.split(rows, ends[:-1], axis=1), strict=True))
-    elif style == "as_is":
-        values = {each: part(each).reshape(leaves, width) for each, width in widths.items()}
-    else:
-        for each, width in widths.items():
-            values[each] = np.stack([part(f"{each}_{i}").reshape(leaves) for i in range(width)], axis=1)
-    place = np.array(chunk["idx"], np.int64).reshape(3)
-    return coords + place * edge, values
-
-
-def _unpacked(data: memoryview, compression: str) -> bytes:
-    most = _MOST_PER_BYTE * len(data)
-    if compression == "none":
-        return bytes(data)
-    if compression == "deflate":
-        return zlib.decompressobj(wbits=-15).decompress(data, most)
-    return lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_LZMA).decompress(data, most)
-
-
-@kernel
-def _walk(masks: Uint8s, depth: int, coords: Int64s) -> int:
-    """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree."""
-    stack = np.zeros((7 * depth + 1, 4), np.int64)  # the levels and places of cells to come
-    above = min(masks.size, 1)
-    at = count = 0
-    while above > 0:
-        above -= 1
-        level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
-        if level == depth:
-            coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
-            count += 1
-            continue
-        if at == masks.size:
-            return -1
-        mask = np.int64(masks[at])
-        at += 1
-        for octant in range(7, -1, -1):
-            if mask >> octant & 1:
-                stack[above, 0], stack[above, 1] = level + 1, 2 * x + (octant >> 2)
-                stack[above, 2], stack[above, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
-                above += 1
-    return count if at == masks.size else -1
+def _channels_of(attributes: Array, count: int, name: str) -> dict[str, Array]:
+    """Return the columns of TRELLIS.2's attributes as channels: floats are codes, sRGB for colours."""
+    if attributes.shape != (count, _N_ATTRIBUTES) or attributes.dtype.kind not in "fu":
+        columns = ", ".join(_ATTRIBUTES)
+        raise ModelError(
+            f"{name}: attrs must have shape ({count}, {_N_ATTRIBUTES}): {columns}, not {attributes.dtype} "
+            f"{attributes.shape}; save other attributes one an array, by their names"
+        )
+    if attributes.dtype.kind == "f":
+        if not np.isfinite(attributes).all():
+            raise ModelError(f"{name}: attrs are not all finite")
+        attributes = np.rint(np.clip(attributes, 0.0, 1.0) * 65535.0).astype(np.uint16)
+    return dict(zip(_ATTRIBUTES, np.split(attributes, _FIRSTS, axis=1), strict=True))

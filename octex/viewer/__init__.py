@@ -25,9 +25,6 @@ page/       the page: plain modules and shaders, as they are served
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions
-session     paints what pages send, in order, on a thread of its own; undo, redo and saving
-journal     what they sent, on the disk before it is done
-poses       the surface posed, or laid flat, for strokes on that
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time

@@ -15,13 +15,15 @@ from urllib.parse import quote, unquote
 
 from octex.errors import OctexError, OutputError
 from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
+from octex.viewer.pack import packed_mesh
+from octex.viewer.streams import deflated
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from octex.session.painting import Session
     from octex.viewer.downloads import Downloads
     from octex.viewer.server import Viewer
-    from octex.viewer.session import Session
 
 ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -104,8 +106,8 @@ class Handler(BaseHTTPRequestHandler):
         if session is None:
             self.send_error(HTTPStatus.NOT_IMPLEMENTED, "Unsupported method ('POST')")
             return
-        from octex.viewer.commands import MOST_BYTES
-        from octex.viewer.session import BusyError, OrderError
+        from octex.session.commands import MOST_BYTES
+        from octex.session.painting import BusyError, OrderError
 
         path = self._admitted(has_body=True)
         if path is None:
@@ -223,13 +225,17 @@ class Handler(BaseHTTPRequestHandler):
         self.viewer.follow(self._events())
 
     def _patch(self, session: Session) -> None:
-        """Answer with a piece of the surface, laid flat."""
+        """Answer with a piece of the surface, laid flat: a line of JSON, and the mesh's stream."""
         try:
-            body = session.patch(unquote(self.path.partition("?")[2]))
+            patch = session.patch(unquote(self.path.partition("?")[2]))
         except OctexError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         else:
-            self._answer(body, "application/octet-stream")
+            texture = session.shown.texture
+            flat = patch.surface.placed_in(texture).part(patch.triangles)
+            header, stream = packed_mesh(texture, flat)
+            line = json.dumps({"mesh": header, "faults": patch.faults}).encode()
+            self._answer(line + b"\n" + deflated(stream, 1), "application/octet-stream")
 
     def _export(self, downloads: Downloads) -> None:
         """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""

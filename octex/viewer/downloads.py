@@ -21,10 +21,10 @@ from octex.parallel import Progress
 from octex.viewer.export import write_page
 
 if TYPE_CHECKING:
+    from octex.session.painting import Session
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
-    from octex.viewer.session import Session
 
 #: What a file can be, by the end of its name.
 _ENDINGS = {

@@ -40,7 +40,7 @@ class PackedMotion(NamedTuple):
 def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None) -> PackedMotion:
     """Pack animations, with fewer frames beyond ``room`` bytes; ``notes`` say what is left out."""
     notes = list(motion.faults)
-    start = start_of(motion, surface)
+    start = motion.start_on(surface.vertices, surface.rest)
     if not motion.animations:
         return PackedMotion({}, b"", notes)
     if start is None:
@@ -58,17 +58,6 @@ def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None
                 )
             return PackedMotion({**header, "start": start, "bytes": len(packed)}, packed, notes)
     return PackedMotion({}, b"", [*notes, f"no animations: they take {len(packed):,} bytes"])
-
-
-def start_of(motion: Motion, surface: Surface) -> str | None:
-    """Say which of the surface's positions the bones move: "rest" or "position"; None for neither."""
-    edge = float(np.ptp(motion.positions, axis=0).max())
-    for name, positions in (("position", surface.vertices), ("rest", surface.rest)):
-        if positions.shape == motion.positions.shape and np.allclose(
-            positions, motion.positions, rtol=0.0, atol=1e-6 * edge
-        ):
-            return name
-    return None
 
 
 def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:

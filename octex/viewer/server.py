@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from octex.editing.draft import Change
+    from octex.session.painting import Session
     from octex.source.motion import Motion
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
     from octex.viewer.downloads import Downloads
-    from octex.viewer.session import Session
 
 #: Seconds between signs of life to a page, and without any page until the end.
 _BEAT, _ALONE = 1.0, 30.0

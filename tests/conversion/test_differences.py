@@ -13,11 +13,19 @@ from hypothesis import strategies as st
 
 from octex.arrays import bit_counts
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
-from octex.conversion.differences import Reference, coefficients, far_all_over
-from octex.conversion.measure import ErrorColumns, far_values
+from octex.conversion.differences import (
+    Reference,
+    coefficients,
+    far_all_over,
+    far_at_samples,
+    near_nodes,
+    values_at_samples,
+)
+from octex.conversion.evaluator import Coefficients
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
-from octex.jit import DISABLED, kernel, spline_box
+from octex.jit import DISABLED, kernel, put, spline_at_eight, spline_box
+from octex.jit.vectors import eight_at
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -175,11 +183,18 @@ def scores(scene: Scene) -> Floats:
     return found
 
 
+def fields(scene: Scene) -> tuple[Coefficients, Reference]:
+    """The pruned tree's field, and the full one's."""
+    forms = scene.samples.channels
+    found, full = (coefficients(each.tree, each.channels, forms) for each in (scene.found, scene.full))
+    return found, Reference.of(full, scene.samples, forms)
+
+
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
 def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float):
     made = scene(seed, smooth)
-    found, reference = coefficients(made.found, made.samples.channels), Reference.of(made.full, made.samples)
+    found, reference = fields(made)
     expected = scores(made)
     chosen = np.arange(0, expected.size, 2)
     for part in (0.2, 0.6, 0.95):
@@ -189,32 +204,53 @@ def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
+def scores_at_samples(scene: Scene, values: Floats, wanted: Floats, coverage: Floats) -> Floats:
+    """By how many codes each finest cell's values are apart at its samples."""
+    coverage = np.repeat(coverage, wanted.shape[1], axis=1)
+    if "alpha" in scene.full.channels:
+        coverage[:, -1] = 1.0
+    apart = np.abs(coverage * (values - wanted)).max(axis=1)
+    return np.maximum.reduceat(apart, scene.samples.firsts[:-1])
+
+
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
-def test_values_are_far_where_their_codes_are(seed: int, smooth: float):
+def test_cells_and_nodes_are_near_where_their_samples_are(seed: int, smooth: float):
     made = scene(seed, smooth)
-    samples, names = made.samples, [form.name for form in made.samples.channels]
+    samples, names, level = made.samples, list(made.full.channels), 2
     owned = owners(samples)
     points = (decode_cells(samples.codes)[owned] + (samples.places + 0.5) / PLACE_STEPS) / (1 << DEPTH)
-    # The node above each finest cell, as one colour everywhere.
-    cells, firsts = np.arange(samples.codes.size), made.finest.firsts[2]
-    above = np.repeat(np.arange(firsts.size), np.diff(firsts, append=cells.size))
-    node = above + made.finest.tree.arrays.level_cells[2]
-    own = {name: made.full.channels[name].values[node[owned]] for name in names}
+    found, reference = fields(made)
+    count = samples.codes.size
+    values = values_at_samples(reference, 0, count)
+    full = made.full.sample(points, names, normalize=False)
+    np.testing.assert_allclose(values, np.hstack([full[name] for name in names]), atol=1e-5)
     wanted, coverage = codes(made.full, points, None)
-    coverage = np.repeat(coverage, wanted.shape[1], axis=1)
-    if "alpha" in made.full.channels:
-        coverage[:, -1] = 1.0
-    full, found = (texture.sample(points, names, normalize=False) for texture in (made.full, made.found))
-    at_samples = np.abs(apart(made, points, None)), np.abs(coverage * (codes_of(own) - wanted))
-    for values, each in zip((found, own), at_samples, strict=True):
-        expected = each.max(axis=1)
-        for part in (0.2, 0.6, 0.95):
-            most = float(np.quantile(expected, part))
-            clear = np.abs(expected - most) > 0.02
-            pair = [np.hstack([each[name] for name in names]) for each in (values, full)]
-            far = far_values(*pair, ErrorColumns.of(samples.channels), most)
-            np.testing.assert_array_equal(far[clear], expected[clear] > most)
+    at_cells = scores_at_samples(made, codes(made.found, points, None)[0], wanted, coverage)
+    # Nodes of a level: the field of all of them, in a cell of each child; and what each holds, in all cells.
+    firsts = np.append(made.finest.firsts[level], count)
+    children = np.append(made.finest.firsts[level + 1], count)
+    even = made.full.level(level)
+    of_even = scores_at_samples(made, codes(even, points, None)[0], wanted, coverage)
+    first_node = made.full.tree.arrays.level_cells[level]
+    node = first_node + np.searchsorted(firsts, owned, side="right") - 1
+    own = codes_of({name: made.full.channels[name].values[node] for name in names})
+    of_own = scores_at_samples(made, own, wanted, coverage)
+    by_child = np.zeros(count)
+    by_child[children[:-1]] = of_even[children[:-1]]
+    at_nodes = np.minimum(*(np.maximum.reduceat(each, firsts[:-1]) for each in (by_child, of_own)))
+    tree = reference.field._replace(arrays=even.tree.arrays)
+    nodes = firsts, np.searchsorted(children, firsts), children
+    for part in (0.2, 0.6, 0.95):
+        most = float(np.quantile(at_cells, part))
+        clear = np.abs(at_cells - most) > 0.02
+        far = far_at_samples(found, reference, values, most, 0, count)
+        np.testing.assert_array_equal(far[clear], at_cells[clear] > most)
+        most = float(np.quantile(at_nodes, part))
+        chosen = np.arange(0, at_nodes.size, 2)
+        clear = np.abs(at_nodes[chosen] - most) > 0.02
+        near = near_nodes(tree, reference, values, most, nodes, int(first_node), chosen)
+        np.testing.assert_array_equal(near[clear], at_nodes[chosen][clear] <= most)
 
 
 @kernel
@@ -245,11 +281,15 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed: int):
 
 
 @kernel
-def _spline_rows(rows: Array, first: int, weights: Array) -> tuple[float, float, float, float]:
-    x = weights[0, 0], weights[0, 1], weights[0, 2]
-    y = weights[1, 0], weights[1, 1], weights[1, 2]
-    z = weights[2, 0], weights[2, 1], weights[2, 2]
-    return spline_box(rows, first, (1, 3, 9), x, y, z)
+def _spline_at_eight(rows: Array, first: int, weights: Array, found: Array) -> None:
+    x = eight_at(weights, 0), eight_at(weights, 8), eight_at(weights, 16)
+    y = eight_at(weights, 24), eight_at(weights, 32), eight_at(weights, 40)
+    z = eight_at(weights, 48), eight_at(weights, 56), eight_at(weights, 64)
+    one, two, three, four = spline_at_eight(rows, first, x, y, z)
+    put(found, 0, one)
+    put(found, 8, two)
+    put(found, 16, three)
+    put(found, 24, four)
 
 
 @kernel
@@ -265,8 +305,17 @@ def test_rows_are_summed_under_products_of_weights():
     rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3)).astype(np.float32)
     block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
     expected = np.einsum("zyxc,x,y,z->c", block, *weights.astype(np.float64))
-    np.testing.assert_allclose(_spline_rows(rows, 5, weights), expected, rtol=1e-5)
     apart = np.zeros((6, 5, 4, 2, 4), np.float32)  # every other row of a box of 4 × 5 × 6
     apart[2:5, 1:4, 1:, 1] = block
     found = _spline_box(apart.reshape(-1, 4), 2 * 40 + 8 + 2 + 1, weights)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_rows_are_summed_at_eight_points():
+    random = np.random.default_rng(1)
+    rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3, 8)).astype(np.float32)
+    block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
+    expected = np.einsum("zyxc,xp,yp,zp->cp", block, *weights.astype(np.float64))
+    found = np.zeros((4, 8), np.float32)
+    _spline_at_eight(rows, 5, weights, found)
     np.testing.assert_allclose(found, expected, rtol=1e-5)

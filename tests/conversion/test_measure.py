@@ -18,7 +18,14 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import ErrorColumns, all_near, are_near, are_near_between, subtract
+from octex.conversion.measure import (
+    ErrorColumns,
+    all_near,
+    are_apart_by_less,
+    are_near,
+    are_near_between,
+    subtract,
+)
 from octex.jit import kernel
 
 Array = npt.NDArray[np.generic]
@@ -26,8 +33,16 @@ Array = npt.NDArray[np.generic]
 
 @kernel
 def _near(values: Array, columns: ErrorColumns, most: float, differences: Array) -> bool:
-    subtract(values, columns, 0, differences)
-    return are_near(differences, 0, most)
+    near = True
+    for component in range(values.shape[1]):
+        subtract(values, columns, component, 1, differences)
+        near &= are_near(differences, 1, most)
+    return near
+
+
+@kernel
+def _apart_by_less(values: Array, columns: ErrorColumns, component: int, count: int, most: float) -> bool:
+    return are_apart_by_less(values, columns, component, count, most)
 
 
 @kernel
@@ -43,7 +58,7 @@ def _all_near(bounds: Array, columns: ErrorColumns, most: float) -> bool:
 def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
     """Whether rows of several channels are farther apart than ``most`` codes."""
     values = np.array([found, source], np.float32)[:, :, None]
-    return not _near(values, ErrorColumns.of(forms), float(most), np.zeros((2 * values.shape[1], 1)))
+    return not _near(values, ErrorColumns.of(forms), float(most), np.zeros((2, 1)))
 
 
 def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
@@ -57,8 +72,8 @@ def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
 def test_light_is_apart_by_codes_of_its_curve(form: ChannelFormat, light: float, code: float):
     other = srgb_to_linear(code / 255)
     apart = abs(255 * linear_to_srgb(light) - code)
-    assert far(form, light, other, apart - 1e-3)
-    assert not far(form, light, other, apart + 1e-3)
+    assert far(form, light, other, apart - 2e-3)
+    assert not far(form, light, other, apart + 2e-3)
 
 
 def test_light_above_one_is_apart_by_ratio():
@@ -113,6 +128,29 @@ def test_what_lies_between_near_bounds_is_near(seed: int):
             assert not far_rows(*rows, forms, 1.001 * most + 1e-3)
     assert _all_near(bounds[[0, 0]], ErrorColumns.of(forms), 0.0)
     assert not _all_near(bounds, ErrorColumns.of(forms), -1.0)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_points_that_surely_are_near_are_near(seed: int):
+    random = np.random.default_rng(seed)
+    forms = (BASE_COLOR, ROUGHNESS)
+    columns = ErrorColumns.of(forms)
+    count = int(random.integers(1, 17))
+    values = np.zeros((2, 4, 16), np.float32)
+    values[0] = random.random((4, 1)) ** 4 * 2 + random.random((4, 16)) * 0.1
+    values[1] = values[0] + random.normal(size=(4, 16)) * 10 ** -random.uniform(1, 4)
+    values[1] = np.maximum(values[1], 0)
+    values[:, :, count:] = values[:, :, :1]
+    most, component = 10 ** random.uniform(-1, 2), int(random.integers(4))
+    if _apart_by_less(values, columns, component, count, most):
+        for point in range(count):
+            rows = np.zeros((2, 4), np.float32)
+            rows[:, component] = values[:, component, point]
+            assert not far_rows(*rows, forms, 1.001 * most + 1e-3)
+    assert _apart_by_less(values, columns, component, count, 1e9)
+    assert _apart_by_less(values[[0, 0]], columns, component, count, 0.0)
+    values[0, component, random.integers(count)] = np.nan
+    assert not _apart_by_less(values, columns, component, count, 1e9)
 
 
 @given(st.integers(0, 2**32 - 1))

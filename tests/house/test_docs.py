@@ -24,6 +24,7 @@ from octex.docs import TOPICS, topic
 from octex.drawing import render_surface, source_shader
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
+from tests.make.vxz import dual_grid, vxz
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "octex" / "docs"
@@ -56,6 +57,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with every file that a page takes as there."""
     folder = tmp_path_factory.mktemp("docs")
     (folder / "samples").mkdir()
+    coords, dual, crossed = dual_grid(lambda points: np.linalg.norm(points - 0.5, axis=1) - 0.3, 8)
+    packed = (255 * dual).astype(np.uint8), (crossed @ [[1], [2], [4]]).astype(np.uint8)
+    values = {"base_color": packed[0], "dual_vertices": packed[0], "intersected": packed[1]}
+    (folder / "asset.vxz").write_bytes(vxz(coords, values))
     for name in ("droid.glb", "scan.glb", "samples/droid.glb"):
         shutil.copy(ROOT / "samples" / "droid.glb", folder / name)
     surface = octex.load_surface(folder / "droid.glb", channels=["base_color"])

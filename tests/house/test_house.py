@@ -44,6 +44,7 @@ ROWS = [
     {"editing"},
     {"source"},
     {"voxelize"},
+    {"cleaning"},
     {"conversion"},
     {"cameras"},
     {"view"},
@@ -52,13 +53,14 @@ ROWS = [
     {"baking"},
     {"formats"},
     {"drawing"},
+    {"session"},
     {"viewer"},
     {"cli"},
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
-MADE = {"source", "voxelize", "conversion", "cameras", "view", "painting", "photos"}
+MADE = {"source", "voxelize", "cleaning", "conversion", "cameras", "view", "painting", "photos"}
 FORBIDDEN = {
     "source": STORED,
     "cameras": STORED,
@@ -78,10 +80,11 @@ NEW_IN_NUMPY_2 = {
 EXCEPTIONS = {("checks", "octex.tree.layout")}
 
 _NAMES = """
-Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Painter Patch PointCloud Projection
-Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast combine convert
-convert_set crop curves difference displace fill levels load_surface merge mix paint project read_cameras
-refine_cameras render resize separate subdivide unwrap write_cameras write_model write_preview write_ptex
+Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Painter Patch PointCloud
+Projection Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast
+combine convert convert_set crop curves difference displace fill levels load_surface merge mix paint project
+read_cameras refine_cameras render repair resize separate subdivide unwrap write_cameras write_model
+write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

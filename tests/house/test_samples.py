@@ -362,7 +362,8 @@ def test_the_numbered_scripts_run_from_anywhere(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.
-    depth, width = ("8", "160") if check is is_painted_robustly else ("5", "96")
+    slow = {is_painted_robustly: ("8", "160"), shows_both_sides_of_walls: ("5", "48")}
+    depth, width = slow.get(check, ("5", "96"))
     monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", depth)
     monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", width)
     monkeypatch.setattr(sys, "argv", [script])

@@ -66,6 +66,15 @@ _DRAWN = """([look, [width, height]]) => {
 }"""
 
 
+#: Has the page draw so many pixels a pixel.
+_COARSE = """Object.defineProperty(globalThis, "viewer", {
+  configurable: true,
+  set(value) {
+    Object.defineProperty(globalThis, "viewer", { value: Object.assign(value, { finest: %s }) });
+  },
+})"""
+
+
 @contextmanager
 def started() -> Iterator[Any]:
     """Start the browser that OCTEX_TEST_BROWSER names, by default chromium; skip where there is none.
@@ -97,12 +106,18 @@ def served(viewer: Viewer) -> Iterator[Viewer]:
     assert not thread.is_alive()
 
 
-def opened(browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_csp: bool = True) -> Any:
-    """Open a page and wait until all has come; what it complains of fails the test at `complaints`."""
+def opened(
+    browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_csp: bool = True, finest: float = 0.25
+) -> Any:
+    """Open a page and wait until all has come; what it complains of fails the test at `complaints`.
+
+    ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, a picture costs seconds.
+    """
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp)
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
     page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+    page.add_init_script(_COARSE % finest)
     if bypass_csp and browser.browser_type.name == "firefox":
         url = _without_policy(page, url)
     page.goto(url)

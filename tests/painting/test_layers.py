@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from octex.channels import decode, encode
 from octex.errors import ArgumentError
 from octex.painting.layers import Layers
 from octex.painting.stack import LAYER_BLENDS, composite_name, shown_names, with_composite
+from octex.painting.stack_file import as_file
 from octex.texture import Channel, OctreeTexture
 from tests.editing.test_draft import case
 from tests.make.same import assert_same
@@ -77,8 +80,9 @@ def assert_is_composite(layers: Layers) -> None:
 def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, depth: int) -> None:
     """Do something at random."""
     numbers = [layer.number for layer in layers.layers]
-    move = random.choice(["add", "paint", "fill", "change", "move", "delete", "undo", "redo"],
-                         p=[0.12, 0.25, 0.15, 0.15, 0.06, 0.05, 0.15, 0.07])  # fmt: skip
+    move = random.choice(["add", "paint", "fill", "change", "move", "copy", "merge", "delete", "undo",
+                          "redo"],
+                         p=[0.12, 0.23, 0.13, 0.12, 0.05, 0.05, 0.07, 0.04, 0.13, 0.06])  # fmt: skip
     if move in ("paint", "fill"):
         chosen = None if not numbers or random.random() < 0.2 else int(random.choice(numbers))
         layers.choose(chosen, mask=chosen is not None and bool(random.random() < 0.15))
@@ -101,8 +105,9 @@ def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, 
         layers.change_layer(int(random.choice(numbers)), **changes[random.integers(5)])
     elif move == "move" and numbers:
         layers.move_layer(int(random.choice(numbers)), int(random.integers(len(numbers))))
-    elif move == "delete" and numbers:
-        layers.delete_layer(int(random.choice(numbers)))
+    elif move in ("copy", "merge", "delete") and numbers:
+        with suppress(ArgumentError):  # not all can be merged
+            getattr(layers, f"{move}_layer")(int(random.choice(numbers)))
     elif move in ("undo", "redo"):
         getattr(layers, move)()
 
@@ -315,10 +320,18 @@ def test_a_stack_that_is_saved_is_opened_as_it_was(seed: int, tmp_path: Path) ->
     assert_same(again.texture(), octex.Layers(opened, surface).texture())
 
 
-BROKEN = ["", "{", "3", "[3]", '[{"number": 1}]', '[{"number": 0, "name": "a"}]']
+BROKEN = ['{"number": 1}', '{"number": 0, "name": "a"}', '{"number": 1, "name": "a", "blend": "erase"}', "3"]
+LISTS = [
+    "",
+    "{",
+    "3",
+    "[]",
+    "{}",
+    *(f'{{"composite": "", "channels": [], "layers": [{each}]}}' for each in BROKEN),
+]
 
 
-@pytest.mark.parametrize("text", [*BROKEN, '[{"number": 1, "name": "a", "blend": "erase"}]'])
+@pytest.mark.parametrize("text", LISTS)
 def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
     surface, texture, _ = start()
     metadata = {"layers": text}
@@ -344,3 +357,127 @@ def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path:
         broken = OctreeTexture(saved.tree, channels, saved.placement, saved.bounds, saved.metadata)
         with pytest.raises(ArgumentError, match=r"layer 'paint' paints .* in another way than the texture"):
             octex.Layers(broken, surface)
+
+
+def grey(surface: octex.Surface) -> OctreeTexture:
+    return octex.convert(surface, 6, sources={"base_color": (0.5, 0.5, 0.5)})
+
+
+#: Calls that change what a texture shows.
+EDITS: dict[str, Callable[[OctreeTexture, octex.Surface], OctreeTexture]] = {
+    "blur": lambda texture, _: octex.blur(texture, 0.1),
+    "levels": lambda texture, _: octex.levels(texture, "base_color", 0.1, 0.8),
+    "curves": lambda texture, _: octex.curves(texture, "base_color", [(0, 0.2), (1, 1)]),
+    "mix": lambda texture, surface: octex.mix(texture, grey(surface), 0.5),
+    "combine": lambda texture, surface: octex.combine(
+        texture, octex.crop(grey(surface), (-1, 0, -1), (1, 1, 1))
+    ),
+    "paint": lambda texture, surface: octex.paint(texture, surface, brush(surface, 200, 30)),
+    "fill": lambda texture, surface: octex.fill(texture, surface, everywhere, (0.2, 0.4, 0.6)),
+    "merge": lambda texture, surface: octex.merge(
+        texture, octex.project(surface, brush(surface, 200, 30), like=texture), surface
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+@pytest.mark.parametrize("ending", ["octex", "octz"])
+def test_neither_an_edit_of_what_is_shown_nor_the_layers_are_lost(
+    name: str, ending: str, tmp_path: Path
+) -> None:
+    surface, _, layers = start()
+    layers.add_layer("paint", opacity=0.7)
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
+    layers.save(tmp_path / f"stack.{ending}")
+    saved = octex.open(tmp_path / f"stack.{ending}")
+    assert_same(octex.Layers(saved, surface).texture(), layers.texture())
+    path = tmp_path / f"edited.{ending}"
+    made = EDITS[name](saved, surface)
+    made.save(path)
+    edited = octex.open(path)
+    with pytest.raises(ArgumentError, match="edited after its layers were saved"):
+        octex.Layers(edited, surface)
+    flat = octex.Layers(edited, surface, keep="shown")
+    assert flat.layers == ()
+    for each, own in flat.texture().channels.items():
+        for one, other in zip(own[1:], made.channels[each][1:], strict=True):
+            assert np.array_equal(one, other)
+    again = octex.Layers(edited, surface, keep="layers")  # with the paint that they still have
+    assert again.layers == layers.layers
+    for choice in (flat, again):  # what is chosen is no longer asked for
+        choice.save(tmp_path / "chosen.octex")
+        assert_same(octex.Layers(octex.open(tmp_path / "chosen.octex"), surface).texture(), choice.texture())
+
+
+def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers() -> None:
+    surface, _, layers = start()
+    layers.add_layer("paint")
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
+    cropped = octex.crop(as_file(layers._texture, layers.layers), (-2, -2, 0), (2, 2, 2))
+    again = octex.Layers(cropped, surface)
+    assert again.layers == layers.layers
+
+
+def test_what_is_to_be_kept_is_one_of_two() -> None:
+    surface, texture, _ = start()
+    with pytest.raises(ArgumentError, match="keep"):
+        octex.Layers(texture, surface, keep="all")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_copy_hidden_changes_nothing_and_merged_layers_look_as_both_did(seed: int) -> None:
+    surface, _, layers = start()
+    random = np.random.default_rng(seed)
+    for number in range(3):
+        layers.add_layer(opacity=float(random.choice([1.0, 0.4])))
+        layers.fill(octex.Sphere(tuple(random.normal(size=3)), 0.9, soft=0.3), random.random(3))
+        layers.paint(shots(surface, random), max_depth=6 + number % 2)
+    layers.choose(2, mask=True)
+    layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.5), "#000000", blend="erase")
+    layers.change_layer(2, has_mask=True)
+    before, stack, count = layers.texture(), layers.layers, layers.count
+    copied = layers.copy_layer(2)
+    assert [each.number for each in layers.layers] == [1, 2, copied.number, 3]
+    layers.change_layer(2, is_visible=False)
+    assert_same(layers.texture(), before)
+    layers.fill(everywhere, "#ff0000")
+    layers.paint(brush(surface, 200, 30), max_depth=8)  # its cells are new arrays
+    layers.undo()
+    layers.undo()
+    layers.undo()
+    layers.undo()
+    layers.redo()
+    assert layers.chosen is not None
+    layers.change_layer(2, is_visible=False)
+    assert_same(layers.texture(), before)
+    layers.delete_layer(copied.number)
+    layers.change_layer(2, is_visible=True)
+    assert_same(layers.texture(), before)
+    one = layers.merge_layer(2)
+    assert [each.number for each in layers.layers] == [one.number, 3]
+    assert layers.chosen == one.number
+    assert_is_composite(layers)
+    after, hits = layers.texture(), surface.scatter(2000, seed)
+    for width in (0.0, 0.3):
+        found, expected = (each.sample(hits.rest, width=width) for each in (after, before))
+        assert np.abs(found - expected).max() <= 4 / 255
+    while layers.count > count:
+        layers.undo()
+    assert layers.layers == stack
+    assert_same(layers.texture(), before)
+    while layers.redo():
+        pass
+    assert_same(layers.texture(), after)
+
+
+def test_layers_that_cannot_be_one_are_refused() -> None:
+    _, _, layers = start()
+    layers.add_layer()
+    with pytest.raises(ArgumentError, match="no layer below"):
+        layers.merge_layer(1)
+    layers.add_layer("Shade", blend="multiply")
+    with pytest.raises(ArgumentError, match="'Shade' is hidden or not normal"):
+        layers.merge_layer(2)
+    layers.change_layer(2, blend="over", is_visible=False)
+    with pytest.raises(ArgumentError, match="'Shade' is hidden or not normal"):
+        layers.merge_layer(2)

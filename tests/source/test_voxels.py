@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import lzma
 import struct
-import zlib
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
 from octex.tree.walk import walk_leaves
 from tests.make.command import run
+from tests.make.vxz import vxz
 
 RNG = np.random.default_rng(3)
 COORDS = np.unique(RNG.integers(0, 13, (200, 3)), axis=0)[RNG.permutation(150)]
@@ -180,74 +179,32 @@ def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "--depth is not for voxels" in capsys.readouterr().err
 
 
-def octree(coords: np.ndarray, depth: int) -> tuple[bytes, list[int]]:
-    """Child masks of an octree, depth first, and its leaves' order, by the layout's text."""
-    masks, order = bytearray(), []
-
-    def visit(corner: tuple[int, ...], level: int, inside: list[int]) -> None:
-        half = 1 << (depth - level - 1)
-        at = len(masks)
-        masks.append(0)
-        for octant in range(8):
-            low = [c + half * (octant >> (2 - axis) & 1) for axis, c in enumerate(corner)]
-            own = [i for i in inside if all(0 <= coords[i][a] - low[a] < half for a in range(3))]
-            if own:
-                masks[at] |= 1 << octant
-                if half == 1:
-                    order.extend(own)
-                else:
-                    visit(tuple(low), level + 1, own)
-
-    visit((0, 0, 0), 0, list(range(len(coords))))
-    return bytes(masks), order
+VALUES = {"base_color": COLORS, "alpha": ALPHA, "label": ALPHA}
 
 
-def vxz(compression: str = "lzma", style: str = "as_is", **changes: Any) -> bytes:
-    """A .vxz file of chunks of 8 cells, and some of its header changed."""
-    pack = {
-        "none": bytes,
-        "deflate": lambda data: zlib.compress(data, 9)[2:-4],
-        "lzma": lambda data: lzma.compress(
-            # Not 64 MB of a dictionary, and ten times that beside it, for a few bytes.
-            data,
-            lzma.FORMAT_RAW,
-            filters=[{"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": 1 << 16}],
-        ),
-    }[compression]
-    values = {"base_color": COLORS, "alpha": ALPHA, "intersected": ALPHA}
-    chunks, binary = [], b""
-    for place in np.unique(COORDS // 8, axis=0).tolist():
-        chosen = np.flatnonzero((place == COORDS // 8).all(axis=1))
-        masks, order = octree(COORDS[chosen] % 8, 3)
-        rows = {name: each[chosen][order] for name, each in values.items()}
-        if style == "all":
-            parts = {"attr": np.hstack(list(rows.values()))}
-        elif style == "none":
-            parts = {f"{name}_{i}": each[:, i] for name, each in rows.items() for i in range(each.shape[1])}
-        else:
-            parts = rows
-        chunk, body = {"idx": place}, b""
-        for key, data in (("svo", masks), *((key, each.tobytes()) for key, each in parts.items())):
-            packed = pack(data)
-            chunk[key] = [len(body), len(packed)]
-            body += packed
-        chunk["ptr"] = [len(binary), len(body)]
-        binary += body
-        chunks.append(chunk)
-    header = {"num_voxel": 150, "chunk_size": 8, "filter": "none", "compression": compression}
-    header |= {"attr_interleave": style, "attr": [[name, each.shape[1]] for name, each in values.items()]}
-    text = json.dumps({**header, "chunks": chunks, **changes}).encode()
-    return b"VXZ\0" + struct.pack(">I", len(text) + 8) + text + binary
+def whole(**changes: Any) -> bytes:
+    return vxz(COORDS, VALUES, **changes)
 
 
-@pytest.mark.parametrize("compression", ["none", "deflate", "lzma"])
+def moved(index: int) -> bytes:
+    """A file whose first chunk says that it lies elsewhere."""
+    data = whole()
+    (start,) = struct.unpack_from(">I", data, 4)
+    chunks = json.loads(data[8:start])["chunks"]
+    chunks[0]["idx"][1] = index
+    return whole(chunks=chunks)
+
+
+@pytest.mark.parametrize("compression", ["none", "deflate", "lzma", "zstd"])
 @pytest.mark.parametrize("style", ["none", "as_is", "all"])
-def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str) -> None:
-    (tmp_path / "a.vxz").write_bytes(vxz(compression, style))
+@pytest.mark.parametrize("filtered", ["none", "parent", "neighbor"])
+def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str, filtered: str) -> None:
+    data = vxz(COORDS, VALUES, compression=compression, style=style, filtered=filtered)
+    (tmp_path / "a.vxz").write_bytes(data)
     texture = octex.convert(tmp_path / "a.vxz")
     assert texture.placement == ((-0.5,) * 3, 1.0)
-    assert set(texture.channels) == {"base_color", "alpha"}
-    for name, codes in (("base_color", COLORS), ("alpha", ALPHA)):
+    assert set(texture.channels) == {"base_color", "alpha", "label"}
+    for name, codes in (("base_color", COLORS), ("alpha", ALPHA), ("label", ALPHA)):
         centres = [tuple((place + 0.5) / 16) for place in COORDS]
         assert stored(texture, name) == dict(zip(centres, codes.tolist(), strict=True))
 
@@ -257,15 +214,22 @@ def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str) -
     [
         (b"", "is empty|is not a .vxz file"),
         (b"VXZ\1" + bytes(20), "version 1"),
-        (vxz()[:60], "is damaged"),
-        (vxz()[:-20], "is damaged"),
-        (vxz(chunk_size=16), "is damaged"),
-        (vxz(chunk_size=7), "a chunk size of 7"),
-        (vxz(chunks=[]), "has no voxels"),
-        (vxz(chunks=[{"ptr": [0, 9]}]), "is damaged .*svo"),
-        (vxz(attr=[["base_color", 2]]), "is damaged"),
-        (vxz(filter="parent"), "filter 'parent', which octex does not read; write it with filter='none'"),
-        (vxz("none", style="all").replace(b'"compression": "none"', b'"compression": "zstd"'), "'zstd'"),
+        (whole()[:60], "is damaged"),
+        (whole()[:-20], "is damaged"),
+        (whole(chunk_size=16), "is damaged"),
+        (whole(chunk_size=7), "a chunk size of 7"),
+        (whole(chunks=[]), "has no voxels"),
+        (whole(chunks=[{"ptr": [0, 9]}]), "is damaged .*svo"),
+        (whole(attr=[["base_color", 2]]), "is damaged"),
+        (whole(attr=[["base_color", 10**9], ["alpha", 1], ["label", 1]]), "is damaged .*1000000000 columns"),
+        (whole(attr=[["base_color", -1], ["alpha", 1], ["label", 1]]), "is damaged .*columns"),
+        (whole(chunk_size=2**30), "a chunk size of 1073741824"),
+        (whole(filter="left"), "filter 'left', which octex does not read; write it with filter='none'"),
+        (whole(attr_interleave="odd"), "attr_interleave 'odd', which octex does not read"),
+        (whole().replace(b'"compression": "lzma"', b'"compression": "zstd"'), "is damaged .*Zstandard"),
+        (moved(10**9), "is damaged .*a chunk at"),
+        (moved(10**30), "is damaged"),
+        (moved(-1), "coords from -8 to"),
     ],
 )
 def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, message: str) -> None:

@@ -8,9 +8,24 @@ from typing import Any
 import pytest
 
 from tests.make.browser import started
+from tests.make.studio import Studio
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with started() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+    """A grey ball that is painted."""
+    with Studio(browser, tmp_path_factory.mktemp("studio")).shared() as found:
+        yield found
+
+
+@pytest.fixture
+def page(studio: Studio) -> Iterator[Any]:
+    """A page whose brush and view are as at the beginning, on a model without paint."""
+    with studio.restored() as found:
         yield found

@@ -16,15 +16,14 @@ from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
+from octex.session.painting import Session, mirrored
 from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
-from tests.make.browser import served
 from tests.make.painted import ball, plain, together
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke
 from tests.viewer.test_session import plain as plain_command
 
@@ -38,32 +37,6 @@ def session(tmp_path: Path) -> Iterator[Session]:
     found.close()
 
 
-@pytest.fixture(scope="module")
-def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    found = Studio(browser, tmp_path_factory.mktemp("studio"))
-    with served(found.viewer):
-        found.shared = found.page()
-        yield found
-        assert found.shared.complaints == []
-        found.shared.close()
-    found.session.close()
-
-
-@pytest.fixture
-def page(studio: Studio) -> Iterator[Any]:
-    """A page whose brush is as at the beginning, on a model without paint."""
-    page = studio.shared
-    brush = page.evaluate("({ ...viewer.painting.brush })")
-    view = page.evaluate("viewer.camera.state")
-    yield page
-    page.evaluate("(brush) => viewer.painting.set(brush)", brush)
-    page.evaluate("(view) => viewer.camera.restore(view)", view)
-    while studio.session.shown.told["done"]:
-        done = studio.session.shown.told["done"]
-        page.keyboard.press("Control+z")
-        page.wait_for_function("(n) => viewer.painting.last.done < n", arg=done, timeout=60_000)
-
-
 def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any], Any]]) -> tuple[Any, ...]:
     """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
     before = pictured(page)
@@ -74,7 +47,7 @@ def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any],
     page.wait_for_function("(n) => viewer.painting.sending.waiting.length === n", arg=len(drags))
     shown = pictured(page)
     page.evaluate("release()")
-    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    studio.is_done(page)
     return before, shown, pictured(page)
 
 
@@ -311,7 +284,7 @@ def sent(studio: Studio, page: Any) -> Any:
     """Return the coverage of the stroke that waits, as codes (height, width), and let it be baked."""
     (left, top, right, bottom), codes, (width, height) = page.evaluate(_SENT)
     page.evaluate("release()")
-    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    studio.is_done(page)
     found = np.zeros((height, width), np.int64)
     found[top:bottom, left:right] = np.reshape(codes, (bottom - top, right - left))
     return found
@@ -384,7 +357,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio: Studi
         page.wait_for_function("viewer.isSharp", timeout=60_000)
         before = studio.session.shown.texture
         studio.drag(page, (0, 0), (0, 0))
-        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        studio.is_done(page)
         points = studio.surface.scatter(40_000, 0)
         apart = studio.session.shown.texture.sample(points) - before.sample(points)
         painted = points.points[np.abs(apart).max(axis=1) > 0.15]
@@ -505,12 +478,13 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, p
     page.fill("#mirror-at", "10")
     page.select_option("#blend", "screen")
     studio.drag(page, (0, 0), (20, 0))
-    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    studio.is_done(page)
     found = last_command(studio.session)
     chosen = {name: found[name] for name in ("backFaces", "hidden", "mirror", "blend")}
     assert chosen == {"backFaces": True, "hidden": True, "mirror": "y", "blend": "screen"}
     assert found["offset"] == pytest.approx(0.2, abs=0.01)
     assert np.linalg.norm(found["at"]) == pytest.approx(1, abs=0.02)
+    page.keyboard.press("Control+z")  # fills of finer cells take long
     for filled, like in (
         ("color", [8, True]),
         ("colors", [8, False]),
@@ -522,7 +496,7 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, p
             page.fill("#tolerance", "8")
         page.click("#tool-fill")
         studio.drag(page, (0, 0))
-        studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+        studio.is_done(page)
         found = last_command(studio.session)
         assert [found.get("tolerance"), found.get("connected")] == like
         assert ("at" in found) == (filled != "all")
@@ -562,7 +536,7 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
     page.evaluate("viewer.camera.turn = Math.PI")
     before, shown = pictured(page, paint=None), pictured(page)
     page.evaluate("release()")
-    studio.is_done(page, page.evaluate("viewer.painting.sending.number"))
+    studio.is_done(page)
     assert_same_inside((before, shown, pictured(page)))
 
 
@@ -580,29 +554,24 @@ class Pair(Studio):
 
 @pytest.fixture(scope="module")
 def pair(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    found = Pair(browser, tmp_path_factory.mktemp("pair"))
-    with served(found.viewer):
+    with Pair(browser, tmp_path_factory.mktemp("pair")).shared() as found:
         yield found
-    found.session.close()
 
 
 @needs_jit
 @pytest.mark.parametrize("mirror", ["", "x"])
 def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror: str, pair: Studio) -> None:
-    page = pair.page()
-    turned(page, 0.0)
     brush = {"onePart": True, "size": 60, "hardness": 0.6, "mirror": mirror}
     drag = [(-40, -10), (60, -10)]
-    pictures = drawn_and_baked(pair, page, [(brush, drag)])
+    with pair.restored() as page:
+        turned(page, 0.0)
+        pictures = drawn_and_baked(pair, page, [(brush, drag)])
+        texture = pair.session.shown.texture
     inside = assert_same_inside(pictures, ends_sharply=True)
     half = inside.shape[1] // 2
     assert inside[:, :half].sum() > 200
     assert (inside[:, half + 6 :].sum() > 200) == bool(mirror)
-    painted = np.abs(pair.session.shown.texture.sample(pair.surface.scatter(4000, 0)) - 0.5).max(axis=1) > 0.1
+    painted = np.abs(texture.sample(pair.surface.scatter(4000, 0)) - 0.5).max(axis=1) > 0.1
     parts = pair.surface.parts[pair.surface.scatter(4000, 0).triangles]
     assert painted[parts == 0].mean() > 0.04
     assert (painted[parts == 1].mean() > 0.04) == bool(mirror)  # cells at the border hold both
-    page.keyboard.press("Control+z")
-    page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
-    assert page.complaints == []
-    page.close()

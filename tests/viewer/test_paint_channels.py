@@ -15,11 +15,11 @@ import octex
 from octex.channels import NORMAL, ChannelFormat, decode, encode
 from octex.editing.draft import Change, joined_change
 from octex.errors import ArgumentError
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
-from octex.viewer.session import Session
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.viewer.test_session import SIZE, camera, disc, ones, plain, stroke

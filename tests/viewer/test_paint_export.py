@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -15,26 +15,16 @@ import pytest
 
 import octex
 from octex.errors import OutputError
+from octex.session.painting import Session
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
-from octex.viewer import Viewer, downloads, server, write_page
-from octex.viewer.session import Session
+from octex.viewer import Viewer, downloads, write_page
 from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.viewer.test_session import Served, canvas, plain, stroke
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setattr(server, "_FIRST", 400)
-    found = Served(tmp_path)
-    yield found
-    monkeypatch.setattr(server, "_FIRST", 0)
-    found.thread.join(20)
-    assert not found.thread.is_alive()
-    found.session.close()
+from tests.viewer.test_session import served as served
 
 
 def got(served: Served, path: str) -> tuple[int, dict[str, str], bytes]:

@@ -17,14 +17,14 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
+from octex.session.painting import Session
 from octex.viewer import Viewer, answers, server
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
+from tests.make.studio import Studio, pictured
 from tests.viewer.test_paint_export import served as served
-from tests.viewer.test_painting import Studio, pictured
 from tests.viewer.test_session import Served, canvas, plain, stroke
 
 
@@ -188,31 +188,25 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(
 
 
 @needs_jit
-def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(browser: Any, tmp_path: Path) -> None:
-    studio = Studio(browser, tmp_path)
-    with serving(studio.viewer):
-        page = studio.page()
-        before = pictured(page)
-        box = page.locator("#picture").bounding_box()
-        middle = box["width"] / 2, box["height"] / 2
-        page.mouse.move(*middle)
-        page.mouse.down()
-        page.mouse.move(middle[0] + 20, middle[1])
-        page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')")
-        page.evaluate("lose.loseContext()")
-        page.wait_for_function("viewer.isLost")
-        page.mouse.move(middle[0] + 40, middle[1], steps=3)
-        page.mouse.up()
-        page.evaluate("lose.restoreContext()")
-        page.wait_for_function("!viewer.isLost && viewer.isSharp")
-        assert (pictured(page) == before).all()
-        studio.drag(page, (0, 20), (30, 20))
-        studio.is_done(page, 1)
-        assert studio.session.shown.told["done"] == 1
-        assert np.abs(pictured(page) - before).max() > 60
-        assert page.complaints == []
-        page.close()
-    studio.session.close()
+def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio: Studio, page: Any) -> None:
+    before = pictured(page)
+    box = page.locator("#picture").bounding_box()
+    middle = box["width"] / 2, box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 20, middle[1])
+    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')")
+    page.evaluate("lose.loseContext()")
+    page.wait_for_function("viewer.isLost")
+    page.mouse.move(middle[0] + 40, middle[1], steps=3)
+    page.mouse.up()
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost && viewer.isSharp")
+    assert (pictured(page) == before).all()
+    studio.drag(page, (0, 20), (30, 20))
+    studio.is_done(page)
+    assert studio.session.shown.told["done"] == 1
+    assert np.abs(pictured(page) - before).max() > 60
 
 
 def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(

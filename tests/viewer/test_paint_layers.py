@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Blend
-from octex.viewer.session import Session
+from octex.session.painting import Session, Shown
+from octex.viewer import Viewer
 from tests.conftest import needs_jit
-from tests.make.browser import served
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
 
 
@@ -62,8 +63,9 @@ class Both:
     def do(self, random: np.random.Generator) -> None:
         """Do one thing at random."""
         layers, numbers = self.layers, [each.number for each in self.layers.layers]
-        move = random.choice(["stroke", "fill", "add", "set", "move", "delete", "undo", "redo"],
-                             p=[0.35, 0.1, 0.12, 0.15, 0.06, 0.04, 0.12, 0.06])  # fmt: skip
+        move = random.choice(["stroke", "fill", "add", "set", "move", "copy", "merge", "delete", "undo",
+                              "redo"],
+                             p=[0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06])  # fmt: skip
         number = int(random.choice(numbers)) if numbers else None
         if move in ("stroke", "fill"):
             target: dict[str, Any] = {} if number is None or random.random() < 0.2 else {"layer": number}
@@ -98,9 +100,10 @@ class Both:
             place = int(random.integers(len(numbers)))
             layers.move_layer(number, place)
             self.send("layer", action="move", layer=number, place=place)
-        elif move == "delete" and number is not None:
-            layers.delete_layer(number)
-            self.send("layer", action="delete", layer=number)
+        elif move in ("copy", "merge", "delete") and number is not None:
+            with suppress(ArgumentError):  # not all can be merged
+                getattr(layers, f"{move}_layer")(number)
+                self.send("layer", action=move, layer=number)
         elif move in ("undo", "redo"):
             getattr(layers, move)()
             self.send(move)
@@ -132,7 +135,10 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
         ({"action": "set", "layer": "1"}, "layer"),
         ({"action": "set"}, "name the layer to set"),
         ({"action": "move", "layer": 1}, "place"),
-        ({"action": "merge", "layer": 1}, "unknown action 'merge'; there are: add, set, move, delete"),
+        (
+            {"action": "split", "layer": 1},
+            "unknown action 'split'; there are: add, set, move, copy",
+        ),
         ({}, "unknown action"),
     ):
         with pytest.raises(ArgumentError, match=message):
@@ -150,20 +156,13 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     assert_same(session.shown.texture, canvas()[0])
 
 
-@pytest.fixture
-def studio(browser: Any, tmp_path: Path) -> Iterator[Studio]:
-    found = Studio(browser, tmp_path)
-    with served(found.viewer):
-        yield found
-    found.session.close()
-
-
 @needs_jit
-def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio: Studio) -> None:
-    page = studio.page()
+def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(
+    studio: Studio, page: Any
+) -> None:
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
-    studio.is_done(page, 1)
+    studio.is_done(page)
     assert page.evaluate("viewer.painting.layers.chosen") == 1
     before = pictured(page)
     page.evaluate(_HOLD)
@@ -171,7 +170,7 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.wait_for_function("viewer.painting.sending.waiting.length === 1")
     shown = pictured(page)
     page.evaluate("release()")
-    studio.is_done(page, 2)
+    studio.is_done(page)
     baked = pictured(page)
     inside = np.abs(shown - before).max(axis=2) > 60
     assert inside.mean() > 0.02
@@ -179,27 +178,21 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.keyboard.press("e")
     page.evaluate("viewer.painting.set({ size: 160, hardness: 1 })")
     studio.drag(page, (-60, 0), (0, -40), (60, 20))
-    studio.is_done(page, 3)
+    studio.is_done(page)
     assert np.abs(pictured(page) - before).max() <= 1
     page.click("#layer-delete")
-    studio.is_done(page, 4)
+    studio.is_done(page)
     assert page.evaluate("[viewer.painting.layers.chosen, viewer.painting.last.steps.at(-1)]") == [
         None,
         "Delete a layer",
     ]
-    assert page.complaints == []
-    page.close()
 
 
 @needs_jit
-def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> None:
-    page = studio.page()
-    number = 0
+def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio, page: Any) -> None:
 
     def done() -> list[dict[str, Any]]:
-        nonlocal number
-        number += 1
-        studio.is_done(page, number)
+        studio.is_done(page)
         return studio.session.shown.told["layers"]  # type: ignore[no-any-return]
 
     page.evaluate("document.getElementById('layers').open = true")
@@ -232,8 +225,6 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio) -> N
     page.keyboard.press("Control+z")
     assert not done()[0]["hasMask"]
     assert page.evaluate("viewer.painting.layers.target.mask") is False
-    assert page.complaints == []
-    page.close()
 
 
 def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path: Path) -> None:
@@ -270,3 +261,38 @@ def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path: 
     words = ["view", *(str(tmp_path / name) for name in ("ball.octex", "ball.glb")), "--paint"]
     assert main([*words, str(tmp_path / "out.octex")]) == ExitCode.REFUSED
     assert "out.layers.octex" in capsys.readouterr().err
+
+
+def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    texture, surface = canvas()
+    layers = octex.Layers(texture, surface)
+    layers.add_layer("Dirt")
+    layers.fill(ones, "#102030")
+    path, edited, model = (str(tmp_path / name) for name in ("stack.octex", "edited.octex", "ball.obj"))
+    layers.save(path)
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices)
+    Path(model).write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in surface.triangles + 1))
+    assert main(["edit", path, edited, "--levels", "0.1,0.8,1"]) == ExitCode.DONE
+    assert "the layers do not have it" in capfd.readouterr().err
+    words = ["view", edited, model, "--paint", str(tmp_path / "out.octex"), "--no-browser"]
+    assert main(words) == ExitCode.REFUSED
+    assert "edited.octex: the texture was edited after its layers were saved" in capfd.readouterr().err
+    found = list[Shown]()
+
+    def run(viewer: Viewer) -> None:
+        viewer._server.server_close()
+        assert viewer.session is not None
+        found.append(viewer.session.shown)
+
+    monkeypatch.setattr(Viewer, "run", run)
+    for choice in ("shown", "layers"):
+        assert main([*words, "--keep", choice]) == ExitCode.DONE
+    for name, own in found[0].texture.channels.items():
+        assert np.array_equal(own.values, octex.open(edited).channels[name].values)
+    assert found[0].told["layers"] == []
+    assert [each["title"] for each in found[1].told["layers"]] == ["Dirt"]
+    assert np.array_equal(
+        found[1].texture.channels["base_color"].values, layers.texture().channels["base_color"].values
+    )

@@ -20,10 +20,10 @@ import octex
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
-from tests.make.browser import camera_of, drawn, served
+from tests.make.browser import camera_of, drawn
 from tests.make.painted import square, together
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio
+from tests.make.studio import _HOLD, Studio
 
 Codes = npt.NDArray[np.uint8]
 pytestmark = needs_jit
@@ -42,10 +42,6 @@ class Easel(Studio):
             return take(body)
 
         self.session.take = taken  # type: ignore[method-assign]
-
-    def open(self) -> None:
-        self.shown = self.page()
-        self.shown.evaluate("viewer.finest = 1")  # sharp pictures are then drawn four times as fast
 
     def clear(self) -> None:
         """Undo all, and forget what the page has sent."""
@@ -114,12 +110,8 @@ class Easel(Studio):
 @contextmanager
 def painted_in_a_page(browser: Any, folder: Path, surface: Surface | None = None) -> Iterator[Easel]:
     found = Easel(browser, folder, surface)
-    with served(found.viewer):
-        found.open()
+    with found.opened() as found.shown:
         yield found
-        assert found.shown.complaints == []
-        found.shown.close()
-    found.session.close()
 
 
 @pytest.fixture(scope="module")

@@ -10,17 +10,15 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
+from octex.session.commands import command_of, stroke_of
+from octex.session.painting import Session, mirrored
 from octex.source.motion import Animation, Links, Motion
 from octex.source.surface import Surface
 from octex.viewer import Viewer
-from octex.viewer.commands import command_of, stroke_of
-from octex.viewer.session import Session, mirrored
 from tests.conftest import needs_jit
-from tests.make.browser import opened
-from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 from tests.viewer.test_session import NAN, canvas, plain, stroke
 
 FRAMES = 9
@@ -121,9 +119,7 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
     browser: Any, tmp_path: Path
 ) -> None:
     studio = Bending(browser, tmp_path)
-    with serving(studio.viewer):
-        page = opened(browser, studio.viewer.url, (900, 420))
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+    with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         plain_picture = pictured(page)
         page.evaluate(_HOLD)
@@ -147,6 +143,3 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
         page.evaluate("viewer.player.choose(-1)")
         studio.drag(page, (-30, 30), (30, 30))
         studio.is_done(page, 2)
-        assert page.complaints == []
-        page.close()
-    studio.session.close()

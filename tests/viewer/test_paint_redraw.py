@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.conftest import needs_jit
-from tests.make.browser import served
-from tests.viewer.test_painting import Studio
+from tests.make.studio import Studio
 
 #: How many pixels of the picture differ from one that is drawn anew, and how many of that one show the model.
 _UNLIKE = """() => {
@@ -31,10 +30,12 @@ _UNLIKE = """() => {
 @needs_jit
 def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) -> None:
     studio, random = Studio(browser, tmp_path, depth=8), np.random.default_rng(0)
-    with served(studio.viewer):
-        page, number, near = studio.page(), 0, 0
+    with studio.opened() as page:
+        near = 0
         page.set_viewport_size({"width": 760, "height": 280})
-        page.evaluate("viewer.tell = () => {}")  # the cell under the pointer is not marked
+        page.evaluate(
+            "viewer.finest = 0.5; viewer.tell = () => {}"
+        )  # the cell under the pointer is not marked
         for view in ("orbit(0.3, 0.2)", "zoom(0.2)", "zoom(9.0)", "orbit(0.9, 0.1)"):
             page.evaluate(f"viewer.camera.{view}; viewer.move()")
             page.wait_for_function("viewer.isSharp", timeout=60_000)
@@ -47,8 +48,7 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) 
                     studio.drag(page, (x, y), (x + 6, y + 4))
                 else:
                     page.keyboard.press("Control+z")
-                number += 1
-                studio.is_done(page, number)
+                studio.is_done(page)
                 page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
                 unlike, shown = page.evaluate(_UNLIKE)
                 assert unlike == 0
@@ -58,6 +58,3 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) 
                     assert page.evaluate("viewer.pictures") == pictures
                     near += 1
         assert near >= 6
-        assert page.complaints == []
-        page.close()
-    studio.session.close()

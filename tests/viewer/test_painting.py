@@ -2,92 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pytest
 
 import octex
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
-from octex.viewer import Viewer
-from octex.viewer.session import Session
 from tests.conftest import needs_jit
-from tests.make.browser import drawn, opened, served
-from tests.make.painted import ball
 from tests.make.same import assert_same
-
-SIZE = 900, 420
-#: Keeps answers of the server back, as a slow line does.
-_HOLD = """() => {
-  const { fetch } = window;
-  globalThis.release = () => void (window.fetch = fetch);
-  window.fetch = async (...asked) => {
-    while (asked[0] === "session" && window.fetch !== fetch) await new Promise((go) => setTimeout(go, 20));
-    return fetch(...asked);
-  };
-}"""
-
-
-class Studio:
-    """A model that is painted in a page: a grey ball."""
-
-    def __init__(self, browser: Any, folder: Path, surface: Surface | None = None, depth: int = 6) -> None:
-        self.surface: Surface = surface or ball(32)
-        if surface is None:
-            surface = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture: OctreeTexture = octex.convert(surface, depth=depth)
-        self.start(browser, folder)
-
-    def start(self, browser: Any, folder: Path) -> None:
-        self.output = folder / "out.octex"
-        self.session = Session(self.texture, self.surface, self.output)
-        self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)
-        self.browser = browser
-
-    def page(self) -> Any:
-        page = opened(self.browser, self.viewer.url, SIZE)
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
-        return page
-
-    def is_done(self, page: Any, number: int) -> None:
-        """Wait until a page shows its command of a number."""
-        page.wait_for_function(
-            "(n) => viewer.painting.last.baked[viewer.painting.sending.page] === n",
-            arg=number,
-            timeout=60_000,
-        )
-
-    def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
-        """Press a button at the first place, from the middle of the picture, and drag it on."""
-        box = page.locator("#picture").bounding_box()
-        places = [(box["width"] / 2 + x, box["height"] / 2 + y) for x, y in places]
-        page.mouse.move(*places[0])
-        page.mouse.down(**options)
-        for place in places[1:]:
-            page.mouse.move(*place, steps=steps)
-        page.mouse.up(**options)
-
-
-@pytest.fixture
-def studio(browser: Any, tmp_path: Path) -> Iterator[Studio]:
-    found = Studio(browser, tmp_path)
-    with served(found.viewer):
-        yield found
-    found.session.close()
-
-
-def pictured(page: Any, **more: Any) -> npt.NDArray[np.int64]:
-    look = more | {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
-    return drawn(page, (240, 200), **look).astype(np.int64)
+from tests.make.studio import _HOLD, Studio, pictured
 
 
 @needs_jit
-def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio) -> None:
-    page = studio.page()
+def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio, page: Any) -> None:
     plain = pictured(page)
     page.evaluate(_HOLD)
     studio.drag(page, (-60, 0), (0, -40), (60, 20))
@@ -99,7 +25,7 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio) -> None:
     page.evaluate("viewer.camera.orbit(0.5, 0.15)")
     turned, plain_turned = pictured(page), pictured(page, paint=None)
     page.evaluate("release()")
-    studio.is_done(page, 1)
+    studio.is_done(page)
     turned_after = pictured(page)
     is_seen = np.abs(turned_after - plain_turned).max(axis=2) > 60
     assert is_seen.mean() > 0.01
@@ -111,18 +37,16 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio) -> None:
     assert np.sqrt((inside**2).mean()) <= 2
     again = studio.page()
     assert np.abs(pictured(again) - after).max() <= 1
-    for each in (page, again):
-        assert each.complaints == []
-        each.close()
+    assert again.complaints == []
+    again.close()
 
 
 @needs_jit
-def test_undo_gives_the_texture_back_and_redo_the_stroke(studio: Studio) -> None:
-    page = studio.page()
+def test_undo_gives_the_texture_back_and_redo_the_stroke(studio: Studio, page: Any) -> None:
     plain = pictured(page)
     for offset in (0, 20):
         studio.drag(page, (-30, offset), (30, offset))
-    studio.is_done(page, 2)
+    studio.is_done(page)
     twice = studio.session.shown.texture
     for key, done in (("Control+z", 1), ("Control+z", 0), ("Control+Shift+Z", 1), ("Control+y", 2)):
         page.keyboard.press(key)
@@ -135,12 +59,11 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio: Studio) -> None
     page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
     assert_same(studio.session.shown.texture, studio.texture)
     assert page.locator("#steps .undone").count() == 2
-    page.close()
 
 
 @needs_jit
-def test_two_pages_see_the_same_and_one_saves(studio: Studio) -> None:
-    page, other = studio.page(), studio.page()
+def test_two_pages_see_the_same_and_one_saves(studio: Studio, page: Any) -> None:
+    other = studio.page()
     studio.drag(page, (0, 0), (10, 10))
     other.wait_for_function("viewer.painting.last.done === 1", timeout=60_000)
     studio.drag(other, (-20, 0), (-40, 10))
@@ -151,29 +74,27 @@ def test_two_pages_see_the_same_and_one_saves(studio: Studio) -> None:
     other.wait_for_function("viewer.painting.last.isSaved", timeout=60_000)
     assert_same(octex.open(studio.output), studio.session.shown.texture)
     assert "all is saved" in other.locator("#saved").inner_text()
-    for each in (page, other):
-        assert each.complaints == []
-        each.close()
+    assert other.complaints == []
+    other.close()
 
 
 @needs_jit
-def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio: Studio) -> None:
-    page = studio.page()
+def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio: Studio, page: Any) -> None:
     page.route("**/session", lambda route: route.abort())
     for offset in (-30, 0, 30):
         studio.drag(page, (-30, offset), (30, offset))
     page.wait_for_function("document.getElementById('paint-note').textContent.startsWith('3 changes wait')")
     assert studio.session.shown.told["done"] == 0
     page.unroute("**/session")
-    studio.is_done(page, 3)
+    studio.is_done(page)
     assert studio.session.shown.told["done"] == 3
     assert page.locator("#paint-note").inner_text() == ""
-    page.close()
+    assert page.complaints
+    page.complaints.clear()
 
 
 @needs_jit
-def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio) -> None:
-    page = studio.page()
+def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio, page: Any) -> None:
     for start, options in (((0, 0), {"button": "middle"}), ((0, 0), {"button": "right"}), ((200, 150), {})):
         before = page.evaluate("String(viewer.camera.view)")
         studio.drag(page, start, (start[0] + 20, start[1] + 10), **options)
@@ -181,14 +102,14 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio) 
     before = page.evaluate("String(viewer.camera.view)")
     studio.drag(page, (0, 0), (20, 10))
     assert page.evaluate("String(viewer.camera.view)") == before
-    studio.is_done(page, 1)
+    studio.is_done(page)
     assert studio.session.shown.told["done"] == 1
-    page.close()
 
 
 @needs_jit
-def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio: Studio) -> None:
-    page = studio.page()
+def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(
+    studio: Studio, page: Any
+) -> None:
     box = page.locator("#picture").bounding_box()
     before = page.evaluate("String(viewer.camera.view)")
     page.mouse.move(box["width"] / 2, box["height"] / 2)
@@ -202,17 +123,15 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(stu
     page.keyboard.press("Control+z")
     page.wait_for_function("viewer.painting.sending.waiting.length === 2")
     page.evaluate("release()")
-    studio.is_done(page, 2)
+    studio.is_done(page)
     assert page.evaluate("[viewer.painting.last.steps, viewer.painting.last.done]") == [["Brush"], 0]
     assert_same(studio.session.shown.texture, studio.texture)
-    page.close()
 
 
 @needs_jit
-def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio) -> None:
-    page = studio.page()
+def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio, page: Any) -> None:
     studio.drag(page, (-30, 0), (0, 0))
-    studio.is_done(page, 1)
+    studio.is_done(page)
     before = pictured(page)
     page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
     page.wait_for_function("viewer.isLost")
@@ -220,29 +139,24 @@ def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio) -> None:
     page.wait_for_function("!viewer.isLost && viewer.isSharp")
     assert (pictured(page) == before).all()
     studio.drag(page, (0, 20), (30, 20))
-    studio.is_done(page, 2)
+    studio.is_done(page)
     assert np.abs(pictured(page) - before).max() > 60
-    assert page.complaints == []
-    page.close()
 
 
 @needs_jit
-def test_nothing_is_painted_that_is_not_seen(studio: Studio) -> None:
-    page = studio.page()
+def test_nothing_is_painted_that_is_not_seen(studio: Studio, page: Any) -> None:
     for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
         page.evaluate(look)
         studio.drag(page, (0, 0), (10, 0))
         assert "to paint" in page.locator("#paint-note").inner_text()
         page.evaluate("viewer.look.cubes = false; viewer.look.shown = 'lit'")
     studio.drag(page, (0, 0), (10, 0))
-    studio.is_done(page, 1)
+    studio.is_done(page)
     assert page.locator("#paint-note").inner_text() == ""
-    page.close()
 
 
 @needs_jit
-def test_keys_and_the_picker_set_the_brush(studio: Studio) -> None:
-    page = studio.page()
+def test_keys_and_the_picker_set_the_brush(studio: Studio, page: Any) -> None:
     brush = "viewer.painting.brush"
     assert page.evaluate(f"{brush}.size") == 40
     page.keyboard.press("]")
@@ -261,6 +175,5 @@ def test_keys_and_the_picker_set_the_brush(studio: Studio) -> None:
     np.testing.assert_allclose(page.evaluate(f"{brush}.color"), grey, atol=1)
     page.click("#tool-fill")
     studio.drag(page, (0, 0))
-    studio.is_done(page, 1)
+    studio.is_done(page)
     assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
-    page.close()

@@ -23,11 +23,11 @@ import octex
 from octex.channels import decode
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode, OutputError
+from octex.session import painting as sessions
+from octex.session.painting import BusyError, OrderError, Session
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, answers, server
-from octex.viewer import session as sessions
-from octex.viewer.session import BusyError, OrderError, Session
 from tests.make.painted import ball
 from tests.make.same import assert_same
 
@@ -456,7 +456,7 @@ class Served:
 
 @pytest.fixture
 def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setattr(server, "_FIRST", 40)
+    monkeypatch.setattr(server, "_FIRST", 400)
     found = Served(tmp_path)
     yield found
     monkeypatch.setattr(server, "_FIRST", 0)

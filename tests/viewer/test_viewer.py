@@ -160,7 +160,6 @@ def sharp(page: Any) -> bytes:
 @needs_jit
 def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser: Any, small: Path) -> None:
     page = opened(browser, file_url(small), (900, 480))
-    page.evaluate("viewer.finest = 1")
     canvas = page.locator("canvas")
     canvas.focus()
     page.keyboard.press("0")
@@ -257,7 +256,6 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Pa
 @needs_jit
 def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
     page = opened(browser, file_url(small), (900, 480))
-    page.evaluate("viewer.finest = 1")
     before = sharp(page)
     page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
     page.wait_for_function("document.getElementById('status').textContent.includes('lost')")

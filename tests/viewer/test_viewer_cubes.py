@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,9 @@ _CUBES = """(level) => {
 
 
 @pytest.fixture(scope="module")
-def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[octex.OctreeTexture, Path]:
+def painted(
+    browser: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[octex.OctreeTexture, Any]]:
     """A ball, a part of it finer, and its page."""
     surface = ball(16).with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
     low, _ = surface.bounds
@@ -34,15 +36,15 @@ def painted(tmp_path_factory: pytest.TempPathFactory) -> tuple[octex.OctreeTextu
     )
     path = tmp_path_factory.mktemp("page") / "ball.html"
     write_page(texture, path, surface, title="ball.octex")
-    return texture, path
+    page = opened(browser, file_url(path), (760, 400))
+    yield texture, page
+    assert page.complaints == []
+    page.close()
 
 
 @needs_jit
-def test_cubes_are_the_leaves_and_made_in_pieces(
-    painted: tuple[octex.OctreeTexture, Path], browser: Any
-) -> None:
-    texture, path = painted
-    page = opened(browser, file_url(path), (760, 300))
+def test_cubes_are_the_leaves_and_made_in_pieces(painted: tuple[octex.OctreeTexture, Any]) -> None:
+    texture, page = painted
     for level in (0, 3, 6, 7):
         cubes, counts = page.evaluate(_CUBES, level)
         found = np.array(cubes).reshape(-1, 5)
@@ -54,18 +56,17 @@ def test_cubes_are_the_leaves_and_made_in_pieces(
         assert counts == sorted(counts)
         assert counts[-1] == len(found)
     assert max(np.diff(counts)) <= 8 * 2048
-    page.close()
 
 
 @needs_jit
 def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
-    painted: tuple[octex.OctreeTexture, Path], browser: Any
+    painted: tuple[octex.OctreeTexture, Any],
 ) -> None:
-    texture, path = painted
-    page = opened(browser, file_url(path), (760, 300))
+    texture, page = painted
     page.check("#cubes")
     assert page.locator("#cubes-note").inner_text() == ""
     fewer = "(most) => { viewer.gpu.mostCubes = most; viewer.explain(); viewer.move(); }"
+    most = page.evaluate("viewer.gpu.mostCubes")
     page.evaluate(fewer, texture.tree.n_leaves - 1)
     note = "Level 6 is drawn: level 7 has too many cubes."
     assert page.locator("#cubes-note").text_content() == note
@@ -75,16 +76,12 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
     assert page.evaluate(middle)["level"] <= 6
     page.uncheck("#cubes")
     assert page.locator("#cubes-note").text_content() == ""
-    assert page.complaints == []
-    page.close()
+    page.evaluate(fewer, most)
 
 
 @needs_jit
-def test_the_legend_names_the_colours_that_are_drawn(
-    painted: tuple[octex.OctreeTexture, Path], browser: Any
-) -> None:
-    texture, path = painted
-    page = opened(browser, file_url(path), (760, 400))
+def test_the_legend_names_the_colours_that_are_drawn(painted: tuple[octex.OctreeTexture, Any]) -> None:
+    texture, page = painted
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((each) => each.style.background)"
     assert not page.locator("#legend").is_visible()
     page.select_option("#shown", "depth")
@@ -115,5 +112,3 @@ def test_the_legend_names_the_colours_that_are_drawn(
     assert page.locator("#legend li").count() == 8
     page.select_option("#shown", "unlit")
     assert not page.locator("#legend").is_visible()
-    assert page.complaints == []
-    page.close()

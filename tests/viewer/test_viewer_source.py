@@ -74,7 +74,7 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
     page = opened(browser, file_url(tmp_path / "two.html"), (900, 480))
     picture = lambda: page.locator("canvas").screenshot()  # noqa: E731
-    page.evaluate("viewer.finest = 1; viewer.camera.reset(0, 0); viewer.move()")
+    page.evaluate("viewer.camera.reset(0, 0); viewer.move()")
     pictures = []
 
     def sharp() -> None:

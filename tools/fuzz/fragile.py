@@ -27,6 +27,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,10 +39,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork takes no threads al
 from octex.ahead import compile_listed
 from octex.cli.common import TRACEBACK_VARIABLE, bytes_text
 from octex.cli.main import main as octex_main
-from octex.errors import ExitCode, ImageError
+from octex.errors import ExitCode, ImageError, OctexError
 from octex.parallel import silent
 from octex.source.images.decode import decode_image
-from octex.source.load import MODEL_ENDINGS
+from octex.source.load import MODEL_ENDINGS, load_surface
 from octex.source.voxels import VOXEL_ENDINGS
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga", ".tif", ".tiff", ".exr", ".hdr"}
@@ -117,9 +118,16 @@ def forked(work: Callable[[], int], scratch: Path, seconds: int, memory: int) ->
 
 
 def attempt(path: Path, scratch: Path, depth: int) -> int:
-    """Convert a model or voxels, or decode an image; say why not on stderr; return an exit code."""
-    if path.suffix.lower() in {*MODEL_ENDINGS, *VOXEL_ENDINGS}:
-        options = [] if path.suffix.lower() in VOXEL_ENDINGS else ["--depth", str(depth)]
+    """Convert a model or voxels, or decode an image; say why not on stderr; return an exit code.
+
+    Voxels are also read as a surface, which may be refused.
+    """
+    if path.suffix.lower() in MODEL_ENDINGS:
+        options = ["--depth", str(depth)]
+        if path.suffix.lower() in VOXEL_ENDINGS:
+            options = []
+            with suppress(OctexError):
+                load_surface(path)
         words = ["convert", str(path), str(scratch / "out.octex"), *options, "--quiet", "--force"]
         return octex_main(words, PROGRAM)
     try:
@@ -185,7 +193,7 @@ def files(folders: Iterable[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the models and images below some folders, with the names to list them by."""
     for folder in folders:
         for path in sorted(folder.rglob("*")):
-            if path.is_file() and path.suffix.lower() in {*MODEL_ENDINGS, *VOXEL_ENDINGS, *IMAGE_ENDINGS}:
+            if path.is_file() and path.suffix.lower() in {*MODEL_ENDINGS, *IMAGE_ENDINGS}:
                 yield path.relative_to(folder).as_posix(), path
 
 

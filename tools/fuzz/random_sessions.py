@@ -26,9 +26,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT)]
 
 import octex  # noqa: E402
+from octex.session.commands import command_of, stroke_of  # noqa: E402
+from octex.session.journal import _records  # noqa: E402
 from octex.texture import OctreeTexture  # noqa: E402
-from octex.viewer.commands import command_of, stroke_of  # noqa: E402
-from octex.viewer.journal import _records  # noqa: E402
 from tests.make.paint_server import PAGE, PaintServer, command, disc  # noqa: E402
 from tests.make.same import assert_same  # noqa: E402
 

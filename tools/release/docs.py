@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 TITLES = {"start": "Start", "tasks": "Tasks", "reference": "Reference", "about": "About"}
 #: The order in which the API's page lists what octex exports.
 API = {
-    "Surfaces": "load_surface Surface subdivide Creases",
+    "Surfaces": "load_surface Surface repair subdivide Creases",
     "Sources": "MappedImage PointCloud Transfer Voxels Ptex",
     "Conversion": "convert convert_set separate",
     "Textures": "open OctreeTexture TextureSet",

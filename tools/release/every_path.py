@@ -16,7 +16,7 @@ from octex.editing.draft import Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.source.mesh import Mesh
-from octex.source.voxels import unpack_vxz
+from octex.source.models.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
@@ -79,7 +79,7 @@ def main(_arguments: list[str]) -> int:
             write_preview(folder / "lit.png", texture, surface, size=(64, 64), light=light, bump=bump)
         light.irradiance([[0.0, 0.0, 1.0]])
         _map(surfaces[0])
-        _take(surfaces[0])
+        _take(surfaces[0], folder)
         _separate(surfaces[0])
         _paint(surfaces[0], folder)
         _bake(surfaces, folder)
@@ -157,8 +157,8 @@ def _map(surface: octex.Surface) -> None:
     mapped.source.texel_edges(samples.triangles)
 
 
-def _take(surface: octex.Surface) -> None:
-    """Take values from another model and from points, and convert points and voxels alone."""
+def _take(surface: octex.Surface, folder: Path) -> None:
+    """Take values from another model and from points, convert points alone, and read voxels."""
     samples = surface.scatter(10)
     cloud = octex.PointCloud(samples.rest, np.full((10, 3), 128, np.uint8), samples.normals)
     bare = octex.Surface.from_arrays(surface.vertices, surface.triangles)
@@ -166,15 +166,22 @@ def _take(surface: octex.Surface) -> None:
         bare.with_sources(sources).evaluate(samples)
     octex.convert(cloud)
     voxel = {"ptr": [0, 4], "svo": [0, 1], "attr": [1, 3], "idx": [0, 0, 0]}
-    header = {"filter": "none", "compression": "none", "chunk_size": 2, "attr": [["base_color", 3]]}
-    words = json.dumps({**header, "attr_interleave": "all", "chunks": [voxel]}).encode()
-    unpack_vxz(b"VXZ\0" + (8 + len(words)).to_bytes(4, "big") + words + b"\x01abc", "warm-up")
+    for name in ("none", "parent", "neighbor"):
+        header = {"filter": name, "compression": "none", "chunk_size": 2, "attr": [["base_color", 3]]}
+        words = json.dumps({**header, "attr_interleave": "all", "chunks": [voxel]}).encode()
+        unpack_vxz(b"VXZ\0" + (8 + len(words)).to_bytes(4, "big") + words + b"\x01abc", "warm-up")
+    quad = np.array([[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]])
+    grid = {"dual_vertices": np.full((4, 3), 0.5), "intersected": quad == 0}
+    np.savez(folder / "quad.npz", coords=quad, x=np.ones(4), **grid)
+    octex.load_surface(folder / "quad.npz")
 
 
 def _separate(surface: octex.Surface) -> None:
-    """Move two parts apart."""
+    """Move two parts apart, and repair them."""
     twice = np.concatenate([surface.triangles, surface.triangles + len(surface.rest)])
-    octex.separate(octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice))
+    parts = octex.Surface.from_arrays(np.concatenate([surface.rest, surface.rest + 0.001]), twice)
+    octex.separate(parts)
+    octex.repair(octex.Surface.from_arrays(parts.rest, parts.triangles[1:]), cell=0.1)
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:

@@ -18,8 +18,8 @@ from typing import Any
 import PIL.Image
 
 import octex
+from octex.session.painting import Session
 from octex.viewer import Viewer
-from octex.viewer.session import Session
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -110,7 +110,7 @@ def main() -> None:
         session = Session(texture, surface, Path(folder, "painted.octex"))
         viewer = Viewer(lambda: texture, Path(folder, "droid.octex"), surface, session=session)
         with served(viewer):
-            page = opened(browser, viewer.url, SIZE)
+            page = opened(browser, viewer.url, SIZE, finest=2)
             page.wait_for_function("viewer.painting && viewer.isSharp", timeout=_PATIENCE)
             hand = Hand(page)
             paint(hand)

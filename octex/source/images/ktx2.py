@@ -6,16 +6,14 @@ The largest mip is read. Whether its texels are sRGB or data the use says, as of
 from __future__ import annotations
 
 import struct
-import sys
 import zlib
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
 from octex.errors import ImageError, MissingExtraError
 from octex.source.images.openimage import check_size, spread
 from octex.source.images.pyramid import Texels
+from octex.source.zstd import unpack_zstd
 
 SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
 #: zstd packs 128 kB of equal bytes, so many texels of one lane, into four.
@@ -86,15 +84,11 @@ def _unpacked(data: bytes, scheme: int, size: int, name: str, what: str) -> byte
         raise ImageError(
             f"{name} has {what} packed by scheme {scheme}, which octex does not read; pack them by zstd"
         )
-    unpacker: Any = zlib.decompressobj()
     if scheme == _ZSTD:
-        module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-        try:
-            unpacker = import_module(module).ZstdDecompressor()
-        except ImportError:
-            what = f"{name}: to unpack zstd's texels"
-            raise MissingExtraError.needed(what, "backports.zstd", "ktx2") from None
-    unpacked: bytes = unpacker.decompress(data, size + 1)
+        unpacked, is_all = unpack_zstd(data, size + 1, name)
+        return unpacked if is_all else b""
+    unpacker = zlib.decompressobj()
+    unpacked = unpacker.decompress(data, size + 1)
     return unpacked if unpacker.eof else b""
 
 

@@ -153,7 +153,7 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
         positions = document.accessor(attributes["POSITION"], (3,), decoded.get("POSITION"))
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             positions = positions.astype(np.float64)
-        if not np.isfinite(positions).all():
+        if not options.finite and not np.isfinite(positions).all():
             raise ModelError(f"{name} has vertices that are not finite; repair the model")
         indices: Array = np.arange(len(positions))
         if triangles is not None:

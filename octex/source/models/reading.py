@@ -19,7 +19,8 @@ from octex.npz import read_npz
 from octex.source.corners import Corners, Creases, Frames, Polygons
 from octex.source.images.decode import global_settings
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource, Texture
-from octex.source.surface import Surface, flip_v
+from octex.source.mesh import FARTHEST
+from octex.source.surface import NOT_FINITE, Surface, flip_v
 from octex.source.tangents import corner_frames, transformed
 from octex.source.vectors import Vector, cross_product, dot_product, minus, row_of
 
@@ -33,6 +34,7 @@ class Options(NamedTuple):
     without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
     normals: bool = False  # the model's own, also where no normal map needs them
     pose: str | None = None  # NAME@SECONDS of an animation; None: as it rests
+    finite: bool = False  # leave out triangles with vertices that are not finite, do not refuse them
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
@@ -204,6 +206,12 @@ def assembled(
         [part.triangles + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     )
 
+    is_lost = np.zeros(len(triangles), np.bool_)
+    if options.finite:
+        is_far = ~(np.abs(positions) <= FARTHEST).all(axis=1)
+        positions[is_far] = 0.0
+        is_lost = is_far[triangles].any(axis=1)
+
     def joined(attributes: Sequence[Corners | None], default: float) -> Corners | None:
         width = next((each.values.shape[1] for each in attributes if each is not None), None)
         if width is None:
@@ -238,7 +246,7 @@ def assembled(
         channels=options.channels,
     )
     uvs = [part.uv for part in parts]
-    return Surface(
+    surface = Surface(
         positions if posed is None else posed,
         triangles,
         source,
@@ -250,6 +258,11 @@ def assembled(
         name=name,
         provenance=provenance,
     )
+    if not is_lost.any():
+        return surface
+    surface = surface.part(np.flatnonzero(~is_lost))
+    surface.provenance[NOT_FINITE] = str(int(is_lost.sum()))
+    return surface
 
 
 def cut_part(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> tuple[Part, Int64s, Int64s]:

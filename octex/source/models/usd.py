@@ -162,7 +162,7 @@ class _Scene:
         positions = _rows(mesh.GetPointsAttr().Get(self._time), 3).astype(np.float64)
         sizes = _rows(mesh.GetFaceVertexCountsAttr().Get(self._time)).astype(np.int64)
         corners = _rows(mesh.GetFaceVertexIndicesAttr().Get(self._time)).astype(np.int64)
-        if not np.isfinite(positions).all():
+        if not self._options.finite and not np.isfinite(positions).all():
             raise ModelError(f"{what} has points that are not finite; repair the model")
         if sizes.min(initial=0) < 0 or sizes.sum() != len(corners):
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")

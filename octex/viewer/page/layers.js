@@ -9,6 +9,8 @@ Object.assign(ICONS, {
   add: "M10.8 4h2.4v6.8H20v2.4h-6.8V20h-2.4v-6.8H4v-2.4h6.8z",
   up: "m12 5 7 7-1.7 1.7-4.1-4.1V19h-2.4V9.6l-4.1 4.1L5 12z",
   down: "m12 19-7-7 1.7-1.7 4.1 4.1V5h2.4v9.4l4.1-4.1L19 12z",
+  copy: "M8 3h12v14H8zm2.2 2.2v9.6h7.6V5.2zM4 7h2.2v11.8H16V21H4z",
+  merge: "M4 4h16v2.2H4zm0 13.8h16V20H4zM10.8 7.5h2.4v4.6l2-2L16.9 11.8 12 16.6 7.1 11.8l1.7-1.7 2 2z",
   remove: "M9 3h6l1 2h4v2.2H4V5h4zM5.5 8.6h13L17.6 21H6.4zm4 2.2v8h1.6v-8zm3.4 0v8h1.6v-8z",
   seen: "M12 5C6.5 5 2.7 9.4 1.5 12c1.2 2.6 5 7 10.5 7s9.3-4.4 10.5-7C21.3 9.4 17.5 5 12 5zm0 2.2c3.8 0 6.7 2.8 8 4.8-1.3 2-4.2 4.8-8 4.8S5.3 14 4 12c1.3-2 4.2-4.8 8-4.8zm0 1.6a3.2 3.2 0 1 0 0 6.4 3.2 3.2 0 0 0 0-6.4z",
   hidden: "m3.5 2.5-1.5 1.5 4 4C3.7 9.3 2.2 11 1.5 12c1.2 2.6 5 7 10.5 7 1.7 0 3.2-.4 4.5-1l4 4 1.5-1.5zM12 16.8c-3.8 0-6.7-2.8-8-4.8.700-1.1 1.9-2.4 3.5-3.4l1.7 1.7A3.2 3.2 0 0 0 13.6 15l1.2 1.2c-.9.4-1.8.600-2.8.600zM12 5c5.5 0 9.3 4.4 10.5 7-.5 1.1-1.5 2.5-2.9 3.8L18 14.2c.9-.7 1.5-1.5 2-2.2-1.3-2-4.2-4.8-8-4.8-.6 0-1.1.100-1.7.200L8.5 5.6A11 11 0 0 1 12 5z",
@@ -36,9 +38,11 @@ export class Layers {
     const title = make("input", { type: "text", id: "layer-title", maxlength: 40, onchange: ({ target }) => (target.value.trim() ? set("title", "Rename a layer")(target.value.trim()) : this.show()) });
     return section("layers", "Layers",
       make("div", { class: "bar" },
-        act("layer-add", "add", "Add a layer above", () => this.add()),
+        act("layer-add", "add", "Add a layer above", () => this.make("add", "Add a layer")),
         act("layer-up", "up", "Move the layer up", () => this.move(1)),
         act("layer-down", "down", "Move the layer down", () => this.move(-1)),
+        act("layer-copy", "copy", "Copy the layer", () => this.make("copy", "Copy a layer")),
+        act("layer-merge", "merge", "Merge with the layer below", () => this.make("merge", "Merge layers")),
         act("layer-delete", "remove", "Delete the layer", () => this.send("delete", "Delete a layer"))),
       make("ul", { id: "stack" }),
       make("div", { id: "layer" },
@@ -82,9 +86,9 @@ export class Layers {
     this.painting.sending.send({ kind: "layer", name, action, ...(this.chosen === null ? {} : { layer: this.chosen }), ...more });
   }
 
-  add() {
+  make(action, name) {
     this.wanted += 1;
-    this.send("add", "Add a layer");
+    this.send(action, name);
   }
 
   move(by) {
@@ -111,10 +115,11 @@ export class Layers {
     const { stack, layer } = this, place = stack.indexOf(layer);
     element("stack").replaceChildren(...[...stack].reverse().map((each) => this.row(each)), this.row(null));
     element("layer").hidden = !layer;
-    for (const id of ["layer-up", "layer-down", "layer-delete"]) element(id).disabled = !layer;
+    for (const id of ["layer-up", "layer-down", "layer-copy", "layer-merge", "layer-delete"]) element(id).disabled = !layer;
     if (!layer) return;
     element("layer-up").disabled = place === stack.length - 1;
     element("layer-down").disabled = place === 0;
+    element("layer-merge").disabled = place === 0 || [layer, stack[place - 1]].some(({ isVisible, blend }) => !isVisible || blend !== "over");
     element("layer-title").value = layer.title;
     element("layer-opacity").value = layer.opacity;
     element("layer-opacity-text").textContent = `${Math.round(100 * layer.opacity)} %`;

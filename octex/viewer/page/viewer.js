@@ -307,7 +307,7 @@ class Viewer {
     const pixels = this.canvas.clientWidth * this.canvas.clientHeight * full * full;
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
     // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
-    const finest = this.cost * pixels * this.finest ** 2 < 2 * FRAME ? this.finest : 1;
+    const finest = this.cost * pixels * this.finest ** 2 < 2 * FRAME ? this.finest : Math.min(this.finest, 1);
     const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
       if (!(isStill ? this.isSharp : this.isDrawn)) this.draw(full * scale);

@@ -27,7 +27,7 @@ _MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 #: What can be done with a layer, and the fields that say how it is to be.
-_ACTIONS = "add", "set", "move", "delete"
+_ACTIONS = "add", "set", "move", "copy", "merge", "delete"
 _FIELDS = {
     "title": "name",
     "opacity": "opacity",

@@ -26,11 +26,8 @@ from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Projection
-from octex.source.corners import at_corners
-from octex.source.motion import Motion
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
-from octex.viewer.commands import (
+from octex.painting.unwrap import Patch
+from octex.session.commands import (
     Command,
     Where,
     command_of,
@@ -42,9 +39,13 @@ from octex.viewer.commands import (
     stroke_of,
     target_of,
 )
-from octex.viewer.journal import Journal, layers_file
-from octex.viewer.material import paint_of, pictures_of, with_channel
-from octex.viewer.poses import Poses, mirrored_spot
+from octex.session.journal import Journal, layers_file
+from octex.session.material import paint_of, pictures_of, with_channel
+from octex.session.poses import Poses, mirrored_spot
+from octex.source.corners import at_corners
+from octex.source.motion import Motion
+from octex.source.surface import Surface
+from octex.texture import OctreeTexture
 
 #: Commands that wait for their turn; a page keeps more of them itself.
 _MOST_WAITING = 64
@@ -152,12 +153,12 @@ class Session:
             self._queue.put(command)
         return command.number
 
-    def patch(self, asked: str) -> bytes:
-        """Return what a page shows of the surface laid flat: a line of JSON, and the mesh's stream.
+    def patch(self, asked: str) -> Patch:
+        """Return the surface laid flat, as JSON with the fields of a stroke asks for it.
 
-        ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
+        Raises ArgumentError and ModelError.
         """
-        return self._poses.packed(asked, self.shown.texture)
+        return self._poses.asked(asked)
 
     def wait(self) -> None:
         """Wait until all that was taken is done."""
@@ -336,6 +337,10 @@ class Session:
             self._painter.change_layer(number, **given)
         elif action == "move":
             self._painter.move_layer(number, **given)
+        elif action == "copy":
+            self._painter.copy_layer(number)
+        elif action == "merge":
+            self._painter.merge_layer(number)
         else:
             self._painter.delete_layer(number)
         self._did(command, [self._painter.changes])

@@ -10,13 +10,9 @@ from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
 from octex.painting.picture import Projection
 from octex.painting.unwrap import Patch, unwrap
+from octex.session.commands import Moment, Spot, moment_of, spot_of
 from octex.source.motion import Motion
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
-from octex.viewer.commands import Moment, Spot, moment_of, spot_of
-from octex.viewer.moves import start_of
-from octex.viewer.pack import packed_mesh
-from octex.viewer.streams import deflated
 
 #: Patches that are kept: one that is painted on, and the one in a mirror.
 _MOST_PATCHES = 2
@@ -26,7 +22,7 @@ class Poses:
     """A surface at moments of its animations and in patches; the last ones are kept for the next strokes."""
 
     def __init__(self, surface: Surface, motion: Motion | None) -> None:
-        is_moved = motion is not None and start_of(motion, surface) is not None
+        is_moved = motion is not None and motion.start_on(surface.vertices, surface.rest) is not None
         self._surface, self._motion = surface, motion if is_moved else None
         self._last: tuple[Moment, Surface] | None = None
         self._patches: tuple[tuple[tuple[Moment | None, Spot], Patch], ...] = ()
@@ -60,8 +56,8 @@ class Poses:
         camera = cast(Camera, projection.camera)
         return replace(projection, camera=replace(self.patch(moment, spot), camera=camera))
 
-    def packed(self, asked: str, texture: OctreeTexture) -> bytes:
-        """Return a patch as pages take it: a line of JSON, and the mesh's stream."""
+    def asked(self, asked: str) -> Patch:
+        """Return the patch that JSON with the fields of a stroke asks for; raises as ``patch`` does."""
         try:
             given = json.loads(asked)
         except (ValueError, RecursionError):
@@ -71,11 +67,7 @@ class Poses:
         spot = spot_of(given)
         if spot is None:
             raise ArgumentError("patch is missing")
-        patch = self.patch(moment_of(given), spot)
-        flat = patch.surface.placed_in(texture).part(patch.triangles)
-        header, stream = packed_mesh(texture, flat)
-        line = {"mesh": header, "faults": patch.faults}
-        return json.dumps(line).encode() + b"\n" + deflated(stream, 1)
+        return self.patch(moment_of(given), spot)
 
 
 def mirrored_spot(spot: Spot, axis: int, middle: float) -> Spot:

@@ -24,9 +24,9 @@ from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.painting.options import format_of
 from octex.painting.picture import Projection
+from octex.session.commands import Command, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
-from octex.viewer.commands import Command, channel_of, codes_of, values_of
 
 #: The channel that pages show as relief.
 HEIGHT = ChannelFormat("height", 1, "data")

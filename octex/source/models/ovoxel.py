@@ -1,0 +1,216 @@
+"""Read voxels as a surface: O-Voxel's dual grid, or the mesh that lies beside them in the file.
+
+Each voxel of a dual grid has a vertex, and says whether the surface crosses three of its edges: those along
+x, y and z that end at its highest corner. The four voxels around such an edge make a quad (Ju et al., "Dual
+Contouring of Hermite Data", 2002; Xiang et al., "Native and Compact Structured Latents", 2025).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from octex.channels import decode
+from octex.errors import ModelError
+from octex.jit import kernel
+from octex.nearest.points import Points
+from octex.source.base import Source, in_order
+from octex.source.corners import Corners, area_vectors
+from octex.source.mesh import as_positions, as_triangles
+from octex.source.models.reading import Options
+from octex.source.surface import Surface
+from octex.source.voxels import Voxels, voxel_arrays
+
+#: The four voxels around the edge of a voxel along x, y and z, in order around it.
+_AROUND = np.array(
+    [
+        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
+        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
+        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
+    ]
+)
+_AXES = 3
+#: So many of a mesh's vertices must lie in a voxel, or beside one.
+_LEAST_NEAR = 0.5
+#: Coords have so many bits at most.
+_BITS = 21
+
+
+class VertexValues(Source):
+    """Values of vertices (n, columns), as they are stored linearly, and what lies between them."""
+
+    def __init__(self, voxels: Voxels, values: Float32s, triangles: Int32s, names: list[str]) -> None:
+        self._channels = tuple(voxels.values[name].form for name in names)
+        self._corners = Corners(values, triangles)
+
+    def evaluate(
+        self,
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
+        """Return values (n, components) at points of triangles, whatever the width."""
+        return self._corners.at(triangles, barycentric).astype(np.float32)
+
+
+def load_voxel_surface(path: Path, options: Options) -> Surface:
+    """Read a .vxz or .npz file of voxels as a surface that has their channels.
+
+    The mesh is that of ``vertices`` and ``faces``, or else of ``dual_vertices`` and ``intersected``. Raises
+    ModelError for a file without either, and for one whose mesh and voxels do not lie on each other.
+    """
+    arrays = voxel_arrays(path)
+    voxels = Voxels.of(arrays, path.name)
+    edges = np.ldexp(voxels.size, -voxels.depths.astype(np.int32))[:, None]
+    origin = np.array(voxels.origin)
+    is_meshed = {"vertices", "faces"} <= arrays.keys()
+    if is_meshed:
+        vertices = as_positions(arrays["vertices"], f"{path.name}: vertices")
+        triangles = as_triangles(arrays["faces"], len(vertices), path.name)
+    elif {"dual_vertices", "intersected"} <= arrays.keys():
+        within = _within(arrays["dual_vertices"], len(voxels), path.name)
+        vertices = (voxels.coords + within) * edges + origin
+        triangles = _dual_mesh(voxels.coords, vertices, arrays, path.name)
+    else:
+        raise ModelError(
+            f"{path.name} has no mesh: octex needs the arrays dual_vertices and intersected, or vertices and "
+            "faces; use the mesh of another file"
+        )
+    names = in_order([name for name in voxels.values if options.wants(name)])
+    lacking = [each for each in options.channels or () if each not in voxels.values]
+    if lacking and options.materials:
+        known = ", ".join(in_order(list(voxels.values)))
+        raise ModelError(f"{path.name} has no channel {', '.join(lacking)}; it has {known}")
+    columns = [_linear(voxels, name) for name in names] or [np.empty((len(voxels), 0), np.float32)]
+    values = np.concatenate(columns, axis=1)
+    if is_meshed:
+        centres = (voxels.coords + 0.5) * edges + origin
+        values, is_near = Points.of(centres, values).around(
+            vertices, np.zeros(len(vertices)), nearest=2.0 * float(edges.max())
+        )
+        if is_near.mean() < _LEAST_NEAR:
+            raise ModelError(
+                f"{path.name}: mesh and voxels do not lie on each other: {100 * is_near.mean():.3g} % of the "
+                "vertices are near a voxel; save origin and voxel_size too"
+            )
+    return Surface(vertices, triangles, VertexValues(voxels, values, triangles, names), name=path.name)
+
+
+def _linear(voxels: Voxels, name: str) -> Float32s:
+    form, rows = voxels.values[name]
+    return np.asarray(decode(rows, form.space) if rows.dtype.kind == "u" else rows, np.float32)
+
+
+def _within(dual: Array, count: int, name: str) -> Float64s:
+    """Return where the vertices lie within their voxels (n, 3), 0 to 1: bytes are parts of 255."""
+    if dual.shape != (count, _AXES) or (dual.dtype != np.uint8 and dual.dtype.kind != "f"):
+        what = f"{dual.dtype} {dual.shape}"
+        raise ModelError(f"{name}: dual_vertices must be bytes or floats of shape ({count}, 3), not {what}")
+    within = dual / 255.0 if dual.dtype == np.uint8 else dual.astype(np.float64)
+    if not ((within >= -1e-6) & (within <= 1.0 + 1e-6)).all():
+        raise ModelError(f"{name}: dual_vertices must lie within their voxels, from 0 to 1")
+    return np.clip(within, 0.0, 1.0)
+
+
+def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], name: str) -> Int32s:
+    """Return the triangles (m, 3) of a dual grid, which wind the same way where they hang together."""
+    crossed = _crossed(arrays["intersected"], len(coords), name)
+    keys = _keys(coords)
+    order = np.argsort(keys)
+    if (np.diff(keys[order]) == 0).any():
+        raise ModelError(f"{name}: some of its voxels overlap; keep one at each place")
+    voxel, axis = np.nonzero(crossed)
+    around = _keys((coords[voxel, None] + _AROUND[axis]).reshape(-1, 3))
+    found = order[np.minimum(np.searchsorted(keys, around, sorter=order), len(keys) - 1)]
+    quads = found.reshape(-1, 4)[(keys[found] == around).reshape(-1, 4).all(axis=1)]
+    if not len(quads):
+        raise ModelError(f"{name} has no surface: no edge that is crossed has a voxel on all sides")
+    # From corner 0 to corner 2, as O-Voxel cuts quads, unless the first triangle has no area.
+    is_cut = np.asarray(area_vectors(vertices[quads[:, :3]]).any(axis=1))
+    if "split_weight" in arrays:
+        weights = arrays["split_weight"]
+        if weights.size != len(coords) or weights.dtype.kind not in "fui":
+            raise ModelError(f"{name}: split_weight must be numbers of shape ({len(coords)}, 1)")
+        of_corners = weights.reshape(-1).astype(np.float64)[quads]
+        is_cut = of_corners[:, 0] * of_corners[:, 2] > of_corners[:, 1] * of_corners[:, 3]
+    _turn(*_across(quads), vertices, quads)
+    cuts = np.where(is_cut[:, None], [0, 1, 2, 0, 2, 3], [0, 1, 3, 3, 1, 2])
+    return np.take_along_axis(quads, cuts, axis=1).reshape(-1, 3).astype(np.int32)
+
+
+def _crossed(intersected: Array, count: int, name: str) -> Bools:
+    """Return whether the surface crosses a voxel's edges (n, 3), of flags, or of bits in a byte."""
+    flags = intersected[:, None] if intersected.ndim == 1 else intersected
+    if flags.shape not in ((count, 1), (count, _AXES)) or flags.dtype.kind not in "bui":
+        raise ModelError(
+            f"{name}: intersected must be whole numbers of shape ({count}, 1) or ({count}, 3), not "
+            f"{intersected.dtype} {intersected.shape}"
+        )
+    if flags.shape[1] == 1:
+        flags = flags.astype(np.int64) >> np.arange(_AXES) & 1
+    return np.asarray(flags != 0)
+
+
+def _keys(coords: Int64s) -> Int64s:
+    """Return a number for each place; −1 beyond any grid."""
+    keys = (coords[:, 0] << _BITS | coords[:, 1]) << _BITS | coords[:, 2]
+    return np.where((coords >> _BITS != 0).any(axis=1), -1, keys)
+
+
+def _across(quads: Int64s) -> tuple[Int64s, Bools]:
+    """Return for each side of quads (n · 4,) the one other along the same edge, −1 for none or several.
+
+    And whether that runs the same way.
+    """
+    starts, ends = quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1)
+    keys = np.minimum(starts, ends) << 32 | np.maximum(starts, ends)
+    order = np.argsort(keys, kind="stable")
+    firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    pairs = firsts[np.diff(firsts, append=keys.size) == 2]
+    a, b = order[pairs], order[pairs + 1]
+    others = np.full(keys.size, -1, np.int64)
+    others[a], others[b] = b, a
+    same = np.zeros(keys.size, np.bool_)
+    same[a] = same[b] = starts[a] == starts[b]
+    return others, same
+
+
+@kernel
+def _turn(others: Int64s, same: Bools, vertices: Float64s, quads: Int64s) -> None:
+    """Turn quads so that those beside each other wind the same way, and each part has its volume inside."""
+    part = np.full(len(quads), -1, np.int64)
+    is_turned = np.zeros(len(quads), np.bool_)
+    members = np.empty(len(quads), np.int64)
+    for seed in range(len(quads)):
+        if part[seed] >= 0:
+            continue
+        part[seed] = seed
+        members[0] = seed
+        count, done = 1, 0
+        origin = vertices[quads[seed, 0]]
+        volume = 0.0
+        while done < count:
+            quad = members[done]
+            done += 1
+            inside = 0.0
+            for i in range(1, 3):
+                a = vertices[quads[quad, 0]] - origin
+                b = vertices[quads[quad, i]] - origin
+                c = vertices[quads[quad, i + 1]] - origin
+                inside += a[0] * (b[1] * c[2] - b[2] * c[1])
+                inside += a[1] * (b[2] * c[0] - b[0] * c[2])
+                inside += a[2] * (b[0] * c[1] - b[1] * c[0])
+            volume += -inside if is_turned[quad] else inside
+            for side in range(4 * quad, 4 * quad + 4):
+                other = others[side] // 4
+                if others[side] >= 0 and part[other] < 0:
+                    part[other] = seed
+                    is_turned[other] = is_turned[quad] != same[side]
+                    members[count] = other
+                    count += 1
+        for row in range(count):
+            quad = members[row]
+            if is_turned[quad] == (volume >= 0.0):
+                quads[quad, 1], quads[quad, 3] = quads[quad, 3], quads[quad, 1]

@@ -1,0 +1,213 @@
+"""Read .vxz files: sparse voxels with attributes of bytes, as O-Voxel writes them.
+
+The layout is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0: "VXZ", the version, where
+the binary part starts (big endian), a header of JSON, and chunks. The octree of a chunk has a byte for each
+node, depth first, whose bit 4x + 2y + z says that there is a child. The leaves' attributes follow in that
+order, or differences: at each node from the child before ("parent"), or from a voxel beside ("neighbor").
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from octex.arrays import Array, Int64s, Uint8s, bit_counts
+from octex.errors import ModelError
+from octex.jit import kernel
+from octex.source.zstd import unpack_zstd
+
+_LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
+_DEEPEST_CHUNK = 10
+_MOST_COLUMNS = 64
+#: Chunks lie so far from the first one at most: beyond it no grid reaches.
+_FARTHEST = 1 << 21
+#: Where the voxel lies that a difference was taken from: the last of these that is there.
+_BESIDE = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], np.int64)
+
+
+def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
+    """Return the coords (n, 3) of a file's voxels, and their values (n, components), uint8, by name.
+
+    Raises ModelError, with ``name``, for what is damaged or unknown, MissingExtraError for zstd without it.
+    """
+    if data[:3] != b"VXZ" or len(data) < 8:
+        raise ModelError(f"{name} is not a .vxz file, or is damaged")
+    if data[3]:
+        raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0")
+    try:
+        (start,) = struct.unpack_from(">I", data, 4)
+        header = json.loads(data[8:start])
+        known = {
+            "filter": ("neighbor", "parent", "none"),
+            "compression": ("none", "deflate", "zstd", "lzma"),
+            "attr_interleave": ("none", "all", "as_is"),
+        }
+        for key, choices in known.items():
+            if header[key] not in choices:
+                raise ModelError(
+                    f"{name} has the {key} {header[key]!r}, which octex does not read; write it with "
+                    f"{key}={choices[-1]!r}"
+                )
+        parts = [_chunk(memoryview(data)[start:], chunk, header, name) for chunk in header["chunks"]]
+    except ModelError:
+        raise
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise ModelError(f"{name} is damaged ({type(error).__name__}: {error}); write it again") from None
+    except (zlib.error, lzma.LZMAError, RecursionError, struct.error) as error:
+        raise ModelError(f"{name} is damaged ({error}); write it again") from None
+    if not parts:
+        raise ModelError(f"{name} has no voxels")
+    names = parts[0][1]
+    values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
+    return np.concatenate([coords for coords, _ in parts]), values
+
+
+def _chunk(
+    data: memoryview, chunk: dict[str, Any], header: dict[str, Any], name: str
+) -> tuple[Int64s, dict[str, Array]]:
+    first, length = chunk["ptr"]
+    content = data[first : first + length]
+    unpack = _unpacker(header["compression"], name)
+
+    def part(key: str, most: int) -> Uint8s:
+        begin, size = chunk[key]
+        if begin < 0 or size < 0 or begin + size > len(content):
+            raise ValueError(f"{key} reaches outside of its chunk")
+        return np.frombuffer(unpack(content[begin : begin + size], most + 1), np.uint8)
+
+    edge = int(header["chunk_size"])
+    depth = edge.bit_length() - 1
+    if edge != 1 << depth or not 1 <= depth <= _DEEPEST_CHUNK:
+        raise ValueError(f"a chunk size of {edge}")
+    masks = part("svo", edge**3 // 7)
+    coords = np.empty((int(bit_counts(masks).sum()), 3), np.int64)
+    leaves = _walk(masks, depth, coords)
+    if leaves < 0:
+        raise ValueError("its octree ends early, or has more than it says")
+    coords = coords[:leaves]
+    widths = {str(each): int(width) for each, width in header["attr"]}
+    if any(not 1 <= width <= _MOST_COLUMNS for width in widths.values()):
+        raise ValueError(f"attributes of {max(widths.values())} columns")
+    style, total = header["attr_interleave"], sum(widths.values())
+    if style == "all":
+        rows = part("attr", leaves * total).reshape(leaves, total)
+    elif style == "as_is":
+        single = [part(each, leaves * width).reshape(leaves, width) for each, width in widths.items()]
+        rows = np.concatenate(single, axis=1)
+    else:
+        names = [f"{each}_{i}" for each, width in widths.items() for i in range(width)]
+        rows = np.stack([part(each, leaves).reshape(leaves) for each in names], axis=1)
+    if header["filter"] == "parent":
+        rows = _sums_of_children(masks, depth, rows)
+    elif header["filter"] == "neighbor":
+        codes = (coords[:, 2] * edge + coords[:, 1]) * edge + coords[:, 0]
+        order = np.argsort(codes)
+        rows = np.ascontiguousarray(rows[order])
+        _add_beside(coords[order], codes[order], edge, rows)
+        rows[order] = rows.copy()
+    columns = np.split(rows, np.cumsum([*widths.values()])[:-1], axis=1)
+    place = np.array(chunk["idx"], np.int64).reshape(3)
+    if (np.abs(place) > _FARTHEST).any():
+        raise ValueError(f"a chunk at {place.tolist()}")
+    return coords + place * edge, dict(zip(widths, columns, strict=True))
+
+
+def _unpacker(compression: str, name: str) -> Callable[[memoryview, int], bytes]:
+    """Return what unpacks bytes to so many at most."""
+    if compression == "none":
+        return lambda data, most: bytes(data[:most])
+    if compression == "zstd":
+        return lambda data, most: unpack_zstd(data, most, name)[0]
+    if compression == "deflate":
+        return lambda data, most: zlib.decompressobj(wbits=-15).decompress(data, most)
+    return lambda data, most: lzma.LZMADecompressor(lzma.FORMAT_RAW, None, _LZMA).decompress(data, most)
+
+
+@kernel
+def _walk(masks: Uint8s, depth: int, coords: Int64s) -> int:
+    """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree."""
+    stack = np.zeros((7 * depth + 1, 4), np.int64)  # the levels and places of cells to come
+    above = min(masks.size, 1)
+    at = count = 0
+    while above > 0:
+        above -= 1
+        level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
+        if level == depth:
+            coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
+            count += 1
+            continue
+        if at == masks.size:
+            return -1
+        mask = np.int64(masks[at])
+        at += 1
+        for octant in range(7, -1, -1):
+            if mask >> octant & 1:
+                stack[above, 0], stack[above, 1] = level + 1, 2 * x + (octant >> 2)
+                stack[above, 2], stack[above, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
+                above += 1
+    return count if at == masks.size else -1
+
+
+@kernel
+def _sums_of_children(masks: Uint8s, depth: int, steps: Uint8s) -> Uint8s:
+    """Return the leaves' values (n, columns), depth first, of an octree that is known to be whole.
+
+    The first row of steps is the root's value; a first child has its parent's, and each other child the value
+    of the one before plus the next row. A node's rows follow those of the nodes before it.
+    """
+    values = np.zeros_like(steps)
+    columns = steps.shape[1]
+    stack = np.zeros((7 * depth + 1, columns), np.uint8)
+    levels = np.zeros(7 * depth + 1, np.int64)
+    children = np.zeros((8, columns), np.uint8)
+    above = min(masks.size, len(steps), 1)
+    if above > 0:
+        stack[0] = steps[0]
+    at = count = 0
+    row = 1
+    while above > 0:
+        above -= 1
+        level = levels[above]
+        if level == depth:
+            values[count] = stack[above]
+            count += 1
+            continue
+        mask = np.int64(masks[at])
+        at += 1
+        born = 0
+        for octant in range(8):
+            if mask >> octant & 1:
+                for k in range(columns):
+                    step = np.uint8(0) if born == 0 else steps[row, k]
+                    before = stack[above, k] if born == 0 else children[born - 1, k]
+                    children[born, k] = before + step
+                row += 1 if born > 0 else 0
+                born += 1
+        for child in range(born - 1, -1, -1):
+            stack[above] = children[child]
+            levels[above] = level + 1
+            above += 1
+    return values
+
+
+@kernel
+def _add_beside(coords: Int64s, codes: Int64s, edge: int, values: Uint8s) -> None:
+    """Add to voxels, sorted by z, y and x, the value of one beside, which has its own by then."""
+    for n in range(codes.size):
+        for number in range(len(_BESIDE) - 1, -1, -1):
+            step = _BESIDE[number]
+            x, y, z = coords[n, 0] - step[0], coords[n, 1] - step[1], coords[n, 2] - step[2]
+            code = (z * edge + y) * edge + x
+            if min(x, min(y, z)) < 0:
+                continue
+            other = np.searchsorted(codes[:n], code)
+            if other < n and codes[other] == code:
+                for k in range(values.shape[1]):
+                    values[n, k] += values[other, k]
+                break

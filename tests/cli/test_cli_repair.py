@@ -1,0 +1,82 @@
+"""--repair at the command line: what is left out is counted in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import octex
+from octex.errors import ModelError
+from tests.make.command import refusal, run
+
+
+@pytest.fixture
+def messy(tmp_path: Path) -> Path:
+    """A box around another, a copy of a triangle, a sliver, and a triangle to nowhere."""
+    outer, inner = trimesh.creation.box(), trimesh.creation.box((0.5, 0.5, 0.5))
+    points = [*outer.vertices.tolist(), *inner.vertices.tolist(), ["nan", 0, 0]]
+    whole = [*outer.faces.tolist(), *(inner.faces + 8).tolist()]
+    faces = [*whole, whole[3], [0, 1, 1], [0, 1, 16]]
+    lines = [f"v {x} {y} {z}" for x, y, z in points]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path = tmp_path / "messy.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+COUNTS = {"not_finite": 1, "degenerate": 1, "duplicate": 1, "inner": 12, "moved": 0}
+
+
+def test_convert_and_bake_tell_what_they_left_out(
+    messy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "repair the model" in refusal(capsys, messy, tmp_path / "a.octex", "--quiet")
+    assert run(messy, tmp_path / "a.octex", "--depth", "3", "--repair", "--quiet", "--json") == 0
+    facts: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert facts["repair"] == COUNTS
+    texture = octex.open(tmp_path / "a.octex")
+    box = octex.Surface.from_arrays(trimesh.creation.box().vertices, trimesh.creation.box().faces)
+    assert texture.tree.n_leaves == octex.convert(box, 3).tree.n_leaves
+    assert json.loads(texture.metadata["repair"]) == COUNTS
+    baked = tmp_path / "a.glb"
+    assert run("bake", tmp_path / "a.octex", messy, baked, "--repair", "--texture-size", "64") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "repair: left out triangles: 1 not finite, 1 without area, 1 duplicate, 12 inner" in lines
+    assert len(octex.load_surface(baked).triangles) == 12
+    assert run(messy, tmp_path / "parts", "--depth", "3", "--repair", "--parts") == 0
+    assert "12 inner" in capsys.readouterr().out
+
+
+def test_a_repair_needs_one_mesh(messy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refusal(capsys, messy, tmp_path / "a.octex", "--repair", "--quiet", "--also", messy)
+    assert "--repair applies to one model; leave out --also" in said
+    (tmp_path / "ball.py").write_text("def ball(p):\n    return (p**2).sum(axis=1) - 1\n")
+    said = refusal(
+        capsys, f"{tmp_path / 'ball.py'}:ball", tmp_path / "a.octex", "--repair", "--grid=-2,-2,-2,2,2,2,1"
+    )
+    assert "--repair applies to meshes" in said
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "off", "stl", "glb"])
+def test_triangles_that_are_not_finite_are_left_out_of_every_format(tmp_path: Path, ending: str) -> None:
+    mesh = trimesh.creation.box()
+    points = np.concatenate([mesh.vertices, [[-77.25, 0, 0]]])
+    faces = np.concatenate([mesh.faces, [[0, 1, 8]], [[2, 8, 3]]])
+    path = tmp_path / f"a.{ending}"
+    trimesh.Trimesh(points, faces, process=False).export(path)
+    data = path.read_bytes().replace(struct.pack("<f", -77.25), struct.pack("<f", np.inf))
+    path.write_bytes(re.sub(rb"-77\.250*\b", b"inf", data) if ending in ("obj", "off") else data)
+    with pytest.raises(ModelError, match="finite"):
+        octex.load_surface(path)
+    surface = octex.load_surface(path, finite=True)
+    assert surface.provenance["not_finite"] == "2"
+    assert len(surface.triangles) == 12
+    np.testing.assert_allclose(surface.bounds, [[-0.5] * 3, [0.5] * 3])
+    assert octex.repair(surface)[1] == (2, 0, 0, 0, 0)
