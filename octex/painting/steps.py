@@ -354,12 +354,12 @@ def raise_texture(
         is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
         is_kept = draft.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
+        is_other = ~is_refined & ~is_node[new]  # nodes are averaged
         is_refined &= is_node[new] | ~where.is_leaf | shows[where.cells]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
         below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
         rows.append((cells[is_refined], below))
         found.append((cells[is_refined], below.values))
-        is_other = ~is_refined & ~is_node[new]  # nodes are averaged
         looked_up.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
     others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
     if draft.tree.n_leaves and others.size:
