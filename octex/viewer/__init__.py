@@ -15,7 +15,8 @@ page/       the page: plain modules and shaders, as they are served
     motion      bones and targets at frames
     source      the model's own images; divider: between these and the octree
     part        a texture and its mesh: what the GPU holds of them
-    gpu         programs, and what is drawn with them of all parts; rest positions and values of pixels
+    programs    shaders, compiled for what is shown of a part
+    gpu         what is drawn with them of all parts; rest positions and values of pixels
     camera      goes around a point; its file for octex's cameras; controls: mouse, touch and keys
     legend      what the colours of levels and facings stand for
     connection  the line to the server, which tells the version that is shown

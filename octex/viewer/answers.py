@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from octex.viewer.downloads import Downloads
     from octex.viewer.server import Viewer
-    from octex.viewer.session import Session
 
 ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -90,7 +89,9 @@ class Handler(BaseHTTPRequestHandler):
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
         elif path == "patch" and self.viewer.session is not None:
-            self._patch(self.viewer.session)
+            self._made(self.viewer.session.patch)
+        elif path == "beneath" and self.viewer.session is not None:
+            self._made(self.viewer.session.beneath)
         elif path == "export" and self.viewer.downloads is not None:
             self._export(self.viewer.downloads)
         elif path.startswith("export/") and self.viewer.downloads is not None:
@@ -222,10 +223,10 @@ class Handler(BaseHTTPRequestHandler):
     def _follow(self) -> None:
         self.viewer.follow(self._events())
 
-    def _patch(self, session: Session) -> None:
-        """Answer with a piece of the surface, laid flat."""
+    def _made(self, make: Callable[[str], bytes]) -> None:
+        """Answer with what a session makes for a page."""
         try:
-            body = session.patch(unquote(self.path.partition("?")[2]))
+            body = make(unquote(self.path.partition("?")[2]))
         except OctexError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         else:

@@ -22,6 +22,7 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
+from octex.painting.beneath import Stacked
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
@@ -30,6 +31,7 @@ from octex.source.corners import at_corners
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.viewer.below import packed_beneath
 from octex.viewer.commands import (
     Command,
     Where,
@@ -75,6 +77,7 @@ class Shown(NamedTuple):
     told: dict[str, Any]
     before: OctreeTexture | None  # the texture at the time before
     changes: tuple[Change, ...]  # since then
+    stacked: Stacked  # with the layers that it is made of
 
 
 class Session:
@@ -159,6 +162,13 @@ class Session:
         """
         return self._poses.packed(asked, self.shown.texture)
 
+    def beneath(self, asked: str) -> bytes:
+        """Return what strokes in a layer lead to: a line of JSON, and the streams. Raises ArgumentError.
+
+        ``asked`` is JSON with the layer and what strokes lead to, see `octex.painting.beneath`.
+        """
+        return packed_beneath(asked, self.shown.stacked)
+
     def wait(self) -> None:
         """Wait until all that was taken is done."""
         self._queue.join()
@@ -226,7 +236,7 @@ class Session:
             "fault": self._fault,
             "question": self._question,
         }
-        return Shown(self._painter.texture(), told, self._before, self._changes)
+        return Shown(self._painter.texture(), told, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Do a command; what fails changes nothing, and is told."""

@@ -5,19 +5,21 @@ import { control } from "./controls.js";
 import { isServed, readChange, readFile, readHeader, readStream } from "./data.js";
 import { Divider } from "./divider.js";
 import { download, element } from "./elements.js";
-import { Gpu, readPrograms } from "./gpu.js";
+import { Gpu } from "./gpu.js";
 import { keep, kept, reload, restoreControls } from "./kept.js";
 import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
 import { Player } from "./player.js";
+import { readPrograms } from "./programs.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
 const STILL = 120; // milliseconds without a change, after which a sharp picture is drawn
 const HELD = 500; // and while a pointer is down, as it would hold up what moves on
-const FRAME = 80; // milliseconds that a picture may take while it moves
+const FRAME = 80; // milliseconds that a picture may take while it moves, and a part of a sharp one
+const LEAST_TILE = 48; // pixels along the sides of such parts
 const TURN = 0.35; // radians a second, of the turntable
 const NOWHERE = [1e9, -1e9].map((n) => Array(5).fill(n)); // the corners of a box of the root cell and of a part of the picture
 
@@ -28,7 +30,8 @@ class Viewer {
     Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0, relief: 0.02 });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
-    this.isSharp = false;
+    this.isBegun = false; // the sharp picture; its parts that are still to be drawn, and near what, are in `jobs`
+    this.jobs = [];
     this.finest = 2; // drawn pixels a pixel, at most, along both axes
   }
 
@@ -125,13 +128,18 @@ class Viewer {
           await this.painting?.allSent();
           return reload();
         }
-        const streams = change.parts.map((_, number) => readStream(`change-${number}`)), [first] = change.parts;
+        const read = (name) => Promise.all(change.parts.map((part, number) => (name === "change" || part.isOther ? readStream(`${name}-${number}`) : null)));
+        const [streams, added] = await Promise.all([read("change"), read("added")]), [first] = change.parts;
         const shown = this.painting?.strokes.sent ?? [], lookedUp = this.lookedUp;
-        for (const [number, bytes] of (await Promise.all(streams)).entries()) {
+        for (const [number, bytes] of streams.entries()) {
           const { header, counts } = change.parts[number];
-          this.sent = this.parts[number].change(header, counts, bytes);
+          this.sent = this.parts[number].change(header, counts, bytes, added[number]);
         }
         this.version = change.version;
+        if (first.isOther) {
+          this.offerChannels();
+          this.painting?.takeChannels();
+        }
         this.painting?.arrived(change.session);
         this.describe();
         const gone = shown.filter((stroke) => !this.painting.strokes.sent.includes(stroke));
@@ -180,9 +188,9 @@ class Viewer {
     element("cubes-note").textContent = drawn < look.level ? `Level ${drawn} is drawn: level ${drawn + 1} has too many cubes.` : "";
   }
 
-  // Offer what can be shown.
-  offer() {
-    const headers = this.parts.map((part) => part.header), { look } = this;
+  // Offer what can be shown of the channels that there are.
+  offerChannels() {
+    const headers = this.parts.map((part) => part.header), { look } = this, before = element("shown").value;
     const channels = new Map(headers.flatMap((header) => header.channels).map((channel) => [channel.name, channel]));
     const choices = [["lit", "colours in studio light"], ["unlit", "colours without light"]];
     if (!channels.has("base_color")) choices.length = 0;
@@ -192,13 +200,20 @@ class Viewer {
     }
     choices.push(["depth", "size of cells (levels)"], ["facing", "directions that cells face"]);
     element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
-    if (!channels.has("base_color")) this.choose(choices[0][0]);
+    const values = choices.map(([value]) => value);
+    if (values.includes(before)) element("shown").value = before;
+    else if (before || !channels.has("base_color")) this.choose(values[0]);
+    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
+  }
+
+  offer() {
+    const headers = this.parts.map((part) => part.header), { look } = this;
+    this.offerChannels();
     const hasMesh = headers.some(({ mesh }) => mesh);
     element("facing").checked = look.facing = headers.some(({ split }) => split[0] > 0);
     element("cubes").checked = !hasMesh;
     element("cubes").disabled = !hasMesh;
     element("level").max = look.level;
-    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
   }
 
   choose(value) {
@@ -255,7 +270,7 @@ class Viewer {
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.isLost = false;
       this.gpu.build();
-      this.painting?.strokes.build();
+      this.painting?.restore();
       element("status").textContent = "";
       this.move();
     });
@@ -279,13 +294,18 @@ class Viewer {
   // Something has changed: draw soon, and sharply once nothing changes.
   move(isHeld = false) {
     this.due = performance.now() + (isHeld ? HELD : STILL);
-    this.isDrawn = this.isSharp = false;
+    this.isDrawn = this.isBegun = false;
+    this.jobs = [];
     this.again();
   }
 
   // Nothing changes any more: draw sharply at once.
   rest() {
     this.due = 0;
+  }
+
+  get isSharp() {
+    return this.isBegun && !this.jobs.length && !this.near;
   }
 
   again() {
@@ -308,18 +328,53 @@ class Viewer {
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
     // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
     const finest = this.cost * pixels * this.finest ** 2 < 2 * FRAME ? this.finest : 1;
-    const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
-      if (!(isStill ? this.isSharp : this.isDrawn)) this.draw(full * scale);
-      else if (this.near) this.gpu.draw(this.look, this.camera, this.canvas.width, this.canvas.height, null, this.near);
+      if (isStill && !this.isBegun && !this.painting?.pen) this.sharpen(full * finest);
+      else if (!this.isDrawn) this.draw(full * Math.min(Math.max(part, 0.08), 1));
+      if (this.near) this.jobs.push(...this.tiles(this.near));
       this.near = null;
+      if (!this.painting?.pen) this.work();
     } catch (error) {
       return fail(error);
     }
     this.isDrawn = true;
-    this.isSharp = isStill;
+    if (this.isSharp) this.painting?.flat.refresh();
     if (this.gpu.makesCubes) this.move();
     else if (!this.isSharp || this.turning) this.again();
+  }
+
+  // Begin the sharp picture. It shows what was drawn last, until part after part is drawn: so whatever changes waits for no
+  // more than one of these.
+  sharpen(scale) {
+    const { gpu, look, camera, parts } = this, [width, height] = this.begin(scale);
+    this.isBegun = true;
+    if (gpu.showsCubes(look) || parts.some((part) => part.hasAlpha)) return gpu.draw(look, camera, width, height);
+    gpu.resize(look, camera, width, height);
+    this.jobs = this.tiles(null);
+  }
+
+  // Parts of the picture (left, bottom, width, height) that take less than a frame each, those in the middle first.
+  tiles(near) {
+    const { width, height } = this.canvas, side = Math.max(Math.sqrt(FRAME / 2 / (this.cost || 1e-9)), LEAST_TILE), jobs = [];
+    const [across, down] = [width, height].map((pixels) => Math.ceil(pixels / side)), at = (n, count, pixels) => Math.round((n * pixels) / count);
+    for (let row = 0; row < down; row++) {
+      for (let column = 0; column < across; column++) {
+        const left = at(column, across, width), bottom = at(row, down, height);
+        const part = [left, bottom, at(column + 1, across, width) - left, at(row + 1, down, height) - bottom];
+        jobs.push({ near, part, far: Math.hypot(left + part[2] / 2 - width / 2, bottom + part[3] / 2 - height / 2) });
+      }
+    }
+    return jobs.sort((a, b) => a.far - b.far);
+  }
+
+  // Draw parts that are to be drawn, as many as a frame has time for.
+  work() {
+    const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
+    while (this.jobs.length && performance.now() - began < FRAME / 2) {
+      const { near, part } = this.jobs.shift();
+      gpu.draw(look, camera, width, height, part, near);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    }
   }
 
   // Draw a part of the picture anew, in CSS pixels from the upper left, where nothing else has changed.
@@ -360,18 +415,23 @@ class Viewer {
     this.again();
   }
 
-  draw(scale) {
+  // Make ready for a picture of so many pixels a CSS pixel; returns its size.
+  begin(scale) {
+    const { canvas, camera } = this;
     this.near = null;
+    this.jobs = [];
     this.view = this.viewed;
-    const width = Math.max(Math.round(this.canvas.clientWidth * scale), 1);
-    const height = Math.max(Math.round(this.canvas.clientHeight * scale), 1);
-    this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
-    const began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
+    camera.aspect = canvas.clientWidth / canvas.clientHeight;
+    this.pictures++;
+    return [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.max(Math.round(pixels * scale), 1));
+  }
+
+  draw(scale) {
+    const [width, height] = this.begin(scale), began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
     this.gpu.draw(this.look, this.camera, width, height);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
     this.spent = performance.now() - began;
     if (programs === this.gpu.programs.size) this.cost = this.spent / (width * height);
-    this.pictures++;
   }
 
   // The size of pictures that are saved, in pixels, and their names without ending.
