@@ -22,12 +22,15 @@ page/       the page: plain modules and shaders, as they are served
     connection  the line to the server, which tells the version that is shown
     player      which animation is played, at what time
     paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: it;
-                exporting: what is downloaded; flat: a piece laid flat
+                exporting: what is downloaded; flat: a piece laid flat, beside the model; beneath:
+                what strokes below layers and erasers lead to; outline: of the brush on the surface
+    pointed     what lies under the cursor
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions
 session     paints what pages send, in order, on a thread of its own; undo, redo and saving
 journal     what they sent, on the disk before it is done
+below       what strokes in layers lead to, as pages take it
 poses       the surface posed, or laid flat, for strokes on that
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 #: Modules in the order in which each knows those before it.
 _NAMES = """
 elements kept data octree patch mesh motion camera controls legend connection source part programs gpu player
-divider viewer
+divider pointed viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.

@@ -272,17 +272,22 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(
 
 #: Counts the textures of the program that shows all that there can be, of the most channels.
 _TEXTURES = """() => {
-  const { gpu, parts: [part], look } = viewer, { gl } = gpu, channels = [], kinds = [gl.SAMPLER_2D, gl.SAMPLER_2D_ARRAY];
-  const names = { base_color: 3, metallic: 1, roughness: 1, occlusion: 1, emissive: 3, specular: 3, normal: 3, height: 1, alpha: 1 };
+  const { gpu, parts: [part], look } = viewer, { gl } = gpu, channels = [];
+  const names = { base_color: 3, emissive: 3, specular: 3, normal: 3 };
+  for (const name of ["metallic", "roughness", "occlusion", "height", "alpha"]) names[name] = 1;
   for (const [name, components] of Object.entries(names)) {
     channels.push({ name, components, space: "data", range: [0, 1], at: [channels.length, 0] });
   }
-  const planes = channels.map((_, n) => n < 3), header = { ...part.header, channels, planes, flags: [8, 3], isMixed: true, kept: 1, split: [1, 2] };
+  const header = { ...part.header, channels, planes: channels.map((_, n) => n < 3), flags: [8, 3] };
+  Object.assign(header, { isMixed: true, kept: 1, split: [1, 2] });
   const full = Object.create(part, { header: { value: header }, source: { value: {} } });
-  const all = { ...look, shown: "lit", relief: 0.1, divider: 0.5, isOver: true, facing: true }, programs = Object.create(gpu.programs, { parts: { value: [full] } });
-  const { handle } = programs.use("surface", full, all, 9), count = gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS);
-  kinds.push(gl.UNSIGNED_INT_SAMPLER_2D);
-  return Array.from({ length: count }, (_, n) => gl.getActiveUniform(handle, n)).filter(({ type }) => kinds.includes(type)).map(({ name }) => name);
+  const programs = Object.create(gpu.programs, { parts: { value: [full] } });
+  const all = { ...look, shown: "lit", relief: 0.1, divider: 0.5, isOver: true, facing: true };
+  const { handle } = programs.use("surface", full, all, 9), kinds = [gl.UNSIGNED_INT_SAMPLER_2D];
+  kinds.push(gl.SAMPLER_2D, gl.SAMPLER_2D_ARRAY);
+  const count = gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS);
+  const uniforms = Array.from({ length: count }, (_, n) => gl.getActiveUniform(handle, n));
+  return uniforms.filter(({ type }) => kinds.includes(type)).map(({ name }) => name);
 }"""
 
 

@@ -363,15 +363,24 @@ class Painting {
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
     const list = element("steps"), rows = ["Opened", ...told.steps];
-    list.replaceChildren(...rows.map((name, n) => {
-      const go = () => {
-        for (let step = told.done; step > n; step--) this.sending.send({ kind: "undo" });
-        for (let step = told.done; step < n; step++) this.sending.send({ kind: "redo" });
-      };
-      return make("li", { class: n > told.done ? "undone" : "" }, make("button", { type: "button", "aria-current": n === told.done ? "step" : false, onclick: go }, name));
-    }));
+    while (list.children.length > rows.length) list.lastChild.remove();
+    for (let n = list.children.length; n < rows.length; n++) list.append(make("li", {}, make("button", { type: "button", onclick: () => this.goTo(n) })));
+    rows.forEach((name, n) => {
+      const item = list.children[n], button = item.firstChild;
+      if (button.textContent !== name) button.textContent = name;
+      item.className = n > told.done ? "undone" : "";
+      if (n === told.done) button.setAttribute("aria-current", "step");
+      else button.removeAttribute("aria-current");
+    });
     const { offsetTop: top, offsetHeight: height } = list.children[told.done]; // the panel itself stays as it is scrolled
     list.scrollTop = Math.min(Math.max(list.scrollTop, top + height - list.clientHeight), top);
+  }
+
+  // Undo or redo up to a step.
+  goTo(n) {
+    const { done } = this.last;
+    for (let step = done; step > n; step--) this.sending.send({ kind: "undo" });
+    for (let step = done; step < n; step++) this.sending.send({ kind: "redo" });
   }
 
   // The texture has other channels.

@@ -168,9 +168,13 @@ export class Part {
     this.mesh = mesh;
     this.surface = gl.createVertexArray();
     gl.bindVertexArray(this.surface);
+    const { buffers } = Object.assign(this.surface, { buffers: [] }), buffer = (kind, array) => {
+      buffers.push(gl.createBuffer());
+      gl.bindBuffer(kind, buffers.at(-1));
+      gl.bufferData(kind, array, gl.STATIC_DRAW);
+    };
     const attribute = (place, array, components, type) => {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
+      buffer(gl.ARRAY_BUFFER, array);
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
     };
@@ -181,19 +185,19 @@ export class Part {
     gl.vertexAttrib3f(5, 1, 1, 1);
     gl.vertexAttribI4ui(7, 0, 0, 0, 0);
     if (mesh.parts) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, mesh.parts, gl.STATIC_DRAW);
+      buffer(gl.ARRAY_BUFFER, mesh.parts);
       gl.enableVertexAttribArray(7);
       gl.vertexAttribIPointer(7, 1, gl.UNSIGNED_INT, 0, 0);
     }
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
+    buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles);
     gl.bindVertexArray(null);
   }
 
   // Forget a mesh that was laid flat.
   freeMesh(surface) {
-    if (surface) this.gl.deleteVertexArray(surface);
+    if (!surface) return;
+    this.gl.deleteVertexArray(surface);
+    for (const buffer of surface.buffers) this.gl.deleteBuffer(buffer);
   }
 
   takeSource(source) {

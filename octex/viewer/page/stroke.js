@@ -33,7 +33,8 @@ export class Strokes {
     this.viewer = viewer;
     this.current = null; // color and values of channels or a picture, opacity, hardness, blend, box
     this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color and values, or planes of colors
-    this.sums = new Map(); // of them by plane: how they cover what is there, and what they add
+    this.planes = []; // that they paint; of each the texture `composed` has how they cover what is there, and what they add
+    this.composedBox = null; // the part of it that is not 0: left, bottom, right, top
     this.size = [0, 0];
   }
 
@@ -85,14 +86,14 @@ export class Strokes {
     for (const name of ["S", "T"]) gl.texParameteri(kind, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
   }
 
-  // Have layers for planes, two each: how strokes cover what is there, and what they add.
+  // Have layers for planes, two each.
   layer(planes) {
     const { gl } = this.viewer.gpu, [width, height] = planes.length ? this.size : [1, 1];
     gl.deleteTexture(this.composed ?? null);
     this.composed = gl.createTexture();
     this.smooth(gl.TEXTURE_2D_ARRAY, this.composed);
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, width, height, Math.max(2 * planes.length, 1));
-    this.sums = new Map(planes.map((plane) => [plane, [0, 1].map(() => new Float32Array(4 * width * height))]));
+    Object.assign(this, { planes, composedBox: null });
   }
 
   // How a stroke's paint meets the components of planes: of each four numbers of how it covers, and four that it adds.
@@ -248,30 +249,33 @@ export class Strokes {
   }
 
   // Lay strokes that are not painted yet over each other, as they will be painted: how they cover what is there, and
-  // what they add.
+  // what they add. Only the part of the picture is made where they are, or were.
   compose() {
-    const { gl } = this.viewer.gpu, [width, height] = this.size;
+    const { gl } = this.viewer.gpu, [, height] = this.size;
     if (!this.sent.length) return;
     const sent = this.sent.map(seen), paints = sent.map((stroke) => this.paintOf(stroke)), planes = new Set(paints.flatMap((paint) => [...paint.keys()]));
-    if ([...planes].some((plane) => !this.sums.has(plane))) this.layer([...new Set([...this.sums.keys(), ...planes])]);
-    for (const sums of this.sums.values()) for (const sum of sums) sum.fill(0);
-    sent.forEach((stroke, n) => {
-      const picture = stroke.colors && this.viewer.parts[0].channel("base_color").at[0];
-      for (const [plane, paint] of paints[n]) this.lay(stroke, paint, plane === picture, ...this.sums.get(plane));
-    });
+    if ([...planes].some((plane) => !this.planes.includes(plane))) this.layer([...new Set([...this.planes, ...planes])]);
+    const own = sent.map(({ box: [left, top, right, bottom] }) => [left, height - bottom, right, height - top]).reduce(joined);
+    const box = joined(this.composedBox, own), [left, bottom, right, top] = box, wide = right - left, high = top - bottom;
+    this.composedBox = own;
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
-    [...this.sums.values()].flat().forEach((sum, layer) => {
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA, gl.FLOAT, sum);
+    this.planes.forEach((plane, number) => {
+      const sums = [0, 1].map(() => new Float32Array(4 * wide * high));
+      sent.forEach((stroke, n) => {
+        const isPicture = stroke.colors && plane === this.viewer.parts[0].channel("base_color").at[0];
+        if (paints[n].has(plane)) this.lay(stroke, paints[n].get(plane), isPicture, box, ...sums);
+      });
+      sums.forEach((sum, which) => gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, left, bottom, 2 * number + which, wide, high, 1, gl.RGBA, gl.FLOAT, sum));
     });
   }
 
   // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue where it is known, the
   // plane's first.
-  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, known, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
-    const [width, height] = this.size, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
+  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, known, opacity, blend = "over" }, [covers, adds], isPicture, [first, low, end], cover, added) {
+    const [, height] = this.size, wide = end - first, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
     const lanes = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
     for (let row = top, n = 0; row < bottom; row++) {
-      for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+      for (let at = 4 * (wide * (height - 1 - row - low) + left - first), column = left; column < right; column++, at += 4, n++) {
         const share = (opacity * shown[n]) / 255;
         if (!share) continue;
         for (const k of lanes) {
@@ -294,7 +298,7 @@ export class Strokes {
   set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === viewer.viewed;
     const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false, blend = "over", picture } = shown;
-    const isWhole = angle >= 90, paint = current && !current.picture ? this.paintOf(seen(current)) : new Map(), layers = [...this.sums.keys()];
+    const isWhole = angle >= 90, paint = current && !current.picture ? this.paintOf(seen(current)) : new Map(), layers = this.planes;
     gl.activeTexture(gl.TEXTURE0 + UNIT);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
     gl.activeTexture(gl.TEXTURE0);

@@ -11,6 +11,7 @@ import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
+import { describePoint, pointed } from "./pointed.js";
 import { Player } from "./player.js";
 import { readPrograms } from "./programs.js";
 import { Source } from "./source.js";
@@ -355,7 +356,7 @@ class Viewer {
 
   // Parts of the picture (left, bottom, width, height) that take less than a frame each, those in the middle first.
   tiles(near) {
-    const { width, height } = this.canvas, side = Math.max(Math.sqrt(FRAME / 2 / (this.cost || 1e-9)), LEAST_TILE), jobs = [];
+    const { width, height } = this.canvas, side = Math.max(Math.sqrt(FRAME / (this.cost || 1e-9)), LEAST_TILE), jobs = [];
     const [across, down] = [width, height].map((pixels) => Math.ceil(pixels / side)), at = (n, count, pixels) => Math.round((n * pixels) / count);
     for (let row = 0; row < down; row++) {
       for (let column = 0; column < across; column++) {
@@ -370,7 +371,7 @@ class Viewer {
   // Draw parts that are to be drawn, as many as a frame has time for.
   work() {
     const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
-    while (this.jobs.length && performance.now() - began < FRAME / 2) {
+    while (this.jobs.length && performance.now() - began < FRAME) {
       const { near, part } = this.jobs.shift();
       gpu.draw(look, camera, width, height, part, near);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
@@ -467,67 +468,18 @@ class Viewer {
     return away && this.camera.pointAt([x + 0.5, y + 0.5], size, away);
   }
 
-  // What lies at a point of the picture, in CSS pixels: the part, the position at rest, the cell, values; or null. Of
-  // a cube it is its middle, and what is stored there.
+  // What lies at a point of the picture, in CSS pixels, see pointed.js; or null.
   pick(x, y) {
-    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
-    const found = this.gpu.showsCubes(this.look) ? this.pickCube([x, y], size) : this.pickSurface([x, y], size);
-    if (!found) return null;
-    const { header: { name, origin, size: edge, channels }, octree } = this.parts[found.part];
-    const known = channels.map((channel) => {
-      const codes = octree.codes(channel, found.cell), values = found.valuesOf(channel) ?? codes.map((code) => code / 255);
-      return { name: channel.name, space: channel.space, range: channel.range, codes, values };
-    });
-    const rest = found.point.map((p, axis) => origin[axis] + edge * p);
-    return { ...found, valuesOf: undefined, name, rest, channels: known };
-  }
-
-  pickCube(pixel, size) {
-    const found = this.gpu.probeCubes(this.look, this.camera, pixel, size);
-    return found && { ...found, point: found.index.map((n) => (n + 0.5) * found.edge), valuesOf: () => null };
-  }
-
-  pickSurface(pixel, [width, height]) {
-    const { look } = this, ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel, plane });
-    const { places, values, normals } = ask(-1);
-    if (values[3] === 0) return null;
-    const point = Array.from(places.subarray(0, 3)), part = normals[3], { octree } = this.parts[part];
-    const looked = {}, at = (plane) => (looked[plane] ??= ask(plane).values);
-    const valuesOf = ({ name, at: [plane, slot], components }) =>
-      name === "alpha" ? [values[0]] : Array.from(at(plane).slice(slot, slot + components));
-    return { ...octree.cellAt(point, Math.min(look.level, octree.depth)), part, point, fetches: values[1], valuesOf };
+    return pointed(this, [x, y]);
   }
 
   tell(found) {
-    const rows = [], pixels = this.canvas.width * this.canvas.height;
     const { marked } = this.look, isNew = marked?.cell !== found?.cell || marked?.part !== found?.part;
-    if (this.cost * pixels < FRAME && isNew) {
+    if (this.cost * this.canvas.width * this.canvas.height < FRAME && isNew) {
       this.look.marked = found;
       this.move();
     }
-    if (found) {
-      if (found.name) rows.push(["part", found.name]);
-      rows.push(["position", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
-      rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
-      rows.push(["index", found.index.join(", ")]);
-      for (const { name, codes, values, range } of found.channels) {
-        const [low, high] = range, isWide = low < 0 || high > 1;
-        const text = isWide ? values.map((x) => (low + (high - low) * x).toPrecision(3)) : codes;
-        rows.push([name.replaceAll("_", " "), text.join(", "), codes]);
-      }
-    }
-    element("cell").replaceChildren(...rows.flatMap(([name, text, codes]) => {
-      const term = document.createElement("dt"), value = document.createElement("dd");
-      term.textContent = name;
-      if (codes?.length === 3) {
-        const swatch = document.createElement("span");
-        swatch.className = "swatch";
-        swatch.style.background = `rgb(${codes})`;
-        value.append(swatch);
-      }
-      value.append(text);
-      return [term, value];
-    }));
+    describePoint(found);
   }
 }
 
