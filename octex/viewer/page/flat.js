@@ -33,8 +33,9 @@ export class Flat {
 
   // The picture of the other view: over it the pointer makes that the one which is painted.
   get picture() {
-    const turn = () => !this.painting.pen && this.turn();
-    return (this.other = make("canvas", { id: "other-view", hidden: true, onpointerenter: turn }));
+    const isMoved = ({ buttons, movementX, movementY }) => !buttons && (movementX || movementY); // not the page under it
+    return (this.other = make("canvas", { id: "other-view", hidden: true, onpointermove: (event) => isMoved(event) && this.turn(),
+      onpointerdown: ({ pointerType }) => pointerType === "touch" && this.turn() }));
   }
 
   // Lay flat what is around a place of the picture.
@@ -134,9 +135,8 @@ export class Flat {
 
   // Give the other view's canvas what the GPU has drawn.
   copy(picture) {
-    const { gpu, canvas } = this.painting.viewer, { gl } = gpu;
-    gpu.copy(picture, { ...picture, buffer: null });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const { gpu, canvas } = this.painting.viewer;
+    gpu.present(picture);
     [this.other.width, this.other.height] = [canvas.width, canvas.height];
     this.other.getContext("2d").drawImage(canvas, 0, 0);
   }
@@ -157,8 +157,7 @@ export class Flat {
     gpu.pictures = pictures;
     this.put(own);
     [canvas.width, canvas.height] = size;
-    gpu.copy(pictures.picture, { ...pictures.picture, buffer: null });
-    gpu.gl.bindFramebuffer(gpu.gl.FRAMEBUFFER, null);
+    gpu.present(pictures.picture);
   }
 
   // Show the model alone again; says whether a piece was laid flat.

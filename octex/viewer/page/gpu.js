@@ -192,8 +192,7 @@ export class Gpu {
       this.drawLayer({ ...look, isOver: true }, camera, places, last, TRANSLUCENTS, behind);
     }
     gl.disable(gl.SCISSOR_TEST);
-    this.copy(last, { ...last, buffer: null });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.present(last);
   }
 
   // Begin a picture of another size: it is what was drawn last, as large.
@@ -204,6 +203,14 @@ export class Gpu {
     const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]), picture = this.target("picture", width, height, [gl.RGBA8], places);
     if (last) this.copy(small, picture);
     this.drawPlaces(look, camera, places, width, height, { alphas: OPAQUES });
+    this.present(picture);
+  }
+
+  // Show a picture. Browsers take a canvas as drawn on once it was cleared.
+  present(picture) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.clear(gl.COLOR_BUFFER_BIT);
     this.copy(picture, { ...picture, buffer: null });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
