@@ -20,7 +20,7 @@ import { watch } from "./connection.js";
 const STILL = 120; // milliseconds without a change, after which a sharp picture is drawn
 const HELD = 500; // and while a pointer is down, as it would hold up what moves on
 const FRAME = 80; // milliseconds that a picture may take while it moves, and a part of a sharp one
-const LEAST_TILE = 48; // pixels along the sides of such parts
+const LEAST_TILE = 48, FIRST_TILE = 256; // pixels along the sides of such parts, and while nothing is measured
 const TURN = 0.35; // radians a second, of the turntable
 const NOWHERE = [1e9, -1e9].map((n) => Array(5).fill(n)); // the corners of a box of the root cell and of a part of the picture
 
@@ -334,35 +334,37 @@ class Viewer {
       else if (!this.isDrawn) this.draw(full * Math.min(Math.max(part, 0.08), 1));
       if (this.near) this.jobs.push(...this.tiles(this.near));
       this.near = null;
-      if (!this.painting?.pen) this.work();
+      if (!this.painting?.pen) {
+        this.painting?.flat.refresh();
+        this.work();
+      }
     } catch (error) {
       return fail(error);
     }
     this.isDrawn = true;
-    if (this.isSharp) this.painting?.flat.refresh();
     if (this.gpu.makesCubes) this.move();
     else if (!this.isSharp || this.turning) this.again();
   }
 
-  // Begin the sharp picture. It shows what was drawn last, until part after part is drawn: so whatever changes waits for no
-  // more than one of these.
+  // Begin the sharp picture: what was drawn last, until part after part is drawn. No change waits for more than one of them.
   sharpen(scale) {
     const { gpu, look, camera, parts } = this, [width, height] = this.begin(scale);
     this.isBegun = true;
     if (gpu.showsCubes(look) || parts.some((part) => part.hasAlpha)) return gpu.draw(look, camera, width, height);
     gpu.resize(look, camera, width, height);
     this.jobs = this.tiles(null);
+    this.spent = this.area = 0;
   }
 
   // Parts of the picture (left, bottom, width, height) that take less than a frame each, those in the middle first.
   tiles(near) {
-    const { width, height } = this.canvas, side = Math.max(Math.sqrt(FRAME / (this.cost || 1e-9)), LEAST_TILE), jobs = [];
+    const { width, height } = this.canvas, jobs = [];
+    const side = (near ? 2 : 1) * Math.max(this.cost ? Math.sqrt(FRAME / this.cost) : FIRST_TILE, LEAST_TILE); // little is near
     const [across, down] = [width, height].map((pixels) => Math.ceil(pixels / side)), at = (n, count, pixels) => Math.round((n * pixels) / count);
     for (let row = 0; row < down; row++) {
       for (let column = 0; column < across; column++) {
-        const left = at(column, across, width), bottom = at(row, down, height);
-        const part = [left, bottom, at(column + 1, across, width) - left, at(row + 1, down, height) - bottom];
-        jobs.push({ near, part, far: Math.hypot(left + part[2] / 2 - width / 2, bottom + part[3] / 2 - height / 2) });
+        const [left, right] = [column, column + 1].map((n) => at(n, across, width)), [bottom, top] = [row, row + 1].map((n) => at(n, down, height));
+        jobs.push({ near, part: [left, bottom, right - left, top - bottom], far: Math.hypot(left + right - width, bottom + top - height) });
       }
     }
     return jobs.sort((a, b) => a.far - b.far);
@@ -372,9 +374,12 @@ class Viewer {
   work() {
     const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
     while (this.jobs.length && performance.now() - began < FRAME) {
-      const { near, part } = this.jobs.shift();
+      const { near, part } = this.jobs.shift(), before = performance.now();
       gpu.draw(look, camera, width, height, part, near);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+      if (near) continue;
+      this.spent += performance.now() - before;
+      this.cost = this.spent / (this.area += part[2] * part[3]);
     }
   }
 
@@ -431,8 +436,7 @@ class Viewer {
     const [width, height] = this.begin(scale), began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
     this.gpu.draw(this.look, this.camera, width, height);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
-    this.spent = performance.now() - began;
-    if (programs === this.gpu.programs.size) this.cost = this.spent / (width * height);
+    if (programs === this.gpu.programs.size) this.cost = (performance.now() - began) / (width * height);
   }
 
   // The size of pictures that are saved, in pixels, and their names without ending.
