@@ -3,14 +3,14 @@
 
 import { make } from "./panel.js";
 
-const NAMES = "http://www.w3.org/2000/svg";
+const SVG = "http://www.w3.org/2000/svg";
 const ANGLES = 64; // as in outline.frag
 
 export class Outline {
   constructor(viewer) {
     this.viewer = viewer;
-    const svg = document.createElementNS(NAMES, "svg");
-    this.lines = [0, 1].map(() => svg.appendChild(document.createElementNS(NAMES, "path")));
+    const svg = document.createElementNS(SVG, "svg");
+    this.lines = [0, 1].map(() => svg.appendChild(document.createElementNS(SVG, "path")));
     this.needle = make("i");
     this.ring = make("div", { id: "ring", hidden: true }, svg, this.needle);
   }
