@@ -123,7 +123,6 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio: Stud
         page.evaluate("(chosen) => viewer.painting.layers.choose(chosen)", chosen)
         found["paint", chosen] = stroke("brush", **colors)
         found["eraser", chosen] = stroke("eraser", **colors)
-    print(found)
     assert max(found.values()) <= 2
     assert page.complaints == []
     page.close()
