@@ -12,6 +12,7 @@ from octex.channels import ALPHA, BASE_COLOR, alpha_of
 from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
+from octex.painting.beneath import Stacked
 from octex.painting.cells import painted_channel
 from octex.painting.history import Stroke
 from octex.painting.merge import merged
@@ -94,6 +95,11 @@ class Layers(Painter):
     def layers(self) -> Stack:
         """The layers above the texture, from the lowest to the highest."""
         return self._stack
+
+    @property
+    def stacked(self) -> Stacked:
+        """The stack as it is now, for ``octex.painting.beneath``; later strokes do not change it."""
+        return Stacked(super().texture(), self._stack, self._opened)
 
     @property
     def chosen(self) -> int | None:

@@ -129,7 +129,6 @@ class Projected(PaintSource):
             sums, _ = self._sums([shot], triangles, barycentric, widths)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
-        # They go with the eighth power of a model's units, which leaves the range of float32.
         weights /= np.maximum(weights.max(axis=0), 1e-300)
         return paint, weights.astype(np.float32)
 

@@ -297,11 +297,12 @@ def add_paint(
             red, green, blue, alpha = read_paint(shot.mips, u, v, wide)
         if not alpha > 0.0:
             continue
+        # Each pixel counts for as much as any other: a picture by its pixels in a unit of the surface's area.
+        # Rings of renderings would gain 0.1 dB by the fourth power, of 12 pictures with exact cameras. Real
+        # photographs lose 0.8 dB by it: where they are off by a pixel, a mean of several is nearer than one.
         density = max(shaded, _LEAST_COSINE) * fine * fine
         trust = 0.01 + min(margin / TRUSTED, 1.0)
-        # The finer of two pictures outweighs the other by the fourth power of their pixels on the surface: of
-        # 12 pictures around a model the second gives back 30.3 dB, this 31.0, the finest alone as much.
-        weight = shot.weight * coverage * trust * (density * density) * (density * density)
+        weight = shot.weight * coverage * trust * density
         sums[n, 0] += weight * red * shot.gains[0]
         sums[n, 1] += weight * green * shot.gains[1]
         sums[n, 2] += weight * blue * shot.gains[2]

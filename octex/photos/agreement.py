@@ -26,7 +26,7 @@ from octex.photos.patches import batches, beside, masked, patches_of, seen_at, s
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
 #: A picture's vote grows with its weight, by this power: three that see a place aslant outvote one ahead.
-_VOTE = 0.125
+_VOTE = 0.5
 #: Pictures differ by noise, and by what is out of place: more than so many times this quantile of their
 #: differences is another thing, which lies in this range of codes.
 _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0

@@ -40,10 +40,10 @@ class LabelCosts(NamedTuple):
 
 
 def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
-    """Return the costs of labels of paint (pictures, n, 3); weights rise with the quality's 4th power."""
+    """Return the costs of labels of paint (pictures, n, 3); weights rise with the quality."""
     seen = weights > 0
     most = np.maximum(weights.max(axis=0), np.float32(1e-30))
-    costs = areas * _QUALITY * (1 - (weights / most) ** 0.25)
+    costs = areas * _QUALITY * (1 - weights / most)
     colors = np.sqrt(np.maximum(paint, 0))
     return _completed(colors.transpose(1, 0, 2), np.where(seen, costs, np.inf).T.astype(np.float64))
 

@@ -294,7 +294,7 @@ def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim
     for shot, weights in zip(source.shots, seen, strict=True):
         weights *= _margins(shot, points) >= rim
     share = seen / np.maximum(seen.max(axis=0), 1e-30)
-    found: Float64s = np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64) ** 0.25, 0.0)
+    found: Float64s = np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64), 0.0)
     return found
 
 

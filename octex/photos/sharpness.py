@@ -22,8 +22,8 @@ _POINTS = 40_000
 _WIDTH = 2.0
 #: With how many others a picture is compared at least: of two none is right.
 _OTHERS = 2
-#: What counts for less at a point than so much of what counts most is left out: pixels up to twice as wide.
-_LEAST_WEIGHT = 0.01
+#: What counts for less at a point than so much of what counts most is left out: pixels 1.8 times as wide.
+_LEAST_WEIGHT = 0.3
 #: What shows so much of the detail is sharp: the surface is seen from other sides.
 _SHARP = 0.7
 #: What shows more detail than so many times the others' mean sees something else there.

@@ -22,6 +22,7 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.alike import alike
+from octex.painting.beneath import Stacked
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
@@ -76,6 +77,7 @@ class Shown(NamedTuple):
     told: dict[str, Any]
     before: OctreeTexture | None  # the texture at the time before
     changes: tuple[Change, ...]  # since then
+    stacked: Stacked  # with the layers that it is made of
 
 
 class Session:
@@ -227,7 +229,7 @@ class Session:
             "fault": self._fault,
             "question": self._question,
         }
-        return Shown(self._painter.texture(), told, self._before, self._changes)
+        return Shown(self._painter.texture(), told, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Do a command; what fails changes nothing, and is told."""

@@ -1,6 +1,6 @@
-"""What a surface point's value comes from: a source. A new kind of source is one more class of this form.
+"""Sources: they compute the values of surface points. A new kind of source is one more subclass of `Source`.
 
-Spatial sources give values by where in space a point lies; placeable things turn into sources on a surface.
+A spatial source computes values from rest positions. A placeable becomes a source once it is on a surface.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from octex.source.vectors import between, cross_product, edges_from, length_of
 
 
 class Source(ABC):
-    """Anything that gives values to points of a surface, with gaps where the ``_inputs`` have them."""
+    """Computes the values of surface points. It has gaps where its ``_inputs`` have gaps."""
 
     _channels: tuple[ChannelFormat, ...]
     _inputs: tuple[Source, ...] = ()
@@ -36,20 +36,20 @@ class Source(ABC):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether it may know nothing of some points: its channel ``alpha`` is 0 there."""
+        """Whether some points may have no value: there the channel ``alpha`` is 0."""
         return any(source.has_gaps for source in self._inputs)
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether ``alpha`` says no more than that: 1 wherever it knows something."""
+        """Whether ``alpha`` only marks gaps: it is 1 wherever there is a value."""
         return False
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of a texel on triangles (n,), in rest units: 0 unknown, infinity none."""
+        """Return the edge of a texel on triangles (n,), in rest units; 0 unknown, infinity without texels."""
         return np.zeros(len(triangles), np.float32)
 
     def prepare(self) -> None:
-        """Make what the first lookup would make, so that other processes get it with the source."""
+        """Build lazy tables now, so that other processes receive them with the source."""
         for source in self._inputs:
             source.prepare()
 
@@ -62,14 +62,14 @@ class Source(ABC):
         return self._reading([source.with_filter(name) for source in self._inputs]) if self._inputs else self
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return the same source with these channels, and ``alpha`` if they have gaps; of none, gaps."""
+        """Return the source with these channels, and ``alpha`` if it has gaps; no names: only ``alpha``."""
         return Combined(dict.fromkeys(names, self), [self])
 
     def _reading(self, inputs: Sequence[Source]) -> Self:
         return self._changed(_inputs=tuple(inputs))
 
     def _changed(self, *stale: str, **attributes: Any) -> Self:
-        """Return a copy with other values of attributes, and without what was made of the old ones."""
+        """Return a copy with other attributes. Cached properties named in ``stale`` are computed anew."""
         other = copy.copy(self)
         for name in stale:
             vars(other).pop(name, None)
@@ -78,7 +78,7 @@ class Source(ABC):
 
 
 class OfAnother(Source):
-    """Gives another source's values, found at other triangles: its channels and gaps are that one's."""
+    """Forwards to another source, with other triangle numbers. Channels and gaps are that source's."""
 
     def __init__(self, source: Source) -> None:
         self._inputs = (source,)
@@ -90,11 +90,11 @@ class OfAnother(Source):
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether the other's ``alpha`` says no more than where it knows something."""
+        """Whether ``alpha`` of the other source only marks gaps."""
         return self._inputs[0].alpha_is_coverage
 
     def only(self, names: Sequence[str]) -> Self:
-        """Return the same source with these of its channels alone."""
+        """Return the same source with only these channels."""
         return self._reading([self._inputs[0].only(names)])
 
 
@@ -123,26 +123,26 @@ class Picked(OfAnother):
 
 
 def in_order(names: Sequence[str]) -> list[str]:
-    """Return names of channels in the order in which textures hold them; others last."""
+    """Return names of channels in the order in which textures store them; unknown names last."""
     known = list(CHANNELS)
     return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
 
 
 def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:
-    """Return the columns of values (n, components) that are each channel's."""
+    """Return each channel's columns of values (n, components)."""
     parts = np.split(values, np.cumsum([form.components for form in channels]), axis=1)
     return {form.name: part for form, part in zip(channels, parts, strict=False)}
 
 
 class Combined(Source):
-    """Channels from several sources; ``sources`` names the one of each channel.
+    """Channels from several sources; ``sources`` maps each channel's name to its source.
 
-    Where any of them, or of ``others``, leaves a gap, ``alpha`` is 0; elsewhere it is its own source's, or 1.
+    ``alpha`` is 0 where any of them, or of ``others``, has a gap. Elsewhere its source gives it, or it is 1.
     """
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
         self._inputs = tuple({id(source): source for source in [*sources.values(), *others]}.values())
-        #: The number of each channel's source, and of those with gaps.
+        #: Index of each channel's source, and indices of the sources with gaps.
         self._places = {name: self._inputs.index(sources[name]) for name in in_order(list(sources))}
         self._gaps = [place for place, source in enumerate(self._inputs) if source.has_gaps]
         forms = {
@@ -154,7 +154,7 @@ class Combined(Source):
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return every channel's values (n, components), each from its source."""
+        """Return the values of all channels (n, components), each from its source."""
         values = [
             by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
             for source in self._inputs
@@ -168,21 +168,21 @@ class Combined(Source):
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether ``alpha`` says no more than where all of the sources know something."""
+        """Whether ``alpha`` only marks the gaps of the sources."""
         place = self._places.get(ALPHA.name)
         return self.has_gaps and (place is None or self._inputs[place].alpha_is_coverage)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the finest of the sources' texels."""
+        """Return the edge of the finest source's texel."""
         edges = np.full(len(triangles), np.inf, np.float32)
         for source in self._inputs:
             np.minimum(edges, source.texel_edges(triangles), out=edges)
         return edges
 
     def only(self, names: Sequence[str]) -> Source:
-        """Return these channels alone, without the sources, and their gaps, that give none of them.
+        """Return only these channels, from only the sources that give them.
 
-        ``alpha`` without a source of its own, and no name at all, ask for the gaps of all.
+        Without names, and for an ``alpha`` without a source, all sources stay because all of them have gaps.
         """
         wanted = {name: place for name, place in self._places.items() if name in names}
         asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._places)
@@ -197,14 +197,14 @@ class Combined(Source):
         return Combined({name: inputs[place] for name, place in self._places.items()}, inputs)
 
 
-#: What a material that does not state a channel gives (glTF 2.0's defaults), if it is not 1.
+#: Default value of a channel that a material does not define (glTF 2.0), where it is not 1.
 DEFAULTS = {"emissive": 0.0, "specular": 0.04}
 
 
 class Joined(Source):
-    """Sources of surfaces that follow each other: theirs begin at ``vertices`` and ``faces``.
+    """Sources of concatenated surfaces, whose first vertices and triangles are ``vertices`` and ``faces``.
 
-    Where a source lacks a channel of another, it is the default, or for ``normal`` the faces' at rest.
+    A channel that a source lacks has its default value there; ``normal`` has the face normals at rest.
     """
 
     def __init__(
@@ -226,12 +226,12 @@ class Joined(Source):
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether the ``alpha`` of every source that has it says no more than where it knows something."""
+        """Whether every source's ``alpha`` only marks gaps."""
         with_alpha = [s for s in self._inputs if ALPHA.name in [form.name for form in s.channels]]
         return self.has_gaps and all(source.alpha_is_coverage for source in with_alpha)
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return every channel's values (n, components), each point's from its own source."""
+        """Return the values of all channels (n, components), each point's from its surface's source."""
         values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
         for source, rows, within in self._by_source(triangles):
             columns = by_channel(source.channels, source.evaluate(within, barycentric[rows], widths[rows]))
@@ -244,7 +244,7 @@ class Joined(Source):
         return values
 
     def _by_source(self, triangles: Int32s) -> Iterator[tuple[Source, Int64s, Int32s]]:
-        """Yield the sources that triangles (n,) are of, with their rows, and their numbers in its surface."""
+        """Yield each source of triangles (n,), with their rows here and their numbers in its surface."""
         owners = np.searchsorted(self._faces, triangles, side="right") - 1
         for number in np.flatnonzero(np.bincount(owners)).tolist():
             rows = np.flatnonzero(owners == number)
@@ -270,7 +270,7 @@ class Joined(Source):
         return Joined(sources, self._vertices, self._faces, rest, self._triangles)
 
     def only(self, names: Sequence[str]) -> Joined:
-        """Return the same source with these of its channels alone."""
+        """Return the same source with only these channels."""
 
         def restricted(source: Source) -> Source:
             wanted = [form.name for form in source.channels if form.name in names]
@@ -282,24 +282,24 @@ class Joined(Source):
         return Joined(inputs, self._vertices, self._faces, self._rest, self._triangles)
 
 
-#: By how much a cosine of normals in single precision may seem less than it is.
+#: Rounding of a cosine between normals in single precision.
 _COSINE_ROUNDING = 1e-6
 
 
 class Placeable(ABC):
-    """Something that gives a channel's values once it is laid on a surface: see ``Surface.with_sources``."""
+    """Becomes a channel's source when it is put on a surface: see ``Surface.with_sources``."""
 
     _latest: tuple[Float64s, Int32s, Source] | None = None
 
     @abstractmethod
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
-        """Return a source of one channel for a surface, and what provenance says of it.
+        """Return a source of one channel for a surface, and its entries of provenance.
 
-        Raises ModelError, ImageError or ArgumentError for what cannot be laid on that surface.
+        Raises ModelError, ImageError or ArgumentError if it does not fit that surface.
         """
 
     def _shared(self, mesh: Mesh, make: Callable[[], Source]) -> Source:
-        """Return what ``make`` returns for a mesh: the same source for all channels, one after another."""
+        """Return ``make()``, cached for the latest mesh, so that all of its channels share one source."""
         latest = self._latest
         if latest is None or latest[0] is not mesh.rest or latest[1] is not mesh.triangles:
             latest = self._latest = mesh.rest, mesh.triangles, make()
@@ -307,12 +307,12 @@ class Placeable(ABC):
 
 
 def least_cosine(degrees: float) -> float:
-    """Return the cosine of an angle that normals are to agree within, less what it may be rounded by."""
+    """Return the cosine of the largest angle between normals that agree, less its rounding."""
     return float(np.cos(np.radians(degrees))) - _COSINE_ROUNDING
 
 
 class SpatialSource(Source):
-    """Gives values to rest positions and face normals of a surface."""
+    """Computes values from the rest positions and face normals of surface points."""
 
     def __init__(self, channels: Sequence[ChannelFormat], rest: Float64s, triangles: Int32s) -> None:
         self._channels = tuple(channels)

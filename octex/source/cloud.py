@@ -1,4 +1,4 @@
-"""Coloured points: a source for a surface, or what a texture is made of by themselves."""
+"""Coloured points: a source for a surface, or a texture of their own."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from octex.source.models.reading import npz_arrays, parse_numbers
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
 _LEAST_POINTS = 3
-# A place that takes the mean of more points than this takes too long.
+# The mean of more points than this takes too long.
 _MOST_AROUND = 30_000
 _HEADER = 1 << 16
 _FARTHEST = 1e100
-# Colours may be above 1 by so much, and are then 1.
+# Colours may exceed 1 by this much; they are clipped to 1.
 _ROUNDING = 1e-5
 _NAMES = {
     "points": ("points", "positions", "xyz"),
@@ -139,7 +139,7 @@ class PointCloud(Placeable):
 
     @property
     def sources(self) -> dict[str, PointCloud]:
-        """The cloud for every channel that it has, as ``Surface.with_sources`` takes it."""
+        """The cloud for each of its channels, as ``Surface.with_sources`` takes it."""
         return dict.fromkeys(["base_color", "alpha"] if self.is_translucent else ["base_color"], self)
 
     @cached_property
@@ -155,10 +155,10 @@ class PointCloud(Placeable):
         return self._ready.spacing()
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
-        """Return the source of a channel, the same for both on the same mesh.
+        """Return the source of a channel. Both channels share it on the same mesh.
 
-        Raises ArgumentError for others than ``base_color`` and ``alpha``, and for a radius that holds tens of
-        thousands of points.
+        Raises ArgumentError for channels other than ``base_color`` and ``alpha``, and for a radius that holds
+        tens of thousands of points.
         """
         if form.name not in ("base_color", "alpha"):
             raise ArgumentError(f"{self.name}: points have colours and alpha, but not {form.name}")
@@ -186,7 +186,7 @@ class _FromPoints(SpatialSource):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether points of the surface may be too far from all of the cloud's."""
+        """Whether the surface may have points that are too far from all points of the cloud."""
         return self._is_faced or self._nearest is None or bool(np.isfinite(self._nearest))
 
     @property
@@ -195,7 +195,7 @@ class _FromPoints(SpatialSource):
         return self.has_gaps and not self._is_translucent
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
-        """Return colours and alpha (n, 4) of the points around places."""
+        """Return mean colours and alpha (n, 4) of the points around positions (n, 3)."""
         values, _ = self._ready.around(
             points,
             np.maximum(widths.astype(np.float64), self._radius),
@@ -209,7 +209,7 @@ class _FromPoints(SpatialSource):
 
 
 def is_cloud(path: Path) -> bool:
-    """Say whether a file is one of points: ``.xyz``, ``.npz``, or ``.ply`` whose header has no faces."""
+    """Return whether a file holds points: ``.xyz``, ``.npz``, or ``.ply`` whose header has no faces."""
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in CLOUD_ENDINGS
     try:

@@ -1,4 +1,4 @@
-"""Colours as users and files give them, as linear light and alpha."""
+"""Colours of users and files, converted to linear light and alpha."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from octex.errors import ArgumentError
 
 
 def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
-    """Return sRGB codes, or light as floats, (rows, 3 or 4) as linear light and alpha (rows, 4)."""
+    """Convert integers (sRGB) or floats (linear light) (rows, 3 or 4) to linear light and alpha (rows, 4)."""
     array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
@@ -21,7 +21,7 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
         linear[:, :3] = decode(array[:, :3], "srgb")
         linear[:, 3 : array.shape[1]] = decode(array[:, 3:], "data")
     elif array.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+        with np.errstate(over="ignore"):  # callers refuse infinite colours
             linear[:, : array.shape[1]] = array
     else:
         raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
@@ -29,13 +29,13 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
 
 
 def guessed_colors(values: Float64s) -> Float32s:
-    """Return linear colours of sRGB values in 0 … 1, or 0 … 255 if any is above 1; NaN stands for white."""
+    """Convert sRGB values in 0 … 1, or 0 … 255 if any is above 1, to linear light; NaN is white."""
     most = 255.0 if np.nanmax(values, initial=0.0) > 1.0 else 1.0
     return screen_colors(np.nan_to_num(values / most, nan=1.0))
 
 
 def screen_colors(colors: Floats) -> Float32s:
-    """Return sRGB values in 0 … 1 (n, 3 or 4) as linear light and alpha (n, 4)."""
+    """Convert sRGB values in 0 … 1 (n, 3 or 4) to linear light and alpha (n, 4)."""
     linear = np.ones((len(colors), 4), np.float32)
     linear[:, : colors.shape[1]] = np.clip(colors, 0.0, 1.0)
     linear[:, :3] = srgb_to_linear(linear[:, :3])

@@ -1,4 +1,4 @@
-"""What is bound to the corners of triangles."""
+"""Attributes of triangle corners."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Corners(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Corners]) -> Corners:
-        """Return one attribute of triangles that follow each other, part after part."""
+        """Return one attribute for the concatenated triangles of all parts."""
         if len(parts) == 1:
             return parts[0]
         values, rows = stacked(parts)
@@ -26,12 +26,12 @@ class Corners(NamedTuple):
 
     @classmethod
     def chosen(cls, sets: Sequence[Corners], numbers: Int64s) -> Corners:
-        """Return an attribute of triangles (m,) of which ``sets`` hold several: each has its number's."""
+        """Return an attribute of triangles (m,), each from the set with its number in ``numbers`` (m,)."""
         values, rows = stacked(sets)
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
     def of(self, triangles: Int32s) -> Corners:
-        """Return the same of some triangles (k,) alone."""
+        """Return the attribute of only some triangles (k,)."""
         return Corners(self.values, self.rows[triangles])
 
     def at(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
@@ -40,7 +40,7 @@ class Corners(NamedTuple):
 
 
 def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
-    """Return the values of all parts in one array, and the rows of each in that."""
+    """Return the values of all parts in one array, and each part's rows in that array."""
     firsts = np.cumsum([0, *(len(part.values) for part in parts)])
     rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
     return np.concatenate([part.values for part in parts]), rows
@@ -59,7 +59,7 @@ def unit_normals(corners: Float64s) -> Float64s:
 
 
 def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:
-    """Return values (n, components) between those in the rows (n, 3) of three corners."""
+    """Interpolate (n, components) between the values in the rows (n, 3) of three corners."""
     between: Float64s = np.einsum("nc,ncx->nx", barycentric, values[rows])
     return between
 
@@ -72,13 +72,13 @@ class Polygons(NamedTuple):
 
     @classmethod
     def of_triangles(cls, count: int) -> Polygons:
-        """Return so many triangles, each of which is a polygon."""
+        """Return polygons of ``count`` triangles, each a polygon of its own."""
         corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
         return cls(np.arange(count, dtype=np.int32), corners)
 
     @classmethod
     def joined(cls, parts: Sequence[tuple[Polygons | None, int]]) -> Polygons | None:
-        """Return the polygons, numbered on, of parts that follow each other; None where none has any."""
+        """Return the polygons of concatenated parts, numbered consecutively; None if no part has any."""
         if all(polygons is None for polygons, _ in parts):
             return None
         numbers, first = [], 0
@@ -89,10 +89,10 @@ class Polygons(NamedTuple):
         return cls(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
 
     def loops(self) -> tuple[Int32s, Int64s, Int64s, Int64s]:
-        """Return what polygons there are, and their corners one after another.
+        """Return the polygons and their corners, concatenated.
 
-        These are the number of each polygon (k,) and of its corners (k,); the corner of a triangle, of 3·m,
-        that each corner (c,) is first; and the corner of a polygon that each of a triangle (m, 3) is.
+        That is the number of each polygon (k,); how many corners it has (k,); for each polygon corner (c,)
+        its first triangle corner, 0 … 3·m − 1; and for each triangle corner (m, 3) its polygon corner.
         """
         keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
         keys, first, places = np.unique(keys, return_index=True, return_inverse=True)
@@ -100,7 +100,7 @@ class Polygons(NamedTuple):
         return known, sizes.astype(np.int64), first.astype(np.int64), places.reshape(-1, 3)
 
     def of(self, triangles: Int32s) -> Polygons:
-        """Return the same of some triangles (k,) alone; polygons keep their numbers."""
+        """Return the polygons of only some triangles (k,); they keep their numbers."""
         return Polygons(self.numbers[triangles], self.corners[triangles])
 
 
@@ -126,5 +126,5 @@ class Frames(NamedTuple):
     tangents: Corners  # x, y, z, and the handedness w: the bitangent is w · (normal × tangent)
 
     def of(self, triangles: Int32s) -> Frames:
-        """Return the same of some triangles (k,) alone."""
+        """Return the attribute of only some triangles (k,)."""
         return Frames(self.normals.of(triangles), self.tangents.of(triangles))

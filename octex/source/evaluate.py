@@ -1,4 +1,4 @@
-"""The kernels that give points of a surface their materials' values."""
+"""Kernels that evaluate materials at points of a surface."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ OPAQUE, MASK, BLEND = 0, 1, 2
 
 
 class Tables(NamedTuple):
-    """Materials and what is bound to triangles.
+    """Materials, and the attributes of triangles that they read.
 
-    A *stack* are images of one size that a material reads at the same coordinates with the same wraps. A
-    material's images, stack by stack, give its *lanes*: a 1, then four for each image.
+    A *stack* is a set of images of one size that a material reads at the same coordinates with the same
+    wraps. The *lanes* of a material are a 1, then four components of each image, stack by stack.
     """
 
     materials: Int32s  # (triangles,)
@@ -46,7 +46,7 @@ class Tables(NamedTuple):
     colors: Corners  # linear light and alpha; no rows: no vertex colours
     coordinates: Float32s  # (rows, 2)   v down
     coordinate_rows: Int32s  # (slots, triangles, 3)
-    frames: Frames  # at rest; no rows: no directions are asked for
+    frames: Frames  # at rest; no rows if no channel is a direction
     # The first column of the channels that are more than offset + gain × lane; −1 for none.
     base_color: int
     alpha: int
@@ -57,9 +57,9 @@ class Tables(NamedTuple):
 def measure(
     coordinates: Float32s, rows: Int32s, rest: Float64s, triangles: Int32s, footprints: Float64s
 ) -> None:
-    """Fill in the covariance (slots, triangles, 3) of a unit box on each triangle, as it looks in its images.
+    """Fill in the covariance (slots, triangles, 3), in images, of a unit box on each triangle.
 
-    It is JJᵀ / 12, as uu, uv, vv, J the Jacobian of coordinates by rest positions; 0 without area.
+    It is JJᵀ / 12 as (uu, uv, vv), where J is the Jacobian of coordinates by rest positions; 0 without area.
     """
     for triangle in range(triangles.shape[0]):
         e, f = edges_from(rest, triangles, triangle)
@@ -84,7 +84,7 @@ def measure(
 
 
 def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32s:
-    """Return the root of a texel's area (triangles,), of the finest image, in rest units, or infinity."""
+    """Return the root of the area of the finest image's texel (triangles,), in rest units, or infinity."""
     finest = np.zeros((len(footprints), tables.first_stacks.size - 1))
     for material in range(finest.shape[1]):
         for stack in tables.stacks[tables.first_stacks[material] : tables.first_stacks[material + 1]]:
@@ -108,7 +108,7 @@ def evaluate(
     widths: Float32s,
     values: Float32s,
 ) -> None:
-    """Fill in the values (n, columns) at points of triangles; ``filter`` is as `filters.told`."""
+    """Fill in the values (n, columns) at points of triangles; ``filter`` comes from `filters.told`."""
     places = np.empty(TAP_ROOM, np.int64)
     weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
@@ -120,7 +120,7 @@ def evaluate(
     lanes = np.empty(1 + 4 * most_images, np.float32)
     for lane in range(lanes.size):
         lanes[lane] = np.float32(1.0)
-    # What a triangle's points share is loaded once for a run of them: a quarter off each read.
+    # Consecutive points of one triangle share its data, which is loaded once: a quarter off each read.
     shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
@@ -212,7 +212,7 @@ def evaluate(
 def _turn(
     tables: Tables, triangle: int, shares: Vector, is_point: bool, values: Float32s, i: int, column: int
 ) -> None:
-    """Turn a direction in the tangent's frame into one in rest space; at a point, a unit vector."""
+    """Transform a direction from tangent space to rest space; at a point, normalize it."""
     normals, tangents = tables.frames
     normal = _unit(between(normals.values, normals.rows, triangle, shares))
     tangent = between(tangents.values, tangents.rows, triangle, shares)

@@ -1,4 +1,4 @@
-"""Implicit surfaces: where a function of position has a value (Benson & Davis 2002, 1 and 5)."""
+"""Implicit surfaces: level sets of functions of position (Benson & Davis 2002, 1 and 5)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ ImplicitFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 _BATCH = 1 << 18
 # Nodes of the grid in a cube of the edge length, and bytes for each.
 _NODES, _NODE_MEMORY = 2.1, 64
-# Newton's method doubles the digits with every step: after one so short, in edges, all are right.
+# Newton's method doubles the digits with each step: after a step this short, in edges, all digits are right.
 _STEPS, _NEAR = 8, 1e-7
-# Differences over so much of the edge length.
+# Step of finite differences, as a part of the edge length.
 _DIFFERENCE = 1e-4
 _LARGEST = 1e30
 
@@ -31,7 +31,7 @@ _LARGEST = 1e30
 def level_set(
     f: ImplicitFunction, bounds: npt.ArrayLike, edge_length: float, level: float
 ) -> tuple[Float64s, Int32s]:
-    """Return the vertices and triangles of where a function has a value: ``Surface.from_function``."""
+    """Return the vertices and triangles of a function's level set: see ``Surface.from_function``."""
     box = as_points(bounds, "bounds").astype(np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] >= box[1]).any():
         raise ArgumentError(f"bounds must be a finite lowest and highest corner, not {box.tolist()}")
@@ -60,7 +60,7 @@ def level_set(
             f"the function has no surface at {level:g} inside {low.tolist()} … {high.tolist()}, or one finer "
             f"than the edge_length of {edge:g}"
         )
-    # Vertices of the caps, where the bounds cut, stay there.
+    # Vertices of the caps, where the bounds cut the shape, do not move.
     rim = 1e-9 * float((high - low).max())
     free = ((vertices > low + rim) & (vertices < high - rim)).all(axis=1)
     vertices[free] = _moved_onto(inside, vertices[free], edge)
@@ -70,10 +70,10 @@ def level_set(
 def _polygonized(
     inside: Callable[[Float64s], Float64s], low: Float64s, high: Float64s, edge: float
 ) -> tuple[Float64s, Int32s]:
-    """Polygonize where ``inside`` is 0, by marching tetrahedra.
+    """Polygonize the zero set of ``inside`` by marching tetrahedra.
 
-    manifold3d asks for one point at a time, in an order that values do not change: the first run lists the
-    points, the second gets all values. That is 10 times as fast as calls of ``inside`` for single points.
+    manifold3d evaluates one point at a time, in an order that does not depend on values. So a first run
+    lists the points, and a second reads their values. That is 10 times as fast as single calls of ``inside``.
     """
     from manifold3d import Manifold
 
@@ -92,7 +92,7 @@ def _polygonized(
 
 
 def _moved_onto(inside: Callable[[Float64s], Float64s], start: Float64s, edge: float) -> Float64s:
-    """Move points (n, 3) by at most an edge, to where ``inside`` is 0, by Newton's method."""
+    """Move points (n, 3) onto the zero set of ``inside`` by Newton's method, by at most an edge."""
     points = start.copy()
     values = inside(points)
     shares = np.ones(len(points))

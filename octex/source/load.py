@@ -116,7 +116,7 @@ def load_motion(path: str | os.PathLike[str], rate: float = 30.0) -> Motion | No
 
 
 def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> Surface:
-    """Return the same surface at the rest positions of another model file or of an array.
+    """Return the surface with the rest positions of another model file or of an array.
 
     Raises ModelError as ``load_surface`` does.
     """
@@ -154,7 +154,7 @@ def _read(path: Path, options: Options) -> Surface:
 
 @contextmanager
 def _parsing(path: Path) -> Iterator[None]:
-    """Say in one line whatever a damaged file makes the parsers do."""
+    """Turn any exception of the parsers into one line."""
     try:
         with reading(path):
             yield

@@ -1,7 +1,7 @@
-"""Images laid on surfaces without texture coordinates: from a plane, a box, a cylinder or a sphere.
+"""Images mapped onto surfaces without texture coordinates: from a plane, a box, a cylinder or a sphere.
 
-In kernels points are in the mapping's own frame about its centre: x to the right, y up, z along the axis,
-towards the viewer of a plane. A picture has u to the right and v down, and spans 0 … 1.
+Kernels use the mapping's frame, with its centre as origin: x to the right, y up, and z along the axis,
+towards the viewer of a plane. An image has u to the right and v down, and spans 0 … 1.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from octex.source.tangents import carried
 from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, row_of, times
 
 _X, _Y, _Z = np.eye(3)
-#: What is to the right and up for one who looks at the origin from along each axis.
+#: The directions right and up for a viewer on each axis who looks at the origin.
 FRAMES = {"x": (-_Z, _Y), "-x": (_Z, _Y), "y": (_X, -_Z), "-y": (_X, _Z), "z": (_X, _Y), "-z": (-_X, _Y)}
 _FARTHEST = 1e30
 #: The kinds of mappings.
 KINDS = ("planar", "box", "cylindrical", "spherical")
 PLANAR, BOX, CYLINDRICAL, SPHERICAL = range(4)
 
-#: A normal is nearer to the axis than to the side if its component along it, of 1, is above this.
+#: A unit normal belongs to the axis, not to the side, if its component along the axis is above this.
 CAP = math.sqrt(0.5)
-# Normals computed from rounded positions decide as if they were exact: a bevel of 45° is no patchwork.
+# Tolerance for normals from rounded positions: without it a bevel of 45° would become a patchwork.
 _TIE = 1e-6
 
 
@@ -102,7 +102,7 @@ class MappedImage(Placeable):
         if size is None:
             extents = most - least
             largest = float(extents.max()) or 1.0
-            # A picture is not squeezed where there is nothing to spread it over.
+            # An image is not squeezed along an axis on which the model has no extent.
             is_squeezed = (extents <= 1e-9 * largest) | (self._kind == BOX)
             size = np.where(is_squeezed, largest, extents)
         right, up = FRAMES[self._axis]
@@ -112,7 +112,7 @@ class MappedImage(Placeable):
             texels = unit_directions(texels, (1.0, 1.0, 1.0))
         elif form.space == "srgb" and texels.dtype == np.float32:
             form = light_format(form, float(texels[..., : form.components].max()))
-        # As its codes are meant, whatever it is stored as.
+        # The image's numbers have the meaning that they have in the file, whatever the channel's type.
         picture = Picture(texels, form.space in ("srgb", "linear"))
         source = MappedSource(form, mapping, picture, self._is_flat, filter, mesh)
         said = {
@@ -128,7 +128,7 @@ class MappedImage(Placeable):
 
 
 class MappedSource(SpatialSource):
-    """One channel from an image by a mapping; directions of normal maps stand on the mesh's frames."""
+    """One channel of a mapped image; normal maps refer to the mesh's frames."""
 
     def __init__(
         self, form: ChannelFormat, mapping: Mapping, picture: Picture, flat: bool, filter: str, mesh: Mesh
@@ -191,14 +191,14 @@ def _three(values: float | Sequence[float], name: str, least: float) -> Float64s
 
 
 class Mapping(NamedTuple):
-    """A mapping, as kernels see it."""
+    """The numbers of a mapping, for kernels."""
 
     kind: int
     wrap_u: int
     wrap_v: int
     frame: Float64s  # (3, 3)   rows: right, up and the axis, in rest space
     center: Float64s  # (3,)   in rest space
-    size: Float64s  # (3,)   what a copy of the picture spans along right, up and the axis
+    size: Float64s  # (3,)   extents of a copy of the image along right, up and the axis
 
 
 @inlined
@@ -207,8 +207,8 @@ def map_point(
 ) -> tuple[float, float, Vector, Vector, bool]:
     """Return u and v of a point, their gradients, and whether u runs around the axis.
 
-    What is ``width`` wide there covers no more than once around and from pole to pole, however near to the
-    axis or the centre: gradients end at what gives a box the variance of all of it.
+    Near the axis or the centre gradients are limited: the variance of a box of ``width`` is at most that of
+    the whole image.
     """
     x, y, z = point
     n_x, n_y, n_z = normal
@@ -260,7 +260,7 @@ def _placed(mapping: Mapping, points: Float64s, i: int) -> Vector:
 
 @inlined
 def _covariance(u_slope: Vector, v_slope: Vector, normal: Vector, square: float) -> Vector:
-    """Return uu, uv and vv of a box on the plane of a normal, ``square`` its side's square."""
+    """Return the covariance (uu, uv, vv) of a box in a normal's plane; ``square`` is its side squared."""
     along_u, along_v = dot_product(u_slope, normal), dot_product(v_slope, normal)
     scale = square / 12.0
     return (
@@ -275,9 +275,9 @@ def read_mapped(
     mapping: Mapping, images: Images, filter: int | None, flat: bool, is_direction: bool,
     points: Float64s, normals: Float64s, shading: Float64s, widths: Float32s, values: Float32s,
 ) -> None:  # fmt: skip
-    """Fill in what the one image of ``images`` gives to points.
+    """Fill in the values of points from the one image of ``images``.
 
-    ``normals`` (n, 3) are those of the faces, ``shading`` those on which directions of normal maps stand.
+    ``normals`` (n, 3) are face normals. Normal maps refer to the shading normals ``shading``.
     """
     places, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
     lanes = np.empty(4, np.float32)
@@ -315,9 +315,10 @@ def _turn(
     mapping: Mapping, lanes: Float32s, u_slope: Vector, v_slope: Vector, shading: Vector, is_point: bool,
     values: Float32s, i: int,
 ) -> None:  # fmt: skip
-    """Turn a direction of a normal map into one in rest space; at a point, a unit vector.
+    """Transform a direction of a normal map to rest space; at a point, normalize it.
 
-    The tangent is where u grows and v stays on the surface, or u grows most if v does not change there.
+    On the surface, u grows and v is constant along the tangent. If v has no slope there, the tangent is the
+    gradient of u.
     """
     normal = _in_frame(mapping, shading)
     if dot_product(normal, normal) == 0.0:
@@ -344,7 +345,7 @@ def _turn(
 def mapped_edges(
     mapping: Mapping, width: int, height: int, points: Float64s, normals: Float64s, edges: Float32s
 ) -> None:
-    """Fill in the shorter edge of a texel at points, in rest units; infinity where all see one texel."""
+    """Fill in the shorter edge of a texel at points, in rest units; infinity for an image of one texel."""
     for i in range(len(points)):
         point = _placed(mapping, points, i)
         normal = _in_frame(mapping, row_of(normals, i))

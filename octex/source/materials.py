@@ -22,13 +22,13 @@ from octex.source.images.filters import FILTERS, LEVELS_OF, told
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
-#: How a material's alpha counts: not at all, as a coverage of 0 or 1 about a cutoff, or as it is.
+#: Alpha modes of glTF: alpha is ignored, compared with a cutoff, or used as coverage.
 AlphaMode = Literal["opaque", "mask", "blend"]
 ALPHA_MODES: tuple[AlphaMode, ...] = ("opaque", "mask", "blend")
 
 
 class Texture(NamedTuple):
-    """An image and how coordinates meet it."""
+    """An image, with its wraps, its magnification filter and its set of texture coordinates."""
 
     texels: Texels  # (height, width, 4)   as images.decode_image
     wrap_u: int = REPEAT
@@ -38,7 +38,7 @@ class Texture(NamedTuple):
 
 
 class Input(NamedTuple):
-    """What one channel of a material is made of, component by component: offset + factor × texel."""
+    """One channel of a material. Each component is offset + factor × texel."""
 
     factor: tuple[float, ...]  # linear light for colours
     texture: Texture | None = None  # without one the texel is 1
@@ -47,9 +47,9 @@ class Input(NamedTuple):
 
 
 class Material(NamedTuple):
-    """One material of a model file, with the inputs of the channels that it states.
+    """One material of a model file, with the inputs of the channels that it defines.
 
-    Texels of ``normal`` are scaled by the factor, then made unit vectors, before anything is averaged.
+    Texels of ``normal`` are scaled by the factor and normalized before they are averaged.
     """
 
     inputs: Mapping[str, Input] = {}
@@ -65,12 +65,12 @@ class Material(NamedTuple):
 
     @property
     def alpha_factor(self) -> float:
-        """What its alpha is multiplied by."""
+        """The factor of its alpha."""
         return self.inputs["alpha"].factor[0] if "alpha" in self.inputs else 1.0
 
     @property
     def is_covered(self) -> bool:
-        """Whether the base colour's own image holds how much of it there is."""
+        """Whether the alpha of the base colour's image is its coverage."""
         color, alpha = self.inputs.get("base_color"), self.inputs.get("alpha")
         if self.alpha_mode == "opaque" or color is None or alpha is None or alpha.lanes[0] != 3:
             return False
@@ -81,7 +81,7 @@ class Material(NamedTuple):
 
     @property
     def normal_slot(self) -> int | None:
-        """The set of texture coordinates that its normal map is read at; None without such a map."""
+        """The set of texture coordinates of its normal map; None without a normal map."""
         entry = self.inputs.get("normal")
         return None if entry is None or entry.texture is None else entry.texture.slot
 
@@ -93,11 +93,12 @@ MOST_IN_FLOAT16 = 65504.0
 class MaterialSource(Source):
     """The channels of a model with materials.
 
-    ``triangle_materials`` (m,) says the material of each triangle. ``colors`` at corners, linear light and
+    ``triangle_materials`` (m,) is the material of each triangle. ``colors`` at corners, linear light and
     alpha (rows, 4), multiply ``base_color`` and ``alpha``. ``coordinates`` (rows, 2), by slot, have v down.
-    Without ``frames``, in the space of ``rest``, there is no ``normal``. It has ``base_color``,
-    ``alpha`` if a material uses it, and what else materials in use state, of these ``channels``. Averages of
-    masks cut texels by the mean vertex alpha under their material, points by their own.
+    The channels are ``base_color``, ``alpha`` if a material uses it, and all others that a material in use
+    defines, as far as they are in ``channels``. Without ``frames``, in the space of ``rest``, there is no
+    ``normal``. An averaged mask compares texels, times the material's mean vertex alpha, with the cutoff;
+    a point uses its vertex alpha.
 
     Raises ModelError for colours, or texture coordinates in use, that are not finite, and unknown channels.
     """
@@ -142,7 +143,7 @@ class MaterialSource(Source):
         self._channels = tuple(self._format(channel) for channel in stated)
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return values (n, components): light, not multiplied by alpha; fractions; means of directions."""
+        """Return values (n, components): light not multiplied by alpha, fractions, mean directions."""
         (tables, images), (footprints, _) = self._tables, self._footprints
         values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
         evaluate(tables, images, footprints, told(self._filter), triangles, barycentric, widths, values)
@@ -154,7 +155,7 @@ class MaterialSource(Source):
         return edges
 
     def prepare(self) -> None:
-        """Make images and their levels as lookups read them."""
+        """Build the images and their mip levels."""
         _ = self._footprints
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
@@ -171,14 +172,14 @@ class MaterialSource(Source):
         return self._changed(*stale, _filter=number)
 
     def only(self, names: Sequence[str]) -> MaterialSource:
-        """Return the same source with these of its channels alone; no other image is kept ready."""
+        """Return the same source with only these channels. Other images are not cached."""
         chosen = tuple(channel for channel in self._channels if channel.name in names)
         if chosen == self._channels:
             return self
         return self._changed("_tables", "_footprints", _channels=chosen)
 
     def _format(self, name: str) -> ChannelFormat:
-        """Return how a channel is stored: light that can be above 1 as floats."""
+        """Return the storage format of a channel: floats for light that may exceed 1."""
         form = CHANNELS[name]
         if form.space != "srgb":
             return form
@@ -191,7 +192,7 @@ class MaterialSource(Source):
         return light_format(form, most)
 
     def _check(self) -> None:
-        """Refuse coordinates that are not there, and colours and coordinates in use that are not finite."""
+        """Refuse missing coordinates, and colours and coordinates in use that are not finite."""
         numbers = [
             n for m in self.materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
         ]
@@ -273,7 +274,7 @@ class MaterialSource(Source):
         return tables, images
 
     def _threshold(self, number: int) -> float:
-        """Return the texel's alpha from which on a mask covers, by the mean vertex alpha; −1 for no mask."""
+        """Return the least texel alpha that a mask keeps, at the mean vertex alpha; −1 without a mask."""
         material = self.materials[number]
         if material.alpha_mode != "mask":
             return -1.0
@@ -285,7 +286,7 @@ class MaterialSource(Source):
 
 
 class _Shelf:
-    """The images that materials read, each once, and the stacks in which each material reads them."""
+    """All images of the materials, without duplicates, and the stacks of each material."""
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}
@@ -328,7 +329,7 @@ class _Shelf:
 
 
 def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
-    """Return how a channel of light is stored whose values reach ``most``: as floats if that is above 1."""
+    """Return the storage format of a channel of light up to ``most``: floats if that exceeds 1."""
     if most <= 1.0 + 1e-6:
         return form
     return form._replace(space="linear", dtype="float16" if most <= MOST_IN_FLOAT16 else "float32")
@@ -342,7 +343,7 @@ def _brightest(entry: Input) -> float:
 
 
 def unit_directions(texels: Texels, scale: tuple[float, ...]) -> Uint16s:
-    """Return the texels of a normal map, each scaled along x, y and z and made a unit vector, as codes."""
+    """Return the texels of a normal map, scaled along x, y and z, normalized, and stored as integers."""
     directions = np.empty(texels.shape, np.uint16)
     _make_unit(texels, 2.0 / ONE[texels.dtype.name], np.array(scale, np.float64), directions)
     return directions
@@ -356,7 +357,7 @@ def _make_unit(texels: Texels, unit: float, scale: Float64s, directions: Uint16s
             y = (float(texels[row, column, 1]) * unit - 1.0) * scale[1]
             z = (float(texels[row, column, 2]) * unit - 1.0) * scale[2]
             length = math.sqrt(x * x + y * y + z * z)
-            # What points nowhere points straight up.
+            # A zero vector becomes the surface's normal.
             inverse, upward = (1.0 / length, 0.0) if length > 0.0 else (0.0, 1.0)
             directions[row, column, 0] = int((x * inverse + 1.0) * 32767.5 + 0.5)
             directions[row, column, 1] = int((y * inverse + 1.0) * 32767.5 + 0.5)

@@ -1,4 +1,4 @@
-"""A mesh: triangles at posed and rest positions, with what is bound to their corners, and points on them."""
+"""A mesh: triangles at posed and rest positions, attributes of their corners, and points on them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Mesh:
     def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
         """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
 
-        Those of ``chosen`` triangles (k,) alone, if given.
+        With ``chosen`` triangles (k,), return only their frames.
         """
         frames, triangles = self.frames, self.triangles
         if frames is not None and chosen is not None:
@@ -125,16 +125,16 @@ class Mesh:
         return carried(frames, triangles, self.rest, self.vertices)
 
     def moved(self, rest: Float64s) -> Mesh:
-        """Return the same mesh with its parts elsewhere at rest, turned as they are: frames stay."""
+        """Return the same mesh with its parts translated at rest; frames do not change."""
         return Mesh(
             self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
             creases=self.creases, name=self.name,
         )  # fmt: skip
 
     def picked(self, triangles: npt.ArrayLike) -> tuple[Mesh, Int32s, Int32s]:
-        """Return some triangles (k,) as a mesh with the vertices that they use, and the numbers of both here.
+        """Return some triangles (k,) as a mesh with only their vertices, and the old numbers of both.
 
-        Raises ArgumentError for numbers of triangles that are not there, ModelError for none.
+        Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
         chosen = as_array(triangles)
         if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
@@ -175,7 +175,7 @@ class Mesh:
     def parts(self) -> Int32s:
         """The part of each triangle (m,), numbered by their first triangles, as ``overlapping_parts`` does.
 
-        Parts are what hangs together at rest, vertices at the same position being one.
+        A part is a connected component at rest, where vertices at the same position are one.
         """
         return parts_of(self.triangles, first_equal(self.rest))
 
@@ -244,7 +244,7 @@ class Mesh:
 
 
 def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
-    """Return positions (n, 3) as an array of one's own, or raise ModelError that says ``what`` is wrong."""
+    """Return a read-only copy of positions (n, 3), or raise ModelError that names them ``what``."""
     array = as_array(positions)
     if array.dtype.kind not in "fiu":
         raise ModelError(f"{what} must be numbers of shape (n, 3)")
@@ -263,7 +263,7 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
 
 
 def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
-    """Return triangles (m, 3) of so many vertices, or raise ModelError."""
+    """Return triangles (m, 3) of ``vertices`` vertices, or raise ModelError."""
     triangles = as_array(array_like)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
@@ -277,7 +277,7 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
 
 
 def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
-    """Return a read-only array of one's own: a copy, unless it is one already."""
+    """Return a read-only array that nobody else can write to: a copy, unless it is one already."""
     if isinstance(array_like, np.ndarray) and array_like.base is None and not array_like.flags.writeable:
         return np.asarray(array_like, dtype, order="C")
     array: Array = np.array(array_like, dtype, order="C")

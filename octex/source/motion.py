@@ -1,4 +1,4 @@
-"""How a model moves: bones that carry its vertices, targets that these go to before, and both over time."""
+"""How a model moves: bones, morph targets, and their animations."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from octex.arrays import Float64s, Int64s
 
 
 class Links(NamedTuple):
-    """What moves the vertices: of vertex v the entries from ``first[v]`` to ``first[v + 1]``."""
+    """The bones, or morph targets, of vertices: those of v are entries ``first[v]`` to ``first[v + 1]``."""
 
     first: Int64s  # (n + 1,)
     numbers: Int64s  # (entries,)   of bones, or of targets
-    shares: Float64s  # (entries,) of bones, which sum to 1; or (entries, 3), what targets add to positions
+    shares: Float64s  # (entries,) weights of bones, which sum to 1; or (entries, 3) offsets of targets
 
     @property
     def owners(self) -> Int64s:
@@ -23,26 +23,26 @@ class Links(NamedTuple):
 
 
 class Animation(NamedTuple):
-    """Bones and targets at frames, which are evenly spaced from 0 to the last."""
+    """Bones and weights of targets at frames, which are evenly spaced in time from 0 on."""
 
     name: str
     length: float  # seconds
-    bones: Float64s  # (frames, bones, 3, 4)   from the model's vertices to where they are then
+    bones: Float64s  # (frames, bones, 3, 4)   from modelled positions to those at the frame
     weights: Float64s  # (frames, targets)
 
 
 class Motion(NamedTuple):
     """The animations of a model, in the scene's coordinates.
 
-    At a frame, vertex v is at Σ share · bone · (position + Σ weight · what the target adds).
+    At a frame, vertex v is at Σ share · bone · (position + Σ weight · offset).
     """
 
     positions: Float64s  # (n, 3)   as modelled: without animations, skins and targets
     bones: Links
     targets: Links
-    turns: Float64s  # (entries, 3)   of targets: what they add to the vertices' unit normals
+    turns: Float64s  # (entries, 3)   offsets of the vertices' unit normals by targets
     animations: list[Animation]
-    faults: list[str]  # of animations that are broken, a line each
+    faults: list[str]  # a line for each broken animation
 
     def start_on(self, vertices: Float64s, rest: Float64s) -> str | None:
         """Say which positions of a surface the bones move: "rest" or "position"; None for neither."""
@@ -55,9 +55,9 @@ class Motion(NamedTuple):
         return None
 
     def positions_at(self, animation: int, time: float) -> Float64s:
-        """Return where the vertices (n, 3) are at a time in seconds, linear between frames.
+        """Return the positions of the vertices (n, 3) at a time in seconds, linear between frames.
 
-        Before the first frame and after the last they stay.
+        Times before the first frame or after the last use that frame.
         """
         chosen = self.animations[animation]
         last = len(chosen.bones) - 1

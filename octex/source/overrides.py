@@ -1,4 +1,4 @@
-"""Channels that override a model's: a function of position, an image at texture coordinates, a value."""
+"""Overrides of a model's channels: a function of position, an image at texture coordinates, a value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from octex.source.materials import MOST_IN_FLOAT16, Input, Material, MaterialSou
 from octex.source.mesh import Mesh
 from octex.source.tangents import corner_frames
 
-# Values may be out of their range by so much, and are then brought into it.
+# Values may leave their range by this much; they are clipped.
 _ROUNDING = 1e-6
 
 
@@ -68,7 +68,7 @@ class FunctionSource(SpatialSource):
 
 
 def override_source(mesh: Mesh, channel: str, value: object, filter: str) -> tuple[Source, dict[str, str]]:
-    """Return a source of one channel, and what provenance says of it; raises as ``Surface.with_sources``."""
+    """Return a source of one channel, and its entries of provenance. Raises as ``Surface.with_sources``."""
     form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
     entry = f"source_{channel}"
     if isinstance(value, Placeable):

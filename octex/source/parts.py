@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 Why = Literal["open", "not manifold", "without volume"]
 
-#: The entry of provenance that says which parts were moved, and how far.
+#: The key of the moved parts in provenance.
 SEPARATION = "separation"
-#: So many parts find a place each for themselves; more are also moved as they lie.
+#: Up to this many parts are placed one by one; more are also moved as groups.
 _SINGLY = 300
-#: Solids that share less than this part of the smaller one's volume only touch.
+#: Solids that share a smaller fraction of the smaller one's volume only touch.
 _SHARED = 1e-9
-#: Pairs of boxes are looked for so many at a time.
+#: Pairs of boxes searched at a time.
 _BLOCK = 1 << 22
 
 
@@ -42,7 +42,7 @@ class Overlap(NamedTuple):
 
     a: int
     b: int
-    volume: float | None  # of what both fill, in cubic units; None unless both are solid
+    volume: float | None  # of their intersection, in cubic units; None unless both are solid
     gap: float  # smallest distance of their surfaces; 0 where they cross, infinite where beyond the margin
 
 
@@ -110,7 +110,7 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
             distance = distances.gap(surfaces[a], surfaces[b], margin)
             within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
             around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
-            # Apart and not one in the other: nothing is shared, and needs no boolean.
+            # Apart and not one in the other: the intersection is empty without a boolean.
             is_clear = distance > 0.0 and not within and not around
             one, other, volume = solids[a], solids[b], None
             if not (isinstance(one, str) or isinstance(other, str)):
@@ -140,8 +140,8 @@ def boxes_of(rest: Float64s, triangles: Int32s, parts: Int32s) -> tuple[Float64s
 def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     """Return the part of each triangle (m,), numbered by their first triangles.
 
-    Triangles are in one part if they share a vertex, or an edge (of the same positions, ``welded``) that no
-    third has. What is not closed then is joined with what touches it at a vertex.
+    Triangles are in one part if they share a vertex, or an edge (by position, ``welded``) that no third
+    triangle has. A part that is not closed is then joined with the parts that touch it at a vertex.
     """
     parents = np.arange(len(welded))
     join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
@@ -151,7 +151,7 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     pairs = starts[np.diff(starts, append=len(keys)) == 2]
     owners = np.tile(triangles[:, 0], 3).astype(np.int64)
     join(parents, owners[order[pairs]], owners[order[pairs + 1]])
-    # Parts with an edge that is not run through equally both ways are not closed.
+    # A part is not closed if an edge has unequal numbers of triangles in both directions.
     roots = parents[triangles[:, 0]]
     keys, ways = edges_of(triangles, welded)
     owners = np.tile(roots, 3)
@@ -169,7 +169,7 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
 
 
 def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the edges of triangles (3·m,), edge after edge: a number, and which way it is run through."""
+    """Return the edges of triangles (3·m,): the number of each, and its direction."""
     corners = welded[triangles]
     a = corners.T.ravel()
     b = corners[:, [1, 2, 0]].T.ravel()
@@ -178,7 +178,7 @@ def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
 
 @kernel
 def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
-    """Join the sets of a[i] and b[i]; afterwards every parent is its set's least member."""
+    """Join the sets of a[i] and b[i]. Then every parent is the least member of its set (union-find)."""
     for i in range(a.size):
         x, y = a[i], b[i]
         while parents[x] != x:
@@ -193,7 +193,7 @@ def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
 
 
 def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
-    """Return the solid that triangles enclose, turned outside out, or why they enclose none."""
+    """Return the solid that triangles enclose, with outward normals, or why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 
     keys, _ = edges_of(triangles, welded)
@@ -210,11 +210,11 @@ def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
 
 
 def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[Int64s, Int64s]]:
-    """Yield pairs of boxes, low and high (n, 3), that come as near as ``margin`` to each other."""
+    """Yield pairs of boxes, ``low`` and ``high`` (n, 3), with gaps of at most ``margin``."""
     if len(low) < 2:
         return
     sweeps = []
-    for axis in range(3):  # the axis along which the fewest follow each other so nearly
+    for axis in range(3):  # sort along the axis with the fewest overlaps
         order = np.argsort(low[:, axis], kind="stable")
         ends = np.searchsorted(low[order, axis], high[order, axis] + margin, side="right")
         sweeps.append((order, ends - np.arange(1, len(low) + 1)))
@@ -234,7 +234,7 @@ def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[
 
 
 def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -> str | None:
-    """Return how parts nearer than ``margin`` are moved apart, as provenance says it; None if none are."""
+    """Return the entry of provenance that moves parts nearer than ``margin`` apart; None without any."""
     margin = as_positive(margin, "margin")
     overlaps = mesh.overlapping_parts(margin) if overlaps is None else overlaps
     if not isinstance(overlaps, Overlaps):
@@ -252,7 +252,7 @@ def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -
 
 
 def separated_rest(mesh: Mesh, separation: str) -> Float64s:
-    """Return the rest positions (n, 3) of a mesh whose parts are moved as an entry of provenance says."""
+    """Return the rest positions (n, 3) of a mesh after the moves in an entry of provenance."""
     parts = mesh.parts
     try:
         content: dict[str, Any] = json.loads(separation)
@@ -285,8 +285,8 @@ def _digest(parts: Int32s) -> str:
 
 
 def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
-    """Return how far each part moves (parts, 3), so that what was too near comes to lie beside the rest."""
-    # Classes without near parts in one, the largest first: class 0 is what stays.
+    """Return an offset for each part (parts, 3) that places parts that are too near next to the model."""
+    # Classes of parts that are not near each other, the largest first. Class 0 does not move.
     sizes = np.ptp([low, high], axis=0).max(axis=1)
     neighbours: dict[int, set[int]] = {}
     for a, b in pairs:
@@ -314,9 +314,9 @@ def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], ma
 def _packed(
     low: Float64s, high: Float64s, base: tuple[Float64s, Float64s], groups: list[Int64s], margin: float
 ) -> Float64s:
-    """Return offsets (parts, 3) that put groups of parts beside a base, where the whole grows least.
+    """Return offsets (parts, 3) that put groups of parts next to a base, where the bounds grow least.
 
-    Places are beside what is there already (the extreme points of Crainic et al. 2008).
+    Candidates are the extreme points of Crainic et al. 2008.
     """
     offsets = np.zeros_like(low)
     boxes = [(low[group].min(axis=0), high[group].max(axis=0)) for group in groups]

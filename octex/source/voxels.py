@@ -103,38 +103,7 @@ class Voxels:
         Raises ModelError, with the file's name, for a file that is missing, damaged or has other contents.
         """
         path = as_path(path)
-        return cls.of(voxel_arrays(path), path.name)
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, Array], name: str) -> Voxels:
-        """Return the voxels of what ``voxel_arrays`` returned of a file with this name."""
-        coords = arrays["coords"]
-        size = arrays.get("size")
-        channels = {
-            each: rows
-            for each, rows in arrays.items()
-            if each not in {"coords", *_DEPTHS, *_OTHERS}
-            and rows.ndim in (1, 2)
-            and rows.shape[:1] == coords.shape[:1]
-        }
-        color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
-        if color is not None and channels[color].shape[1] in (3, 4):
-            channels["base_color"] = channels.pop(color)
-        try:
-            voxels = cls(
-                coords,
-                channels,
-                depth=next((arrays[each] for each in _DEPTHS if each in arrays), None),
-                origin=arrays.get("origin", np.zeros(3)),
-                size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
-                name=name,
-            )
-            if size is None and "voxel_size" in arrays:
-                edge = as_reals(arrays["voxel_size"].reshape(-1)[:1], f"{name}: voxel_size", (1,))[0]
-                voxels.size = as_positive(float(edge), f"{name}: voxel_size") * voxels.size
-        except ArgumentError as error:
-            raise ModelError(str(error)) from None
-        return voxels
+        return voxels_of(voxel_arrays(path), path.name)
 
     def __len__(self) -> int:
         return len(self.coords)
@@ -198,6 +167,37 @@ class Voxels:
                 is_half = known is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
                 form = form._replace(space=space, dtype="float16" if is_half else "float32")
         self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
+
+
+def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:
+    """Return the voxels of what ``voxel_arrays`` returned of a file with this name."""
+    coords = arrays["coords"]
+    size = arrays.get("size")
+    channels = {
+        each: rows
+        for each, rows in arrays.items()
+        if each not in {"coords", *_DEPTHS, *_OTHERS}
+        and rows.ndim in (1, 2)
+        and rows.shape[:1] == coords.shape[:1]
+    }
+    color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
+    if color is not None and channels[color].shape[1] in (3, 4):
+        channels["base_color"] = channels.pop(color)
+    try:
+        voxels = Voxels(
+            coords,
+            channels,
+            depth=next((arrays[each] for each in _DEPTHS if each in arrays), None),
+            origin=arrays.get("origin", np.zeros(3)),
+            size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
+            name=name,
+        )
+        if size is None and "voxel_size" in arrays:
+            edge = as_reals(arrays["voxel_size"].reshape(-1)[:1], f"{name}: voxel_size", (1,))[0]
+            voxels.size = as_positive(float(edge), f"{name}: voxel_size") * voxels.size
+    except ArgumentError as error:
+        raise ModelError(str(error)) from None
+    return voxels
 
 
 def is_voxels(path: Path) -> bool:

@@ -15,16 +15,20 @@ page/       the page: plain modules and shaders, as they are served
     motion      bones and targets at frames
     source      the model's own images; divider: between these and the octree
     part        a texture and its mesh: what the GPU holds of them
-    gpu         programs, and what is drawn with them of all parts; rest positions and values of pixels
+    programs    shaders, compiled for what is shown of a part
+    gpu         what is drawn with them of all parts; rest positions and values of pixels
     camera      goes around a point; its file for octex's cameras; controls: mouse, touch and keys
     legend      what the colours of levels and facings stand for
     connection  the line to the server, which tells the version that is shown
     player      which animation is played, at what time
     paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: it;
-                exporting: what is downloaded; flat: a piece laid flat
+                exporting: what is downloaded; flat: a piece laid flat, beside the model; beneath:
+                what strokes below layers and erasers lead to; outline: of the brush on the surface
+    pointed     what lies under the cursor
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions
+below       pieces laid flat, and what strokes in layers lead to, as pages take them
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from octex.errors import OctexError, OutputError
+from octex.viewer.below import packed_beneath, packed_patch
 from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
-from octex.viewer.pack import packed_mesh
-from octex.viewer.streams import deflated
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,6 +46,10 @@ _HEADERS = {
 _PATIENCE = 10.0
 #: Seconds that a browser may pause in a download, and bytes that are sent at once.
 _PAUSE, _PIECE = 600.0, 1 << 20
+
+
+#: What a session is asked for.
+_MADE = {"patch": packed_patch, "beneath": packed_beneath}
 
 
 class Server(ThreadingHTTPServer):
@@ -91,8 +94,8 @@ class Handler(BaseHTTPRequestHandler):
             self._follow()
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
-        elif path == "patch" and self.viewer.session is not None:
-            self._patch(self.viewer.session)
+        elif path in _MADE and self.viewer.session is not None:
+            self._made(_MADE[path], self.viewer.session)
         elif path == "export" and self.viewer.downloads is not None:
             self._export(self.viewer.downloads)
         elif path.startswith("export/") and self.viewer.downloads is not None:
@@ -224,18 +227,14 @@ class Handler(BaseHTTPRequestHandler):
     def _follow(self) -> None:
         self.viewer.follow(self._events())
 
-    def _patch(self, session: Session) -> None:
-        """Answer with a piece of the surface, laid flat: a line of JSON, and the mesh's stream."""
+    def _made(self, make: Callable[[Session, str], bytes], session: Session) -> None:
+        """Answer with what is made for a page from its question: a line of JSON, and streams."""
         try:
-            patch = session.patch(unquote(self.path.partition("?")[2]))
+            body = make(session, unquote(self.path.partition("?")[2]))
         except OctexError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         else:
-            texture = session.shown.texture
-            flat = patch.surface.placed_in(texture).part(patch.triangles)
-            header, stream = packed_mesh(texture, flat)
-            line = json.dumps({"mesh": header, "faults": patch.faults}).encode()
-            self._answer(line + b"\n" + deflated(stream, 1), "application/octet-stream")
+            self._answer(body, "application/octet-stream")
 
     def _export(self, downloads: Downloads) -> None:
         """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""

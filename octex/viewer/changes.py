@@ -34,6 +34,26 @@ def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(header[name] == other[name] for name in _STAYS)
 
 
+def with_channels_of(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
+    """Return a texture with the channels of one of the same cells, and a stream of those it did not have.
+
+    Of each component of these the stream has the cells, what nodes keep, and the sides of split cells. None
+    instead of the texture where cells differ, or channels of one name.
+    """
+    tree, channels, parts = before.tree, {}, []
+    arrays: list[list[Array]] = [
+        [*each.tree.arrays[:3], *each.tree.split, *each.tree.kept] for each in (before, after)
+    ]
+    is_same = before.placement == after.placement and all(map(np.array_equal, *arrays))
+    for name, channel in after.channels.items():
+        channels[name] = before.channels.get(name, channel)
+        is_same &= channels[name].format == channel.format
+        if name not in before.channels:
+            rows = np.concatenate([channel.values, channel.kept_values, channel.split_values])
+            parts.append(np.ascontiguousarray(rows.T, np.uint8).tobytes())
+    return before.with_cells(tree, channels) if is_same else None, b"".join(parts)
+
+
 class _Runs(NamedTuple):
     """Runs of known cells, by the first one's numbers, now and before."""
 

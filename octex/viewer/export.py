@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 #: Modules in the order in which each knows those before it.
 _NAMES = """
-elements kept data octree patch mesh motion camera controls legend connection source part gpu player divider
-viewer
+elements kept data octree patch mesh motion camera controls legend connection source part programs gpu player
+divider pointed viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.
 _PAINTING_NAMES = """
-panel path dabs under mirror stroke sending brush images stencil retouch elsewhere tools layers material
-exporting flat paint
+panel path dabs under outline mirror stroke sending brush images stencil retouch beneath elsewhere
+tools layers material exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
-PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag"]
+PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"

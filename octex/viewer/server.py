@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
 from octex.viewer.answers import ADDRESS, Handler, Server
-from octex.viewer.changes import change_between, change_of, is_like, touched_by
+from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_channels_of
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
 from octex.viewer.streams import deflated
@@ -38,6 +38,8 @@ _BEAT, _ALONE = 1.0, 30.0
 _FIRST = 20
 #: Deflate's level for changes: they stay on this machine, and packing them takes longer than sending them.
 _QUICK = 0
+#: And for channels that are new: mostly one value.
+_SMALL = 1
 #: Changes that are kept for pages that do not have them yet, and bytes of all but the last; pages further
 #: behind load all anew.
 _MOST_CHANGES, _MOST_BYTES = 32, 32 << 20
@@ -212,7 +214,7 @@ class Viewer:
     def _read(self, stamp: str) -> _State:
         told: dict[str, Any] | None
         if self.session is not None:
-            texture, told, before, changes = self.session.shown
+            texture, told, before, changes, _ = self.session.shown
             parts = parts_of(texture, self._surface)
         else:
             told, before, changes = None, None, ()
@@ -270,18 +272,24 @@ def _change(before: _State, after: _State) -> Packed | None:
     header: dict[str, Any] = {"version": after.version, "session": after.session, "parts": []}
     streams = {}
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
-        if not is_like(was.header, now.header):
-            return None
+        moved, is_other = was.texture, not is_like(was.header, now.header)
+        if is_other:
+            like, added = with_channels_of(was.texture, now.texture)
+            if like is None:
+                return None
+            moved = like
+            streams[f"added-{number}"] = deflated(added, _SMALL)
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
         touched = touched_by(after.changes) if is_whole else None
-        if is_whole and after.changes:
+        if is_whole and after.changes and not is_other:
             change = joined_change(after.changes, was.texture, now.texture)
             counts, stream = change_of(change, was.texture, now.texture)
         else:
-            counts, stream = change_between(was.texture, now.texture)
+            counts, stream = change_between(moved, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         own = {name: value for name, value in now.header.items() if name != "notes"}
-        header["parts"].append({"header": own, "counts": counts, "touched": touched})
+        told = {"header": own, "counts": counts, "touched": touched, "isOther": is_other}
+        header["parts"].append(told)
     return Packed(header, streams)
 
 

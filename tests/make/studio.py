@@ -102,7 +102,8 @@ class Studio:
     def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
         """Press a button at the first place, from the middle of the picture, and drag it on."""
         box = page.locator("#picture").bounding_box()
-        places = [(box["width"] / 2 + x, box["height"] / 2 + y) for x, y in places]
+        left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        places = [(left + x, top + y) for x, y in places]
         page.mouse.move(*places[0])
         page.mouse.down(**options)
         for place in places[1:]:

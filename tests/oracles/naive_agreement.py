@@ -16,7 +16,7 @@ def mode(colors: Array, weights: Array, own: int) -> Array:
     seen = [i for i in range(len(weights)) if weights[i] > 0]
     if own not in seen or len(seen) < 3:
         return none
-    say = {i: (weights[i] / max(weights)) ** 0.125 for i in seen}
+    say = {i: (weights[i] / max(weights)) ** 0.5 for i in seen}
     codes = 255 * np.sqrt(np.maximum(colors, 0))
 
     def apart(i: int, j: int) -> float:

@@ -183,12 +183,14 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
     studio = Studio(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.painting.set({ size: 77 })")
+        page.evaluate("globalThis.isSame = true")
         page.click("#material summary")
         page.select_option("#add-channel", "roughness")
         page.wait_for_function(
             "globalThis.viewer?.painting?.last.done === 1 && viewer.isSharp", timeout=60_000
         )
         assert page.evaluate("viewer.painting.brush.size") == 77
+        assert page.evaluate("isSame")  # the page was not loaded anew
         assert page.evaluate("viewer.painting.last.steps") == ["Add roughness"]
         assert page.is_checked("#paints-roughness")
         assert page.locator("#value-roughness").is_visible()
@@ -196,8 +198,17 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
         page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
         rough = studio.session.shown.texture.channels["roughness"].values
         assert (rough.min(), rough.max()) == (76, 255)
-        assert all("Failed to load resource" in each for each in page.complaints), page.complaints
-        page.complaints.clear()  # it was loaded anew while it asked
+        again = studio.page()
+        for name in ("base_color", "roughness"):
+            assert (pictured(page, "channel", name) == pictured(again, "channel", name)).all()
+        again.close()
+        for done in (1, 0):
+            page.keyboard.press("Control+z")
+            page.wait_for_function("(n) => viewer.painting.last.done === n", arg=done, timeout=60_000)
+        assert page.locator("#paints-roughness").count() == 0
+        assert page.locator("#add-channel option[value=roughness]").count() == 1
+        assert page.evaluate("isSame && viewer.parts[0].channel('roughness') === undefined")
+        assert page.complaints == []
 
 
 @needs_jit
@@ -239,3 +250,31 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(
     assert np.sqrt(((rises - expected) ** 2).mean()) < 2
     assert page.complaints == []
     page.close()
+
+
+#: Counts the textures of the program that shows all that there can be, of the most channels.
+_TEXTURES = """() => {
+  const { gpu, parts: [part], look } = viewer, { gl } = gpu, channels = [];
+  const names = { base_color: 3, emissive: 3, specular: 3, normal: 3 };
+  for (const name of ["metallic", "roughness", "occlusion", "height", "alpha"]) names[name] = 1;
+  for (const [name, components] of Object.entries(names)) {
+    channels.push({ name, components, space: "data", range: [0, 1], at: [channels.length, 0] });
+  }
+  const header = { ...part.header, channels, planes: channels.map((_, n) => n < 3), flags: [8, 3] };
+  Object.assign(header, { isMixed: true, kept: 1, split: [1, 2] });
+  const full = Object.create(part, { header: { value: header }, source: { value: {} } });
+  const programs = Object.create(gpu.programs, { parts: { value: [full] } });
+  const all = { ...look, shown: "lit", relief: 0.1, divider: 0.5, isOver: true, facing: true };
+  const { handle } = programs.use("surface", full, all, 9), kinds = [gl.UNSIGNED_INT_SAMPLER_2D];
+  kinds.push(gl.SAMPLER_2D, gl.SAMPLER_2D_ARRAY);
+  const count = gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS);
+  const uniforms = Array.from({ length: count }, (_, n) => gl.getActiveUniform(handle, n));
+  return uniforms.filter(({ type }) => kinds.includes(type)).map(({ name }) => name);
+}"""
+
+
+@needs_jit
+def test_no_program_has_more_textures_than_webgl_promises(page: Any) -> None:
+    names = page.evaluate(_TEXTURES)
+    assert {"u_srgb", "u_linear", "u_source", "u_heights", "u_behind", "u_studio", "u_strokes"} < set(names)
+    assert len(names) <= 16

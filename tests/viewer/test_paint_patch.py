@@ -175,6 +175,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         studio.drag(page, (20, 20))
         page.wait_for_selector("#flat:visible")
         assert page.evaluate("viewer.painting.tool.name") == "brush"
+        assert page.locator("#other-view").is_visible()  # of the model
         radius = page.evaluate("viewer.look.patch.spot.radius")
         for _ in range(2):  # at once
             page.click("#flat-wider")
@@ -195,6 +196,9 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         drawn_flat = pictured(page)
         is_painted = np.abs(drawn_flat - before).max(axis=2) > 60
         assert 0.02 < is_painted.mean() < 0.3
+        box = page.locator("#other-view").bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        assert page.evaluate("[viewer.look.patch, viewer.camera.isFlat]") == [None, False]
         page.keyboard.press("Escape")
         assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
         assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted

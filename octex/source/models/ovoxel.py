@@ -21,7 +21,7 @@ from octex.source.corners import Corners, area_vectors
 from octex.source.mesh import as_positions, as_triangles
 from octex.source.models.reading import Options
 from octex.source.surface import Surface
-from octex.source.voxels import Voxels, voxel_arrays
+from octex.source.voxels import Voxels, voxel_arrays, voxels_of
 
 #: The four voxels around the edge of a voxel along x, y and z, in order around it.
 _AROUND = np.array(
@@ -62,7 +62,7 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
     ModelError for a file without either, and for one whose mesh and voxels do not lie on each other.
     """
     arrays = voxel_arrays(path)
-    voxels = Voxels.of(arrays, path.name)
+    voxels = voxels_of(arrays, path.name)
     edges = np.ldexp(voxels.size, -voxels.depths.astype(np.int32))[:, None]
     origin = np.array(voxels.origin)
     is_meshed = {"vertices", "faces"} <= arrays.keys()

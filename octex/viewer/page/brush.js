@@ -22,7 +22,7 @@ export class BrushDrag {
     this.path = new Path(first);
     this.dirty = null; // what of the picture has changed since the last frame
     const brush = { name: "Brush", ...painting.brush, ...painting.paint, ...own };
-    const at = brush.onePart ? below?.rest : undefined, look = painting.layers.look(brush);
+    const at = brush.onePart ? below?.rest : undefined, look = painting.beneath.look(brush);
     strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
     this.draw(first, first);
   }

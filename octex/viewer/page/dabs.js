@@ -37,7 +37,7 @@ export class Dabs {
     const low = [0, 1].map((k) => Math.max(Math.floor(Math.min(...dabs.map((dab) => dab[k] - dab[2])) - 1), 0));
     const high = [0, 1].map((k) => Math.min(Math.ceil(Math.max(...dabs.map((dab) => dab[k] + dab[2])) + 1), size[k]));
     if (low[0] >= high[0] || low[1] >= high[1]) return null;
-    const program = gpu.program("dabs", viewer.parts[0], viewer.look, 0);
+    const program = gpu.programs.use("dabs", viewer.parts[0], viewer.look, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.after.buffer);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.DEPTH_TEST);

@@ -1,27 +1,12 @@
 // What the GPU holds of a texture and its mesh, and how they are drawn.
 
 import { ROW, planes } from "./octree.js";
-import { readShaders } from "./data.js";
 import { FACINGS, LEVELS } from "./legend.js";
 import { summed } from "./mesh.js";
+import { Programs, planesFor, showsRelief, showsSource } from "./programs.js";
 
 export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
-for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
-const LANES = "xyzw";
-export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
-const STAGES = {
-  places: ["surface.vert", ["ways.glsl", "places.frag"]],
-  layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
-  source: ["surface.vert", ["source.frag"]],
-  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
-  probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
-  cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
-  stroke: ["screen.vert", ["stroke.frag"]],
-  retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
-  dabs: ["screen.vert", ["dabs.frag"]],
-};
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
 // Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
 const OPAQUES = [OPAQUE, 2], TRANSLUCENTS = [CLEAR, OPAQUE], SEEN = [CLEAR, 2], NEAREST = null;
@@ -30,18 +15,16 @@ const CUBES_BY = { depth: 1, facing: 2 };
 const LIGHT_UNIT = 28, MOTION_UNIT = 30; // of textures; those before are the octree's and the picture's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
-export const readPrograms = () => readShaders(FILES);
-
 export class Gpu {
   constructor(canvas, shaders, studio, parts) {
     this.canvas = canvas;
-    this.shaders = shaders;
     this.mostCubes = MOST_CUBES;
     this.background = BACKGROUND;
     this.studio = studio; // what the header says of its light, and the stream
     this.parts = parts;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
     if (!this.gl) throw new Error("this browser has no WebGL2");
+    this.programs = new Programs(this.gl, shaders, parts);
     this.build();
   }
 
@@ -52,7 +35,7 @@ export class Gpu {
 
   // Make everything anew, as after a lost context.
   build() {
-    this.programs = new Map();
+    this.programs.clear();
     this.pictures = {};
     for (const part of this.parts) part.build(this.gl);
     this.light = this.studioLight();
@@ -100,105 +83,16 @@ export class Gpu {
     gl.uniform4f(program.at("u_root"), ...header.origin, header.size);
   }
 
-  // A program that draws or probes, for what is shown of a part.
-  program(kind, part, look, planes) {
-    const defines = this.defines(kind, part, look, planes), key = `${kind}\n${defines}`;
-    if (!this.programs.has(key)) this.programs.set(key, this.compiled(kind, defines, planes));
-    const program = this.programs.get(key);
-    this.gl.useProgram(program.handle);
-    return program;
-  }
-
-  compiled(kind, defines, planes) {
-    const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
-    const head = `#version 300 es\n${defines}\n`;
-    const body = fragment.map((name) => shaders[name]).join("");
-    const repeated = (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n");
-    const all = body.replace(/^.*\{N\}.*$/gm, repeated);
-    const check = (is, log) => {
-      if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
-    };
-    const sources = [[gl.VERTEX_SHADER, head + shaders[vertex]], [gl.FRAGMENT_SHADER, head + all]];
-    for (const [type, source] of sources) {
-      const shader = gl.createShader(type);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(handle, shader);
-      check(gl.getShaderParameter(shader, gl.COMPILE_STATUS), gl.getShaderInfoLog(shader));
-    }
-    gl.linkProgram(handle);
-    check(gl.getProgramParameter(handle, gl.LINK_STATUS), gl.getProgramInfoLog(handle));
-    const places = {};
-    return { handle, at: (name) => (places[name] ??= gl.getUniformLocation(handle, name)) };
-  }
-
-  // Where channels are, among the first planes, and what is shown, as the shaders name it.
-  defines(kind, part, look, planes) {
-    const { paint } = look;
-    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
-    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
-    const { isMixed, split, kept, mesh, motion, channels } = part.header;
-    const facing = look.facing && kind !== "cubes";
-    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 && kind !== "cubes" };
-    Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
-    Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
-    Object.assign(flags, { TURNS: look.moved && motion?.turns });
-    Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && this.showsSource(part, look) });
-    Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
-    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, OVER: kind === "surface" && look.isOver });
-    Object.assign(flags, { RELIEF: kind === "surface" && this.showsRelief(look) });
-    Object.assign(flags, { PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
-    for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
-    const define = (name, text) => lines.push(`#define ${name} ${text}`);
-    const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
-    const inRange = ({ range: [low, high] }, value) =>
-      low === 0 && high === 1 ? value : `(${low.toExponential()} + ${(high - low).toExponential()} * ${value})`;
-    for (const channel of channels) {
-      const { name, components, at } = channel;
-      if (at[0] >= planes) continue;
-      if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${lanes(channel)}`);
-      else if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
-      if (name !== look.channel) continue;
-      const color = (from) => (components === 2 ? `vec3(${from}.${lanes(channel)}, 0.0)` : `vec3(${from}.${lanes(channel)})`);
-      define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
-      define("CHANNEL_PLANE", `u_plane${at[0]}`);
-      define("CHANNEL_STORED", color("stored"));
-    }
-    const [plane, slot] = part.header.flags;
-    if (plane < planes) lines.push(`#define FLAGS_PLANE u_plane${plane}`, `#define FLAGS_PART ${LANES[slot]}`);
-    return lines.join("\n");
-  }
-
-  // Whether the source is shown beside the octree.
-  showsSource(part, look) {
-    const isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === "base_color");
-    return Boolean(part.source && isColor && look.divider > 0);
-  }
-
-  // How many planes of a part are read to show something.
-  planesFor(part, look) {
-    const read = ["alpha"];
-    if (look.shown === "lit") read.push(...MATERIALS);
-    if (look.shown === "height") read.push("height");
-    if (look.shown === "unlit") read.push("base_color", "emissive");
-    if (["channel", "spread"].includes(look.shown)) read.push(look.channel);
-    const known = read.map((name) => part.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
-    if (look.shown === "facing" || look.facing || part.header.kept) known.push(part.header.flags[0]);
-    return Math.max(0, ...known) + 1;
-  }
-
   // Make an octree ready to be looked up, with other textures by their names.
-  setTree(program, part, look, planes, places = {}) {
+  setTree(program, part, look, places = {}) {
     const { gl } = this, { octree } = part;
-    const bind = (unit, texture, name) => {
+    const bind = (unit, texture, name, kind = gl.TEXTURE_2D) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.bindTexture(kind, texture);
       gl.uniform1i(program.at(name), unit);
     };
-    bind(0, part.nodes.texture, "u_nodes");
-    part.planes.slice(0, planes).forEach((plane, n) => bind(n + 1, plane.texture, `u_plane${n}`));
-    bind(planes + 1, part.tables.texture, "u_entries");
-    Object.entries(places).forEach(([name, texture], n) => bind(planes + 2 + n, texture, name));
+    part.stores.forEach(({ name, kind, texture }, unit) => bind(unit, texture, name, kind));
+    Object.entries(places).forEach(([name, texture], n) => bind(part.stores.length + n, texture, name));
     gl.activeTexture(gl.TEXTURE0);
     const { kept, split } = octree.tables, nCells = octree.cells.at(-1);
     gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
@@ -226,7 +120,7 @@ export class Gpu {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.makesCubes = false; // whether there are more cubes to come
     if (this.showsCubes(look)) this.drawCubes(look, camera);
-    else this.drawSurface({ ...look, near }, camera, width, height, only);
+    else this.drawSurface({ ...look, near, only }, camera, width, height);
   }
 
   // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
@@ -243,10 +137,10 @@ export class Gpu {
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
     const draw = (part, isLayered) => {
       gl.stencilFunc(gl.ALWAYS, this.parts.indexOf(part) + 1, 255);
-      const planes = isLayered ? this.planesFor(part, { ...look, shown: "layers" }) : 0;
-      const program = this.program(isLayered ? "layers" : "places", part, { ...look, shown: "layers" }, planes);
+      const planes = isLayered ? planesFor(part, { ...look, shown: "layers" }) : 0;
+      const program = this.programs.use(isLayered ? "layers" : "places", part, { ...look, shown: "layers" }, planes);
       if (isLayered) {
-        this.setTree(program, part, look, planes);
+        this.setTree(program, part, look);
         gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
         gl.uniform2fv(program.at("u_alphas"), alphas);
       }
@@ -278,8 +172,8 @@ export class Gpu {
     gl.disable(gl.STENCIL_TEST);
   }
 
-  drawSurface(look, camera, width, height, only) {
-    const { gl } = this, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
+  drawSurface(look, camera, width, height) {
+    const { gl } = this, { only } = look, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
     const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
     const picture = this.target("picture", width, height, [gl.RGBA8], places);
     if (only) {
@@ -298,7 +192,26 @@ export class Gpu {
       this.drawLayer({ ...look, isOver: true }, camera, places, last, TRANSLUCENTS, behind);
     }
     gl.disable(gl.SCISSOR_TEST);
-    this.copy(last, { ...last, buffer: null });
+    this.present(last);
+  }
+
+  // Begin a picture of another size: it is what was drawn last, as large.
+  resize(look, camera, width, height) {
+    const { gl, canvas, pictures: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
+    if (last) this.copy(last, small);
+    [canvas.width, canvas.height] = [width, height];
+    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]), picture = this.target("picture", width, height, [gl.RGBA8], places);
+    if (last) this.copy(small, picture);
+    this.drawPlaces(look, camera, places, width, height, { alphas: OPAQUES });
+    this.present(picture);
+  }
+
+  // Show a picture. Browsers take a canvas as drawn on once it was cleared.
+  present(picture) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    this.copy(picture, { ...picture, buffer: null });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
@@ -306,39 +219,39 @@ export class Gpu {
     const { gl } = this, { width, height } = from;
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, from.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, to.buffer);
-    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    const isLike = to.width === width && to.height === height;
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, to.width, to.height, gl.COLOR_BUFFER_BIT, isLike ? gl.NEAREST : gl.LINEAR);
   }
 
-  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: places are drawn already.
+  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: places are drawn already. The octree of
+  // `look.beneath` is looked up instead of the part's own.
   drawLayer(look, camera, places, target, alphas, behind = {}, isKnown = false) {
     const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures, drawn = { u_places, u_ways, ...behind };
     if (!isKnown) this.drawPlaces(look, camera, places, width, height, { alphas });
     if (look.paint) Object.assign(drawn, look.paint.textures);
-    const beside = this.parts.find((part) => this.showsSource(part, look));
+    const beside = this.parts.find((part) => showsSource(part, look));
     if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
-    if (this.showsRelief(look)) drawn.u_heights = this.drawHeights(look, camera, places, drawn);
+    if (showsRelief(this.parts, look)) drawn.u_heights = this.drawHeights(look, camera, places, drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    this.drawSeen((part, number) => this.useSurface(part, number, look, camera, drawn, target));
-  }
-
-  // Whether heights bend the light.
-  showsRelief(look) {
-    return look.shown === "lit" && look.relief > 0 && this.parts.some((part) => part.channel("height")?.components === 1);
+    this.drawSeen((part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
   }
 
   // Draw the heights of what is seen; returns the texture.
   drawHeights(look, camera, places, drawn) {
     const { gl } = this, target = this.target("heights", places.width, places.height, [gl.R32UI], places);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    const { only } = look; // relief is made of what is beside a pixel, too
+    if (only) gl.scissor(only[0] - 1, only[1] - 1, only[2] + 2, only[3] + 2);
     if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
     this.drawSeen((part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
+    if (only) gl.scissor(...only);
     return target.textures[0];
   }
 
   // Make ready what draws the surface of a part.
   useSurface(part, number, look, camera, drawn, { width, height }) {
-    const { gl } = this, planes = this.planesFor(part, look), program = this.program("surface", part, look, planes);
-    this.setTree(program, part, look, planes, drawn);
+    const { gl } = this, planes = planesFor(part, look), program = this.programs.use("surface", part, look, planes);
+    this.setTree(program, part, look, drawn);
     this.setLight(program);
     this.setColors(program);
     look.paint?.set(program, width, height, planes);
@@ -367,7 +280,7 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.EQUAL);
-    const program = this.program("source", part, look, 0);
+    const program = this.programs.use("source", part, look, 0);
     this.setCamera(program, camera);
     if (look.moved) this.setMotion(program, part, look.moved);
     gl.bindVertexArray(part.surface);
@@ -397,8 +310,8 @@ export class Gpu {
       const channel = part.channel(look.shown === "channel" ? look.channel : "base_color") ?? channels[0];
       const shown = { shown: "channel", channel: channel.name, picked: pixel };
       const planes = 1 + Math.max(channel.at[0], look.shown === "facing" ? flags[0] : 0);
-      const program = this.program("cubes", part, shown, planes);
-      this.setTree(program, part, look, planes);
+      const program = this.programs.use("cubes", part, shown, planes);
+      this.setTree(program, part, look);
       this.setCamera(program, camera, pixel, picture);
       gl.uniform1ui(program.at("u_part"), number);
       gl.uniform1i(program.at("u_kind"), KINDS[channel.space]);
@@ -466,8 +379,8 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     this.drawSeen((part, number) => {
-      const planes = part.planes.length, program = this.program("probe", part, look, planes);
-      this.setTree(program, part, look, planes, { u_places: places.textures[0], u_ways: places.textures[1] });
+      const planes = part.header.planes.length, program = this.programs.use("probe", part, look, planes);
+      this.setTree(program, part, look, { u_places: places.textures[0], u_ways: places.textures[1] });
       gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);

@@ -17,8 +17,6 @@ Object.assign(ICONS, {
 });
 
 const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]];
-const VEIL = [128, 128, 128]; // is laid where the eraser was, until the server has erased there
-const VEILED = 0.6, BURIED = 0.5; // how strongly, and how strongly paint is shown that layers above will hide a part of
 
 export const eraser = { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) };
 
@@ -67,18 +65,10 @@ export class Layers {
     return this.layer?.isVisible === false ? "This layer is hidden: show it to paint on it." : "";
   }
 
-  // How a stroke looks until it is painted; nothing if as its own colour says.
-  look({ erases, opacity, blend }) {
-    const { layer } = this;
-    if (erases || this.mask) return { color: VEIL, values: {}, opacity: VEILED * opacity, blend: "over" };
-    if (!layer && !this.stack.some(({ isVisible }) => isVisible)) return {};
-    const above = this.stack.slice(this.stack.indexOf(layer) + 1), isBuried = above.some((each) => each.isVisible && each.opacity > 0);
-    return { opacity: opacity * (layer?.opacity ?? 1) * (isBuried ? BURIED : 1), blend: layer && layer.blend !== "over" ? layer.blend : blend };
-  }
-
   choose(number, mask = false) {
     this.chosen = number;
     this.mask = mask && Boolean(this.layer?.hasMask);
+    this.painting.beneath.ask();
     this.show();
   }
 

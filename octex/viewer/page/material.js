@@ -1,7 +1,7 @@
 // What is painted: one or several of the texture's channels, each with a value of its own. See material.py.
 
 import { element } from "./elements.js";
-import { MATERIALS } from "./gpu.js";
+import { MATERIALS } from "./programs.js";
 import { make, section } from "./panel.js";
 
 const BASE = "base_color";
@@ -31,7 +31,7 @@ export class Material {
     const add = make("select", { id: "add-channel", "aria-label": "Add a channel", oninput: ({ target }) => this.add(target.value) },
       new Option("Add…", ""), ...missing.map((name) => new Option(`${nameOf(name)} (${KNOWN[name][1]})`, name)));
     this.section = section("material", "Material", ...this.channels.map((each) => this.row(each)), ...(missing.length ? [add] : []));
-    if (!element("relief").hidden) this.section.append(element("relief-label"), element("relief"));
+    this.section.append(element("relief-label"), element("relief"));
     this.section.open = this.ticked.some((name) => name !== BASE);
   }
 
@@ -87,7 +87,7 @@ export class Material {
 
   add(channel) {
     const { sending, brush } = this.painting;
-    brush.ticked.push(channel); // the page loads all anew when it is there
+    brush.ticked.push(channel);
     sending.send({ kind: "channel", name: `Add ${nameOf(channel).toLowerCase()}`, channel });
   }
 

@@ -53,6 +53,23 @@ export class Octree {
     this.entries = resized(this.entries, 2 * ROW * rowsFor(kept + split[0]));
   }
 
+  // Take the places that values of channels have now. Those of channels that it had stay; of others `bytes` are the values.
+  relayout(header, bytes) {
+    const { area, flags, channels } = this.header, was = this.planes, rows = this.cells.at(-1) + header.kept + header.split[1];
+    this.planes = header.planes.map(() => new Uint8Array(was[0].length));
+    let at = 0;
+    const take = ([plane, slot], from, components = 1) => {
+      for (let k = 0; k < components; k++) {
+        const to = this.planes[plane], codes = from ? was[from[0]] : bytes.subarray(at, (at += rows)), [first, step] = from ? [from[1] + k, 4] : [0, 1];
+        for (let n = 0; n < rows; n++) to[4 * n + slot + k] = codes[first + step * n];
+      }
+    };
+    take(header.area, area);
+    take(header.flags, flags);
+    for (const channel of header.channels) take(channel.at, channels.find(({ name }) => name === channel.name)?.at, channel.components);
+    if (at !== bytes.length) throw new Error("the change's data is damaged");
+  }
+
   // Take a chunk of levels; returns the rows of nodes and of cells that are new.
   take(chunk, bytes) {
     const reader = { bytes, at: 0 };

@@ -1,5 +1,6 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
+import { Beneath } from "./beneath.js";
 import { element } from "./elements.js";
 import { Elsewhere } from "./elsewhere.js";
 import { Exporting } from "./exporting.js";
@@ -7,6 +8,7 @@ import { Flat } from "./flat.js";
 import { onDrop } from "./images.js";
 import { Layers } from "./layers.js";
 import { Material, fromHex, toHex } from "./material.js";
+import { Outline } from "./outline.js";
 import { act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
@@ -39,8 +41,10 @@ class Painting {
     this.layers = new Layers(this);
     this.sending = new Sending((text) => this.say(text), () => this.layers.target);
     this.strokes = new Strokes(viewer);
+    this.beneath = new Beneath(this);
     this.exporting = new Exporting(this);
     this.flat = new Flat(this);
+    this.outlined = new Outline(viewer);
     this.pen = null; // which pointer draws, and its drag
     this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
@@ -48,7 +52,7 @@ class Painting {
 
   async open() {
     const { viewer } = this, { gpu } = viewer;
-    for (const name of ["stroke.frag", "dabs.frag", "retouch.frag"]) gpu.shaders[name] = await (await fetch(`shaders/${name}`)).text();
+    for (const name of ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]) gpu.programs.shaders[name] = await (await fetch(`shaders/${name}`)).text();
     document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
@@ -69,8 +73,9 @@ class Painting {
     const button = ({ name, text, key, shownKey = key.toUpperCase() }) =>
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
-    this.ring = make("div", { id: "ring", hidden: true }, make("i"));
-    this.main.append(this.tools, this.flat.bar, this.ring);
+    this.stage = element("stage");
+    this.stage.append(this.outlined.ring);
+    this.main.append(this.flat.picture, this.tools, this.flat.bar);
     const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
     const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
@@ -125,6 +130,7 @@ class Painting {
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
+    this.beneath.ask();
   }
 
   set(change) {
@@ -159,7 +165,7 @@ class Painting {
   get offset() {
     const { mirror, mirrorAt } = this.brush, axis = "xyz".indexOf(mirror);
     if (!mirror || !mirrorAt) return 0;
-    const [low, high] = this.flat.before?.bounds ?? this.viewer.bounds();
+    const [low, high] = this.flat.views?.model.bounds ?? this.viewer.bounds();
     return (mirrorAt / 100) * (high[axis] - low[axis]);
   }
 
@@ -320,7 +326,7 @@ class Painting {
     const tools = {
       ...Object.fromEntries(TOOLS.map((tool) => [tool.key, () => this.choose(tool.name)])),
       x: () => this.swap(),
-      ...(this.flat.before && { escape: () => this.flat.close() }),
+      ...(this.flat.isOpen && { escape: () => this.flat.close() }),
       "[": () => this.set({ size: Math.min(Math.round(size / STEP), size - 1) }),
       "]": () => this.set({ size: Math.max(Math.round(size * STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),
@@ -336,25 +342,19 @@ class Painting {
 
   // The outline of the brush under the pointer, or none.
   outline(at) {
-    const { ring } = this;
     this.at = at;
     this.tool.hovered?.(this, at);
-    ring.hidden = at === null || !this.tool.hasRing;
-    if (ring.hidden) return;
-    const [x, y, radius] = [at[0], at[1], this.width / 2];
-    ring.style.width = ring.style.height = `${2 * radius}px`;
-    ring.style.transform = `translate(${x - radius}px, ${y - radius}px)`;
-    // A needle on the surface shows how that is turned: its length goes with the sine of the angle that it is seen at.
-    const { normal = [0, 0, 1], toward = [0, 0, 1] } = this.below ?? {}, cosine = normal.reduce((sum, part, k) => sum + part * toward[k], 0);
-    const [across, up] = normal.map((part, k) => part - cosine * toward[k]);
-    ring.firstChild.style.width = `${radius * Math.hypot(across, up)}px`;
-    ring.firstChild.style.transform = `rotate(${Math.atan2(-up, across)}rad)`;
+    if (at === null || !this.tool.hasRing) this.outlined.hide();
+    else this.outlined.show(at, this.width, this.below, this.brush);
   }
 
   // A version of the texture is shown, of which this is told.
   arrived(told) {
+    this.beneath.arrived(told, this.last);
+    this.flat.isStale = true;
     this.last = told;
     this.layers.arrived(told.layers);
+    this.beneath.ask();
     this.strokes.painted(told.baked[this.sending.page] ?? 0);
     element("undo").disabled = told.done === 0;
     element("redo").disabled = told.done === told.steps.length;
@@ -363,15 +363,42 @@ class Painting {
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
     const list = element("steps"), rows = ["Opened", ...told.steps];
-    list.replaceChildren(...rows.map((name, n) => {
-      const go = () => {
-        for (let step = told.done; step > n; step--) this.sending.send({ kind: "undo" });
-        for (let step = told.done; step < n; step++) this.sending.send({ kind: "redo" });
-      };
-      return make("li", { class: n > told.done ? "undone" : "" }, make("button", { type: "button", "aria-current": n === told.done ? "step" : false, onclick: go }, name));
-    }));
+    while (list.children.length > rows.length) list.lastChild.remove();
+    for (let n = list.children.length; n < rows.length; n++) list.append(make("li", {}, make("button", { type: "button", onclick: () => this.goTo(n) })));
+    rows.forEach((name, n) => {
+      const item = list.children[n], button = item.firstChild;
+      if (button.textContent !== name) button.textContent = name;
+      item.className = n > told.done ? "undone" : "";
+      if (n === told.done) button.setAttribute("aria-current", "step");
+      else button.removeAttribute("aria-current");
+    });
     const { offsetTop: top, offsetHeight: height } = list.children[told.done]; // the panel itself stays as it is scrolled
     list.scrollTop = Math.min(Math.max(list.scrollTop, top + height - list.clientHeight), top);
+  }
+
+  // Undo or redo up to a step.
+  goTo(n) {
+    const { done } = this.last;
+    for (let step = done; step > n; step--) this.sending.send({ kind: "undo" });
+    for (let step = done; step < n; step++) this.sending.send({ kind: "redo" });
+  }
+
+  // The texture has other channels.
+  takeChannels() {
+    const { section: before } = this.material;
+    this.material = new Material(this);
+    this.material.section.open = before.open;
+    before.replaceWith(this.material.section);
+    this.strokes.layer([]);
+    this.strokes.compose();
+    this.set({});
+  }
+
+  // The GPU is there again: make all anew.
+  restore() {
+    this.beneath.known = { key: "", part: null };
+    this.flat.restore();
+    this.strokes.build();
   }
 
   allSent() {

@@ -4,7 +4,6 @@ import { MORE, Octree, ROW } from "./octree.js";
 import { patch } from "./patch.js";
 
 const PIECES = 20; // milliseconds of a picture in which cells become cubes
-const rowsOf = ({ array, size }) => array.length / (size * ROW);
 
 export class Part {
   constructor(header) {
@@ -58,79 +57,110 @@ export class Part {
     this.cubes = null;
   }
 
-  // What the GPU holds of the octree: its arrays, with the textures that hold their rows and the texels' formats.
+  // What the GPU holds of the octree: textures of words, of tables, and one of a layer a plane for those that are sRGB,
+  // and for the others.
   buildTree() {
-    const { gl, octree } = this;
-    const held = (array, size, format, known) => ({ array, size, known, texture: null, rows: 0, format });
-    this.nodes = held(octree.words, 2, gl.RG32UI, [gl.RG_INTEGER, gl.UNSIGNED_INT]);
-    this.tables = held(octree.entries, 2, gl.RG32UI, [gl.RG_INTEGER, gl.UNSIGNED_INT]);
-    this.planes = octree.planes.map((plane, n) =>
-      held(plane, 4, octree.header.planes[n] ? gl.SRGB8_ALPHA8 : gl.RGBA8, [gl.RGBA, gl.UNSIGNED_BYTE]),
-    );
-    for (const each of this.held) this.allocate(each);
+    const { gl, octree } = this, { planes } = octree.header, two = [gl.RG_INTEGER, gl.UNSIGNED_INT], four = [gl.RGBA, gl.UNSIGNED_BYTE];
+    const store = (name, size, format, known, read, kind = gl.TEXTURE_2D) => ({ name, size, format, known, read, kind, texture: null, rows: 0 });
+    const layered = (name, format, isSrgb) => store(name, 4, format, four, () => octree.planes.filter((_, n) => planes[n] === isSrgb), gl.TEXTURE_2D_ARRAY);
+    const all = [store("u_nodes", 2, gl.RG32UI, two, () => [octree.words]), store("u_entries", 2, gl.RG32UI, two, () => [octree.entries])];
+    all.push(layered("u_srgb", gl.SRGB8_ALPHA8, true), layered("u_linear", gl.RGBA8, false));
+    this.stores = all.filter((each) => each.read().length);
+    for (const each of this.stores) this.allocate(each);
   }
 
+  // The arrays that textures hold, with their rows.
   get held() {
-    return [this.nodes, this.tables, ...this.planes];
+    return this.stores.flatMap(({ read, size, rows }) => read().map((array) => ({ array, size, rows })));
   }
 
-  // Make a texture for an array, with room for a part more.
-  allocate(held, more = 0) {
-    held.rows = Math.min(Math.ceil(rowsOf(held) * (1 + more)), this.mostRows);
-    held.texture = this.texture(held.format, held.rows);
+  // How shaders read a plane, with a place in braces.
+  readPlane(number) {
+    const { planes } = this.header, isSrgb = planes[number], layer = planes.slice(0, number).filter((is) => is === isSrgb).length;
+    return `texelFetch(${isSrgb ? "u_srgb" : "u_linear"}, ivec3(at, ${layer}), 0)`;
+  }
+
+  // Make a texture for arrays, with room for a part more.
+  allocate(store, more = 0) {
+    const arrays = store.read();
+    store.rows = Math.min(Math.ceil((arrays[0].length / (store.size * ROW)) * (1 + more)), this.mostRows);
+    store.texture = this.texture(store.format, store.rows, store.kind === this.gl.TEXTURE_2D ? 0 : arrays.length);
   }
 
   get mostRows() {
     return this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
   }
 
-  texture(format, rows) {
-    const { gl } = this, texture = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, format, ROW, rows);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  // A texture of rows, or of several layers of them.
+  texture(format, rows, layers = 0) {
+    const { gl } = this, texture = gl.createTexture(), kind = layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
+    gl.bindTexture(kind, texture);
+    if (layers) gl.texStorage3D(kind, 1, format, ROW, rows, layers);
+    else gl.texStorage2D(kind, 1, format, ROW, rows);
+    gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     return texture;
   }
 
-  // Send the rows from one up to another.
-  send({ array, size, known, texture, rows }, begin, end) {
-    const { gl } = this, count = Math.min(end, rows) - begin;
-    if (count <= 0) return;
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    const part = array.subarray(size * ROW * begin, size * ROW * (begin + count));
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, begin, ROW, count, ...known, part);
+  // Send the rows from one up to another; returns how many.
+  send({ read, size, known, kind, texture, rows }, begin, end) {
+    const { gl } = this, count = Math.min(end, rows) - begin, arrays = read();
+    if (count <= 0) return 0;
+    gl.bindTexture(kind, texture);
+    arrays.forEach((array, layer) => {
+      const part = array.subarray(size * ROW * begin, size * ROW * (begin + count));
+      if (kind === gl.TEXTURE_2D) gl.texSubImage2D(kind, 0, 0, begin, ROW, count, ...known, part);
+      else gl.texSubImage3D(kind, 0, 0, begin, layer, ROW, count, 1, ...known, part);
+    });
+    return count * arrays.length;
   }
 
   // Send the rows that hold some nodes and cells.
   upload({ nodes, cells, entries = [0, 0] }) {
-    const put = (held, [first, end]) => this.send(held, Math.floor(first / ROW), Math.ceil(end / ROW));
-    put(this.nodes, nodes);
-    put(this.tables, entries);
-    for (const plane of this.planes) put(plane, cells);
+    for (const store of this.stores) {
+      const [first, end] = { u_nodes: nodes, u_entries: entries }[store.name] ?? cells;
+      this.send(store, Math.floor(first / ROW), Math.ceil(end / ROW));
+    }
   }
 
   // Take a change of the octree: only rows that differ are sent. Textures that get too small are made anew, with room
-  // for what comes next. Returns how many rows were sent.
-  change(header, counts, bytes) {
-    const { octree } = this, { nodes, entries, cells } = patch(octree, header, counts, bytes);
+  // for what comes next. `added` are values of channels that it did not have, if the channels are others. Returns how many
+  // rows were sent.
+  change(header, counts, bytes, added) {
+    const { octree } = this;
+    if (added) {
+      octree.relayout(header, added);
+      Object.assign(this.header, { channels: header.channels, area: header.area, flags: header.flags, planes: header.planes });
+      this.free();
+      this.buildTree();
+    }
+    const { nodes, entries, cells } = patch(octree, header, counts, bytes);
     octree.header = Object.assign(this.header, header);
-    const arrays = [octree.words, octree.entries, ...octree.planes], marks = [nodes, entries, ...octree.planes.map(() => cells)];
     let sent = 0;
-    this.held.forEach((held, n) => {
-      held.array = arrays[n];
-      const rows = Math.min(rowsOf(held), this.mostRows), fits = rows <= held.rows;
-      if (!fits) {
-        this.gl.deleteTexture(held.texture);
-        this.allocate(held, MORE);
+    for (const store of this.stores) {
+      const marks = { u_nodes: nodes, u_entries: entries }[store.name] ?? cells;
+      const rows = Math.min(marks.length, this.mostRows), isSmall = rows > store.rows, fits = !isSmall && !added;
+      if (isSmall) {
+        this.gl.deleteTexture(store.texture);
+        this.allocate(store, MORE);
       }
       for (let begin = 0, end; begin < rows; begin = end + 1) {
-        for (end = begin; end < rows && (!fits || marks[n][end]); end++) sent++;
-        this.send(held, begin, end);
+        for (end = begin; end < rows && (!fits || marks[end]); ) end++;
+        sent += this.send(store, begin, end);
       }
-    });
+    }
     this.cubes = null;
     return sent;
+  }
+
+  // Keep nothing but what the GPU has: it is only looked up.
+  keepOnGpu() {
+    const { octree } = this;
+    octree.words = octree.planes = octree.owners = null;
+  }
+
+  free() {
+    for (const { texture } of this.stores) this.gl.deleteTexture(texture);
   }
 
   takeMesh(mesh) {
@@ -138,9 +168,13 @@ export class Part {
     this.mesh = mesh;
     this.surface = gl.createVertexArray();
     gl.bindVertexArray(this.surface);
+    const { buffers } = Object.assign(this.surface, { buffers: [] }), buffer = (kind, array) => {
+      buffers.push(gl.createBuffer());
+      gl.bindBuffer(kind, buffers.at(-1));
+      gl.bufferData(kind, array, gl.STATIC_DRAW);
+    };
     const attribute = (place, array, components, type) => {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, array, gl.STATIC_DRAW);
+      buffer(gl.ARRAY_BUFFER, array);
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
     };
@@ -151,14 +185,19 @@ export class Part {
     gl.vertexAttrib3f(5, 1, 1, 1);
     gl.vertexAttribI4ui(7, 0, 0, 0, 0);
     if (mesh.parts) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, mesh.parts, gl.STATIC_DRAW);
+      buffer(gl.ARRAY_BUFFER, mesh.parts);
       gl.enableVertexAttribArray(7);
       gl.vertexAttribIPointer(7, 1, gl.UNSIGNED_INT, 0, 0);
     }
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles, gl.STATIC_DRAW);
+    buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles);
     gl.bindVertexArray(null);
+  }
+
+  // Forget a mesh that was laid flat.
+  freeMesh(surface) {
+    if (!surface) return;
+    this.gl.deleteVertexArray(surface);
+    for (const buffer of surface.buffers) this.gl.deleteBuffer(buffer);
   }
 
   takeSource(source) {

@@ -6,7 +6,7 @@ import { element } from "./elements.js";
 import { choice, make, section, slider } from "./panel.js";
 
 const TILE = 64; // pixels along the sides of squares that are drawn at once
-const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them
+const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them; beneath.js has one more
 const REACH = 2.5; // of a blur, in standard deviations
 const SHARPER = -1; // how much is added of what a blur would take away
 const DABS = 4; // of a smudge, within the brush's radius
@@ -19,20 +19,21 @@ const moved = ([left, bottom, right, top], [x, y]) => [left + x, bottom + y, rig
 
 // The colours of the surface without light, as the view sees them; drawn where they are needed. Alpha 0: none.
 export class Seen {
-  // `drawn` is called with each square that gets drawn.
-  constructor({ viewer, strokes }, drawn = () => {}) {
+  // `drawn` is called with each square that gets drawn; `beneath` is an octree that is looked up instead, in a channel.
+  constructor({ viewer, strokes }, drawn = () => {}, beneath = null, channel = "base_color") {
     const { gpu, look, parts } = viewer;
     strokes.fit();
     [this.width, this.height] = strokes.size;
     this.viewer = viewer;
     this.drawn = drawn;
     this.places = strokes.places;
-    this.target = gpu.target("seen", this.width, this.height, [gpu.gl.RGBA8], this.places);
+    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, this.width, this.height, [gpu.gl.RGBA8], this.places);
     this.across = Math.ceil(this.width / TILE);
     this.known = new Set();
-    const facing = parts.some(({ header }) => header.split[0] > 0), paint = Object.create(strokes, { current: { value: null } });
-    const shown = { shown: "channel", channel: "base_color", filter: "quadratic", footprints: true, level: gpu.deepest };
-    this.look = { ...look, ...shown, facing, paint, divider: 0, marked: null };
+    const facing = (beneath ? [beneath] : parts).some(({ header }) => header.split[0] > 0);
+    const paint = beneath ? null : Object.create(strokes, { current: { value: null } });
+    const shown = { shown: "channel", channel, filter: "quadratic", footprints: true, level: gpu.deepest };
+    this.look = { ...look, ...shown, facing, paint, beneath, divider: 0, marked: null };
   }
 
   // Draw what there is of a box (left, bottom, right, top).
@@ -67,11 +68,11 @@ export class Seen {
 }
 
 // A picture that is made of what is seen: `ready` makes it within a box, before the brush covers that.
-class Made {
-  constructor(painting) {
+export class Made {
+  constructor(painting, beneath = null) {
     this.gpu = painting.viewer.gpu;
-    this.seen = new Seen(painting, (box) => this.drawn(box));
-    this.made = this.target("retouched");
+    this.seen = new Seen(painting, (box) => this.drawn(box), beneath);
+    this.made = this.target(beneath ? "led to" : "retouched");
     [this.texture] = this.made.textures;
     this.buffer = this.made.buffer;
   }
@@ -83,11 +84,11 @@ class Made {
   }
 
   // Run retouch.frag from one target to another, within a box.
-  run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from } = {}) {
-    const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.program("retouch", viewer.parts[0], viewer.look, 0);
+  run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from, paint = null } = {}) {
+    const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
     const [left, bottom, right, top] = seen.within(box);
     if (left >= right || bottom >= top) return;
-    const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0] };
+    const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] };
     Object.entries(textures).forEach(([name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -187,7 +188,7 @@ export class Retouch {
 
   build() {
     this.mark = make("div", { id: "source", hidden: true });
-    this.painting.main.append(this.mark);
+    this.painting.stage.append(this.mark);
     element("history").before(section("retouch", "Clone and blur",
       make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),

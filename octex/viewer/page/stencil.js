@@ -28,10 +28,10 @@ export class Stencil {
   }
 
   build() {
-    const { main } = this.painting, corners = ["nw", "ne", "se", "sw"].map((name) => make("span", { class: name }));
+    const { stage } = this.painting, corners = ["nw", "ne", "se", "sw"].map((name) => make("span", { class: name }));
     this.shown = make("canvas", { "aria-hidden": "true" });
     this.frame = make("div", { id: "stencil", hidden: true }, this.shown, ...corners);
-    main.append(this.frame);
+    stage.append(this.frame);
     this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
     this.controls = make("div", { hidden: true },
@@ -201,7 +201,7 @@ export class Stencil {
     if (why) return;
     const own = this.stroke("Picture put down");
     if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
-    strokes.begin({ ...brush, offset: painting.offset, ...own, ...strokes.seen, look: painting.layers.look(brush) });
+    strokes.begin({ ...brush, offset: painting.offset, ...own, ...strokes.seen, look: painting.beneath.look({ ...brush, ...own }) });
     strokes.cover(own.picture.box);
     send(painting, strokes.end());
     viewer.move();

@@ -18,7 +18,7 @@ const PLAIN = new Float32Array(4);
 const BLENDS = { over: (p) => [1, p], multiply: (p) => [1 - p, 0], screen: (p) => [p, p], add: (p) => [0, p] };
 const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => [name, [0, 1].map((n) => LIGHTS.map((p) => blend(p)[n]))]));
 
-// A stroke as it looks until it is painted; see layers.js.
+// A stroke as it looks until it is painted; see beneath.js.
 const seen = (stroke) => ({ ...stroke, ...stroke?.look });
 
 // The box (left, bottom, right, top) that a line with radii reaches.
@@ -33,7 +33,8 @@ export class Strokes {
     this.viewer = viewer;
     this.current = null; // color and values of channels or a picture, opacity, hardness, blend, box
     this.sent = []; // what is not painted yet: number, box, coverage, opacity, blend, color and values, or planes of colors
-    this.sums = new Map(); // of them by plane: how they cover what is there, and what they add
+    this.planes = []; // that they paint; of each the texture `composed` has how they cover what is there, and what they add
+    this.composedBox = null; // the part of it that is not 0: left, bottom, right, top
     this.size = [0, 0];
   }
 
@@ -85,28 +86,29 @@ export class Strokes {
     for (const name of ["S", "T"]) gl.texParameteri(kind, gl[`TEXTURE_WRAP_${name}`], gl.CLAMP_TO_EDGE);
   }
 
-  // Have layers for planes, two each: how strokes cover what is there, and what they add.
+  // Have layers for planes, two each.
   layer(planes) {
     const { gl } = this.viewer.gpu, [width, height] = planes.length ? this.size : [1, 1];
     gl.deleteTexture(this.composed ?? null);
     this.composed = gl.createTexture();
     this.smooth(gl.TEXTURE_2D_ARRAY, this.composed);
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, width, height, Math.max(2 * planes.length, 1));
-    this.sums = new Map(planes.map((plane) => [plane, [0, 1].map(() => new Float32Array(4 * width * height))]));
+    Object.assign(this, { planes, composedBox: null });
   }
 
   // How a stroke's paint meets the components of planes: of each four numbers of how it covers, and four that it adds.
-  paintOf({ color, colors, values = {}, blend = "over" }) {
+  paintOf({ color, colors, values = {}, blend = "over", plain = blend, strength = 1 }) {
     const found = new Map(), part = this.viewer.parts[0];
-    for (const [name, value] of Object.entries({ base_color: color ?? (colors && [0, 0, 0]), ...values })) {
+    if (colors) found.set(part.channel("base_color").at[0], [new Float32Array(4), new Float32Array(4)]);
+    for (const [name, value] of Object.entries({ base_color: color, ...values })) {
       const channel = part.channel(name);
       if (!value || !channel) continue;
       const { at: [plane, slot], range: [low, high], space } = channel;
       if (!found.has(plane)) found.set(plane, [new Float32Array(4), new Float32Array(4)]);
       value.forEach((given, k) => {
-        const [covers, adds] = BLENDS[blend](space === "data" ? given : LIGHTS[Math.round(given)]);
-        found.get(plane)[0][slot + k] = covers;
-        found.get(plane)[1][slot + k] = (adds - covers * low) / (high - low);
+        const [covers, adds] = BLENDS[plain](space === "data" ? given : LIGHTS[Math.round(given)]);
+        found.get(plane)[0][slot + k] = strength * covers;
+        found.get(plane)[1][slot + k] = (strength * (adds - covers * low)) / (high - low);
       });
     }
     return found;
@@ -133,7 +135,7 @@ export class Strokes {
   extend(from, to) {
     const { viewer, current } = this, [, height] = this.size, { times } = viewer.film;
     const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * times, height - y * times, radius * times, strength]);
-    current.picture?.ready?.(reached(...ends), ...ends);
+    for (const picture of [current.picture, current.look?.picture]) picture?.ready?.(reached(...ends), ...ends);
     const box = current.dabs ? current.dabs.draw(...ends, current) : this.line(...ends);
     if (!box) return null;
     current.box = joined(current.box, box);
@@ -150,7 +152,7 @@ export class Strokes {
     const bottom = Math.max(Math.floor(Math.min(...ends.map((p) => p[1])) - reach), 0);
     const top = Math.min(Math.ceil(Math.max(...ends.map((p) => p[1])) + reach), height);
     if (left >= right || bottom >= top) return null;
-    const program = viewer.gpu.program("stroke", viewer.parts[0], viewer.look, 0);
+    const program = viewer.gpu.programs.use("stroke", viewer.parts[0], viewer.look, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.DEPTH_TEST);
@@ -181,8 +183,8 @@ export class Strokes {
     this.current.box = box;
   }
 
-  // End the stroke; returns its box in pixels from the upper left, the coverage in it, and of a picture the planes of
-  // its colors; or null for none.
+  // End the stroke; returns its box in pixels from the upper left, the coverage in it, of a picture the planes of its
+  // colors, and in its look those of the picture that it leads to; or null for none.
   end() {
     const { gl } = this.viewer.gpu, { current, size } = this;
     this.current = null;
@@ -195,20 +197,24 @@ export class Strokes {
       gl.bindFramebuffer(gl.FRAMEBUFFER, null);
       return codes;
     };
-    const drawn = read(this.target), picture = current.picture && read(current.picture), pixels = width * height;
-    const coverage = new Uint8Array(pixels), colors = picture && new Uint8Array(3 * pixels);
+    const drawn = read(this.target), [picture, led] = [current.picture, current.look?.picture].map((each) => each && read(each)), pixels = width * height;
+    const coverage = new Uint8Array(pixels), [colors, leads] = [picture, led].map((each) => each && new Uint8Array(3 * pixels)), known = led && new Uint8Array(pixels);
     for (let row = 0, n = 0; row < height; row++) {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4, n++) {
         coverage[n] = picture ? Math.round((drawn[at] * picture[at + 3]) / 255) : drawn[at];
-        if (picture && coverage[n]) for (let k = 0; k < 3; k++) colors[k * pixels + n] = picture[at + k];
+        if (!coverage[n]) continue;
+        for (let k = 0; picture && k < 3; k++) colors[k * pixels + n] = picture[at + k];
+        for (let k = 0; led && k < 3; k++) leads[k * pixels + n] = led[at + k];
+        if (led) known[n] = led[at + 3];
       }
     }
     if (!coverage.some((each) => each > 0)) return null;
     const own = picture && { color: undefined, values: undefined, colors, picture: null };
+    const look = led ? { ...current.look, picture: null, colors: leads, known } : current.look;
     const isOnPart = current.part >= 0 && !this.mirror.isOf(current, this.view);
     const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
     const shown = parts ? coverage.map((each, n) => (parts[row(n) * width + (n % width)] === current.part ? each : 0)) : coverage;
-    return { ...current, ...own, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    return { ...current, ...own, look, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // The part that a stroke stays on, if it stays on what is at its beginning, and that of its other half; −1: any part.
@@ -243,33 +249,37 @@ export class Strokes {
   }
 
   // Lay strokes that are not painted yet over each other, as they will be painted: how they cover what is there, and
-  // what they add.
+  // what they add. Only the part of the picture is made where they are, or were.
   compose() {
-    const { gl } = this.viewer.gpu, [width, height] = this.size;
+    const { gl } = this.viewer.gpu, [, height] = this.size;
     if (!this.sent.length) return;
     const sent = this.sent.map(seen), paints = sent.map((stroke) => this.paintOf(stroke)), planes = new Set(paints.flatMap((paint) => [...paint.keys()]));
-    if ([...planes].some((plane) => !this.sums.has(plane))) this.layer([...new Set([...this.sums.keys(), ...planes])]);
-    for (const sums of this.sums.values()) for (const sum of sums) sum.fill(0);
-    sent.forEach((stroke, n) => {
-      const picture = stroke.colors && this.viewer.parts[0].channel("base_color").at[0];
-      for (const [plane, paint] of paints[n]) this.lay(stroke, paint, plane === picture, ...this.sums.get(plane));
-    });
+    if ([...planes].some((plane) => !this.planes.includes(plane))) this.layer([...new Set([...this.planes, ...planes])]);
+    const own = sent.map(({ box: [left, top, right, bottom] }) => [left, height - bottom, right, height - top]).reduce(joined);
+    const box = joined(this.composedBox, own), [left, bottom, right, top] = box, wide = right - left, high = top - bottom;
+    this.composedBox = own;
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
-    [...this.sums.values()].flat().forEach((sum, layer) => {
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA, gl.FLOAT, sum);
+    this.planes.forEach((plane, number) => {
+      const sums = [0, 1].map(() => new Float32Array(4 * wide * high));
+      sent.forEach((stroke, n) => {
+        const isPicture = stroke.colors && plane === this.viewer.parts[0].channel("base_color").at[0];
+        if (paints[n].has(plane)) this.lay(stroke, paints[n].get(plane), isPicture, box, ...sums);
+      });
+      sums.forEach((sum, which) => gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, left, bottom, 2 * number + which, wide, high, 1, gl.RGBA, gl.FLOAT, sum));
     });
   }
 
-  // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue, the plane's first.
-  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, opacity, blend = "over" }, [covers, adds], isPicture, cover, added) {
-    const [width, height] = this.size, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
+  // Lay a stroke's paint of a plane over what is there. A picture has its own red, green and blue where it is known, the
+  // plane's first.
+  lay({ box: [left, top, right, bottom], coverage, shown = coverage, colors, known, opacity, blend = "over" }, [covers, adds], isPicture, [first, low, end], cover, added) {
+    const [, height] = this.size, wide = end - first, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
     const lanes = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
     for (let row = top, n = 0; row < bottom; row++) {
-      for (let at = 4 * (width * (height - 1 - row) + left), column = left; column < right; column++, at += 4, n++) {
+      for (let at = 4 * (wide * (height - 1 - row - low) + left - first), column = left; column < right; column++, at += 4, n++) {
         const share = (opacity * shown[n]) / 255;
         if (!share) continue;
         for (const k of lanes) {
-          const code = isPicture && k < 3 ? colors[k * area + n] : -1;
+          const code = isPicture && k < 3 && (!known || known[n]) ? colors[k * area + n] : -1;
           const own = share * (code < 0 ? covers[k] : coverOf[code]), more = share * (code < 0 ? adds[k] : addedOf[code]);
           cover[at + k] += own * (1 - cover[at + k]);
           added[at + k] += more - own * added[at + k];
@@ -281,14 +291,14 @@ export class Strokes {
   // What the picture is drawn with.
   get textures() {
     const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_mirrorPlaces] = (this.mirror.places ?? this.places).textures;
-    const [u_stroke] = this.target.textures, u_colors = this.current?.picture?.texture ?? u_stroke;
+    const [u_stroke] = this.target.textures, u_colors = seen(this.current).picture?.texture ?? u_stroke;
     return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
   }
 
   set(program, width, height, planes) {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === viewer.viewed;
     const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false, blend = "over", picture } = shown;
-    const isWhole = angle >= 90, paint = current && !picture ? this.paintOf(seen(current)) : new Map(), layers = [...this.sums.keys()];
+    const isWhole = angle >= 90, paint = current && !current.picture ? this.paintOf(seen(current)) : new Map(), layers = this.planes;
     gl.activeTexture(gl.TEXTURE0 + UNIT);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
     gl.activeTexture(gl.TEXTURE0);

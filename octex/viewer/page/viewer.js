@@ -5,19 +5,22 @@ import { control } from "./controls.js";
 import { isServed, readChange, readFile, readHeader, readStream } from "./data.js";
 import { Divider } from "./divider.js";
 import { download, element } from "./elements.js";
-import { Gpu, readPrograms } from "./gpu.js";
+import { Gpu } from "./gpu.js";
 import { keep, kept, reload, restoreControls } from "./kept.js";
 import { tellLegend } from "./legend.js";
 import { unpackedMesh } from "./mesh.js";
 import { Motion } from "./motion.js";
 import { Part } from "./part.js";
+import { describePoint, pointed } from "./pointed.js";
 import { Player } from "./player.js";
+import { readPrograms } from "./programs.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
 const STILL = 120; // milliseconds without a change, after which a sharp picture is drawn
 const HELD = 500; // and while a pointer is down, as it would hold up what moves on
-const FRAME = 80; // milliseconds that a picture may take while it moves
+const FRAME = 80; // milliseconds that a picture may take while it moves, and a part of a sharp one
+const LEAST_TILE = 48, FIRST_TILE = 256; // pixels along the sides of such parts, and while nothing is measured
 const TURN = 0.35; // radians a second, of the turntable
 const NOWHERE = [1e9, -1e9].map((n) => Array(5).fill(n)); // the corners of a box of the root cell and of a part of the picture
 
@@ -28,7 +31,8 @@ class Viewer {
     Object.assign(this.look, { footprints: true, facing: true, cubes: false, marked: null, moved: null, divider: 0, relief: 0.02 });
     this.cost = 0; // milliseconds a pixel, as measured
     this.pictures = 0;
-    this.isSharp = false;
+    this.isBegun = false; // the sharp picture; its parts that are still to be drawn, and near what, are in `jobs`
+    this.jobs = [];
     this.finest = 2; // drawn pixels a pixel, at most, along both axes
   }
 
@@ -125,13 +129,18 @@ class Viewer {
           await this.painting?.allSent();
           return reload();
         }
-        const streams = change.parts.map((_, number) => readStream(`change-${number}`)), [first] = change.parts;
+        const read = (name) => Promise.all(change.parts.map((part, number) => (name === "change" || part.isOther ? readStream(`${name}-${number}`) : null)));
+        const [streams, added] = await Promise.all([read("change"), read("added")]), [first] = change.parts;
         const shown = this.painting?.strokes.sent ?? [], lookedUp = this.lookedUp;
-        for (const [number, bytes] of (await Promise.all(streams)).entries()) {
+        for (const [number, bytes] of streams.entries()) {
           const { header, counts } = change.parts[number];
-          this.sent = this.parts[number].change(header, counts, bytes);
+          this.sent = this.parts[number].change(header, counts, bytes, added[number]);
         }
         this.version = change.version;
+        if (first.isOther) {
+          this.offerChannels();
+          this.painting?.takeChannels();
+        }
         this.painting?.arrived(change.session);
         this.describe();
         const gone = shown.filter((stroke) => !this.painting.strokes.sent.includes(stroke));
@@ -180,9 +189,9 @@ class Viewer {
     element("cubes-note").textContent = drawn < look.level ? `Level ${drawn} is drawn: level ${drawn + 1} has too many cubes.` : "";
   }
 
-  // Offer what can be shown.
-  offer() {
-    const headers = this.parts.map((part) => part.header), { look } = this;
+  // Offer what can be shown of the channels that there are.
+  offerChannels() {
+    const headers = this.parts.map((part) => part.header), { look } = this, before = element("shown").value;
     const channels = new Map(headers.flatMap((header) => header.channels).map((channel) => [channel.name, channel]));
     const choices = [["lit", "colours in studio light"], ["unlit", "colours without light"]];
     if (!channels.has("base_color")) choices.length = 0;
@@ -192,13 +201,20 @@ class Viewer {
     }
     choices.push(["depth", "size of cells (levels)"], ["facing", "directions that cells face"]);
     element("shown").replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
-    if (!channels.has("base_color")) this.choose(choices[0][0]);
+    const values = choices.map(([value]) => value);
+    if (values.includes(before)) element("shown").value = before;
+    else if (before || !channels.has("base_color")) this.choose(values[0]);
+    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
+  }
+
+  offer() {
+    const headers = this.parts.map((part) => part.header), { look } = this;
+    this.offerChannels();
     const hasMesh = headers.some(({ mesh }) => mesh);
     element("facing").checked = look.facing = headers.some(({ split }) => split[0] > 0);
     element("cubes").checked = !hasMesh;
     element("cubes").disabled = !hasMesh;
     element("level").max = look.level;
-    element("relief-label").hidden = element("relief").hidden = !channels.has("height");
   }
 
   choose(value) {
@@ -255,7 +271,7 @@ class Viewer {
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.isLost = false;
       this.gpu.build();
-      this.painting?.strokes.build();
+      this.painting?.restore();
       element("status").textContent = "";
       this.move();
     });
@@ -279,13 +295,18 @@ class Viewer {
   // Something has changed: draw soon, and sharply once nothing changes.
   move(isHeld = false) {
     this.due = performance.now() + (isHeld ? HELD : STILL);
-    this.isDrawn = this.isSharp = false;
+    this.isDrawn = this.isBegun = false;
+    this.jobs = [];
     this.again();
   }
 
   // Nothing changes any more: draw sharply at once.
   rest() {
     this.due = 0;
+  }
+
+  get isSharp() {
+    return this.isBegun && !this.jobs.length && !this.near;
   }
 
   again() {
@@ -308,18 +329,58 @@ class Viewer {
     const part = this.cost ? Math.sqrt(FRAME / (this.cost * pixels)) : 0.4;
     // Where there is time, a picture that stands still is drawn larger than it is shown: its edges are then smooth.
     const finest = this.cost * pixels * this.finest ** 2 < 2 * FRAME ? this.finest : Math.min(this.finest, 1);
-    const scale = isStill ? finest : Math.min(Math.max(part, 0.08), 1);
     try {
-      if (!(isStill ? this.isSharp : this.isDrawn)) this.draw(full * scale);
-      else if (this.near) this.gpu.draw(this.look, this.camera, this.canvas.width, this.canvas.height, null, this.near);
+      if (isStill && !this.isBegun && !this.painting?.pen) this.sharpen(full * finest);
+      else if (!this.isDrawn) this.draw(full * Math.min(Math.max(part, 0.08), 1));
+      if (this.near) this.jobs.push(...this.tiles(this.near));
       this.near = null;
+      if (!this.painting?.pen) {
+        this.painting?.flat.refresh();
+        this.work();
+      }
     } catch (error) {
       return fail(error);
     }
     this.isDrawn = true;
-    this.isSharp = isStill;
     if (this.gpu.makesCubes) this.move();
     else if (!this.isSharp || this.turning) this.again();
+  }
+
+  // Begin the sharp picture: what was drawn last, until part after part is drawn. No change waits for more than one of them.
+  sharpen(scale) {
+    const { gpu, look, camera, parts } = this, [width, height] = this.begin(scale);
+    this.isBegun = true;
+    if (gpu.showsCubes(look) || parts.some((part) => part.hasAlpha)) return gpu.draw(look, camera, width, height);
+    gpu.resize(look, camera, width, height);
+    this.jobs = this.tiles(null);
+    this.spent = this.area = 0;
+  }
+
+  // Parts of the picture (left, bottom, width, height) that take less than a frame each, those in the middle first.
+  tiles(near) {
+    const { width, height } = this.canvas, jobs = [];
+    const side = (near ? 2 : 1) * Math.max(this.cost ? Math.sqrt(FRAME / this.cost) : FIRST_TILE, LEAST_TILE); // little is near
+    const [across, down] = [width, height].map((pixels) => Math.ceil(pixels / side)), at = (n, count, pixels) => Math.round((n * pixels) / count);
+    for (let row = 0; row < down; row++) {
+      for (let column = 0; column < across; column++) {
+        const [left, right] = [column, column + 1].map((n) => at(n, across, width)), [bottom, top] = [row, row + 1].map((n) => at(n, down, height));
+        jobs.push({ near, part: [left, bottom, right - left, top - bottom], far: Math.hypot(left + right - width, bottom + top - height) });
+      }
+    }
+    return jobs.sort((a, b) => a.far - b.far);
+  }
+
+  // Draw parts that are to be drawn, as many as a frame has time for.
+  work() {
+    const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
+    while (this.jobs.length && performance.now() - began < FRAME) {
+      const { near, part } = this.jobs.shift(), before = performance.now();
+      gpu.draw(look, camera, width, height, part, near);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+      if (near) continue;
+      this.spent += performance.now() - before;
+      this.cost = this.spent / (this.area += part[2] * part[3]);
+    }
   }
 
   // Draw a part of the picture anew, in CSS pixels from the upper left, where nothing else has changed.
@@ -360,18 +421,22 @@ class Viewer {
     this.again();
   }
 
-  draw(scale) {
+  // Make ready for a picture of so many pixels a CSS pixel; returns its size.
+  begin(scale) {
+    const { canvas, camera } = this;
     this.near = null;
+    this.jobs = [];
     this.view = this.viewed;
-    const width = Math.max(Math.round(this.canvas.clientWidth * scale), 1);
-    const height = Math.max(Math.round(this.canvas.clientHeight * scale), 1);
-    this.camera.aspect = this.canvas.clientWidth / this.canvas.clientHeight;
-    const began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
+    camera.aspect = canvas.clientWidth / canvas.clientHeight;
+    this.pictures++;
+    return [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.max(Math.round(pixels * scale), 1));
+  }
+
+  draw(scale) {
+    const [width, height] = this.begin(scale), began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
     this.gpu.draw(this.look, this.camera, width, height);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
-    this.spent = performance.now() - began;
-    if (programs === this.gpu.programs.size) this.cost = this.spent / (width * height);
-    this.pictures++;
+    if (programs === this.gpu.programs.size) this.cost = (performance.now() - began) / (width * height);
   }
 
   // The size of pictures that are saved, in pixels, and their names without ending.
@@ -407,67 +472,18 @@ class Viewer {
     return away && this.camera.pointAt([x + 0.5, y + 0.5], size, away);
   }
 
-  // What lies at a point of the picture, in CSS pixels: the part, the position at rest, the cell, values; or null. Of
-  // a cube it is its middle, and what is stored there.
+  // What lies at a point of the picture, in CSS pixels, see pointed.js; or null.
   pick(x, y) {
-    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
-    const found = this.gpu.showsCubes(this.look) ? this.pickCube([x, y], size) : this.pickSurface([x, y], size);
-    if (!found) return null;
-    const { header: { name, origin, size: edge, channels }, octree } = this.parts[found.part];
-    const known = channels.map((channel) => {
-      const codes = octree.codes(channel, found.cell), values = found.valuesOf(channel) ?? codes.map((code) => code / 255);
-      return { name: channel.name, space: channel.space, range: channel.range, codes, values };
-    });
-    const rest = found.point.map((p, axis) => origin[axis] + edge * p);
-    return { ...found, valuesOf: undefined, name, rest, channels: known };
-  }
-
-  pickCube(pixel, size) {
-    const found = this.gpu.probeCubes(this.look, this.camera, pixel, size);
-    return found && { ...found, point: found.index.map((n) => (n + 0.5) * found.edge), valuesOf: () => null };
-  }
-
-  pickSurface(pixel, [width, height]) {
-    const { look } = this, ask = (plane) => this.gpu.probe(look, this.camera, { width, height, pixel, plane });
-    const { places, values, normals } = ask(-1);
-    if (values[3] === 0) return null;
-    const point = Array.from(places.subarray(0, 3)), part = normals[3], { octree } = this.parts[part];
-    const looked = {}, at = (plane) => (looked[plane] ??= ask(plane).values);
-    const valuesOf = ({ name, at: [plane, slot], components }) =>
-      name === "alpha" ? [values[0]] : Array.from(at(plane).slice(slot, slot + components));
-    return { ...octree.cellAt(point, Math.min(look.level, octree.depth)), part, point, fetches: values[1], valuesOf };
+    return pointed(this, [x, y]);
   }
 
   tell(found) {
-    const rows = [], pixels = this.canvas.width * this.canvas.height;
     const { marked } = this.look, isNew = marked?.cell !== found?.cell || marked?.part !== found?.part;
-    if (this.cost * pixels < FRAME && isNew) {
+    if (this.cost * this.canvas.width * this.canvas.height < FRAME && isNew) {
       this.look.marked = found;
       this.move();
     }
-    if (found) {
-      if (found.name) rows.push(["part", found.name]);
-      rows.push(["position", found.rest.map((p) => p.toPrecision(5)).join(", ")]);
-      rows.push(["cell", `${found.cell.toLocaleString("en")}, level ${found.level}`]);
-      rows.push(["index", found.index.join(", ")]);
-      for (const { name, codes, values, range } of found.channels) {
-        const [low, high] = range, isWide = low < 0 || high > 1;
-        const text = isWide ? values.map((x) => (low + (high - low) * x).toPrecision(3)) : codes;
-        rows.push([name.replaceAll("_", " "), text.join(", "), codes]);
-      }
-    }
-    element("cell").replaceChildren(...rows.flatMap(([name, text, codes]) => {
-      const term = document.createElement("dt"), value = document.createElement("dd");
-      term.textContent = name;
-      if (codes?.length === 3) {
-        const swatch = document.createElement("span");
-        swatch.className = "swatch";
-        swatch.style.background = `rgb(${codes})`;
-        value.append(swatch);
-      }
-      value.append(text);
-      return [term, value];
-    }));
+    describePoint(found);
   }
 }
 

@@ -27,12 +27,12 @@ uniform int u_by;  // 0 what is stored, 1 the level, 2 the facings
 layout(location = 0) out vec4 o_color;
 
 void main() {
-  vec4 stored = texelFetch(CHANNEL_PLANE, ivec2(v_number & ROW, v_number >> 12u), 0);
+  vec4 stored = CHANNEL_AT(ivec2(v_number & ROW, v_number >> 12u));
   vec3 value = CHANNEL_STORED;
   vec3 shown = u_kind == 0 ? toSrgb(value) : value;
   if (u_by == 1) shown = u_levels[v_level];
-#ifdef FLAGS_PLANE
-  if (u_by == 2) shown = facingColor(uint(texelFetch(FLAGS_PLANE, ivec2(v_number & ROW, v_number >> 12u), 0).FLAGS_PART * 255.0 + 0.5));
+#ifdef FLAGS_AT
+  if (u_by == 2) shown = facingColor(FLAGS_AT(ivec2(v_number & ROW, v_number >> 12u)));
 #endif
   float shade = 0.62 + 0.38 * max(dot(v_normal, normalize(vec3(-0.3, 0.6, 0.75))), 0.0);
   vec2 rim = min(v_face, 1.0 - v_face) / max(fwidth(v_face), vec2(1e-6));

@@ -5,7 +5,8 @@ layout(location = 0) out vec4 o_color;
 uniform sampler2D u_from;  // sRGB; alpha 0: no surface is seen
 uniform sampler2D u_before;  // what is blurred, or sharpened against that
 uniform highp usampler2D u_seen;  // the places of pixels, as places.frag has drawn them
-uniform int u_action;  // 0: copy, 1: blur, 2: smudge
+uniform sampler2D u_paint;  // what is painted beneath other layers
+uniform int u_action;  // 0: copy, 1: blur, 2: smudge, 3: paint beneath other layers
 uniform ivec2 u_step;  // from where a pixel takes its colour, or the line that it is blurred along
 uniform float u_sigma;  // of the blur, in pixels
 uniform float u_share;  // of the blurred colour, or of that which is smudged; below 0: away from the blurred one
@@ -50,10 +51,23 @@ vec4 smudged(ivec2 at, vec4 place, vec4 color) {
   return vec4(toSrgb(mix(toLight(color.rgb), toLight(moved.rgb), share)), 1.0);
 }
 
+// What paint leads to: between what black paint does, and white. Of one colour, in `u_disc`, if u_share is below 0.
+vec4 ledTo(ivec2 at) {
+  vec4 black = colorAt(at), paint = texelFetch(u_paint, at, 0);
+  if (u_share < 0.0) paint = vec4(u_disc.rgb, 1.0);
+  if (black.a == 0.0) return u_share < 0.0 ? vec4(0.0) : vec4(paint.rgb, paint.a * u_share);
+  vec3 white = texelFetch(u_before, at, 0).rgb;
+  return vec4(toSrgb(mix(toLight(black.rgb), toLight(white), toLight(paint.rgb))), paint.a);
+}
+
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   if (u_action == 0) {
     o_color = colorAt(at - u_step);
+    return;
+  }
+  if (u_action == 3) {
+    o_color = ledTo(at);
     return;
   }
   vec4 color = colorAt(at), place = placeAt(at);

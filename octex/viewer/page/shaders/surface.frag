@@ -102,7 +102,7 @@ uniform sampler2D u_stroke;  // the coverage of the stroke that is drawn
 uniform vec4 u_cover[PLANES];  // how its paint covers what is there, and what it adds
 uniform vec4 u_added[PLANES];
 uniform float u_opacity;
-uniform int u_picturePlane;  // which plane a picture paints instead, with its first components; below 0: none
+uniform int u_picturePlane;  // which plane a picture paints where it has alpha, with its first components; below 0: none
 uniform sampler2D u_colors;  // its colours in sRGB, and alpha, a texel a pixel of the stroke
 uniform vec3 u_blend;  // how it covers what is there, by its alpha and by its light, and how much of its light it adds
 uniform vec2 u_picture;  // pixels
@@ -180,8 +180,8 @@ vec4 withDrawn(vec4 values, int plane, float part, vec2 from) {
   vec4 cover = u_cover[plane], added = u_added[plane];
   if (plane == u_picturePlane && part > 0.0) {
     vec4 paint = pictured(from);
-    cover.rgb = u_blend.x * paint.a + u_blend.y * paint.rgb;
-    added.rgb = u_blend.z * paint.rgb;
+    cover.rgb = (1.0 - paint.a) * cover.rgb + u_blend.x * paint.a + u_blend.y * paint.rgb;
+    added.rgb = (1.0 - paint.a) * added.rgb + u_blend.z * paint.rgb;
   }
   return values * (1.0 - part * cover) + part * added;
 }
@@ -289,7 +289,7 @@ void main() {
   shown = u_levels[cell.y];
 #ifdef SHOWS_FACING
   ivec2 texel = ivec2(cell.x & ROW, cell.x >> 12u);
-  shown = facingColor(uint(texelFetch(FLAGS_PLANE, texel, 0).FLAGS_PART * 255.0 + 0.5));
+  shown = facingColor(FLAGS_AT(texel));
 #endif
   shown *= 0.55 + 0.45 * max(dot(normal, toward), 0.0);
 #endif
@@ -300,7 +300,11 @@ void main() {
 #ifdef OVER
   shown = toSrgb(mix(toLight(texelFetch(u_behind, at, 0).rgb), toLight(shown), g_alpha));
 #endif
+#ifdef KNOWN
+  o_color = vec4(shown, step(0.5, g_alpha));
+#else
   o_color = vec4(shown, 1.0);
+#endif
 }
 
 #endif

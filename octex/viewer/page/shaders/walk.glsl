@@ -1,7 +1,8 @@
 // The field of an octree at a point of texture space: the cells around it, blended. See octex/field.
 //
 // u_nodes    a texel a node: first child cell << 8 | node mask, first child node << 8 | leaf mask
-// u_planeN   a texel a cell: values of channels; in alpha of the first the code of the cell's area
+// u_srgb, u_linear   a layer a plane, a texel a cell: values of channels; in alpha of the first the code of the cell's
+//            area. PLANEn(at) reads plane n.
 //
 // A line with N in braces stands there for each plane that is read. Channels' names in capitals are their
 // components among the sums, ALPHA those of one cell.
@@ -20,7 +21,8 @@ const float FINEST = 8388608.0;  // 2²³: positions in fixed point
 
 uniform usampler2D u_nodes;
 
-uniform sampler2D u_plane{N};
+uniform highp sampler2DArray u_srgb;
+uniform highp sampler2DArray u_linear;
 vec4 g_sum{N} = vec4(0.0);
 uniform int u_depth;  // the deepest level that is looked up
 uniform int u_filter;
@@ -62,7 +64,7 @@ void add(float weight) {
 // Add a row of the planes to what a cell adds.
 void readRow(uint row, float weight) {
   ivec2 at = ivec2(row & ROW, row >> 12u);
-  vec4 value{N} = texelFetch(u_plane{N}, at, 0);
+  vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
   r_cover += weight;
 #ifdef ALPHA
@@ -134,11 +136,11 @@ void read(uint cell, bool averages) {
   ivec2 at = ivec2(cell & ROW, cell >> 12u);
   float weight = 1.0;
   if (averages) {
-    float code = round(texelFetch(u_plane0, at, 0).a * 255.0);
+    float code = round(PLANE0(at).a * 255.0);
     weight = code > 0.0 ? exp2((code - 207.0) / 16.0) : 1.0;
   }
 #ifdef FACING
-  uint flags = uint(texelFetch(FLAGS_PLANE, at, 0).FLAGS_PART * 255.0 + 0.5);
+  uint flags = FLAGS_AT(at);
   g_fetches++;
   uvec3 bits = uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u;
   vec3 seen = g_cosines * vec3(bits);
@@ -157,7 +159,7 @@ void readKept(uint cell) {
   r_sum{N} = vec4(0.0);
   float weight = 1.0;
 #ifdef FACING
-  uint flags = uint(texelFetch(FLAGS_PLANE, ivec2(cell & ROW, cell >> 12u), 0).FLAGS_PART * 255.0 + 0.5);
+  uint flags = FLAGS_AT(ivec2(cell & ROW, cell >> 12u));
   vec3 seen = g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u);
   weight = ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
 #ifdef SPLIT
@@ -526,7 +528,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 #ifdef KEPT
             if (isNode) {
               ivec2 texel = ivec2(cell & ROW, cell >> 12u);
-              keeps = (uint(texelFetch(FLAGS_PLANE, texel, 0).FLAGS_PART * 255.0 + 0.5) & 64u) != 0u && u_kept.y > 0u;
+              keeps = (FLAGS_AT(texel) & 64u) != 0u && u_kept.y > 0u;
               m_keeps[at] = keeps;
               if (keeps) {
                 readKept(cell);

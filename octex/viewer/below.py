@@ -1,0 +1,48 @@
+"""What pages ask sessions for: a piece of the surface laid flat, and what strokes in a layer lead to."""
+
+from __future__ import annotations
+
+import json
+
+from octex.checks import as_whole
+from octex.errors import ArgumentError
+from octex.painting.beneath import beneath
+from octex.session.painting import Session
+from octex.viewer.pack import pack, packed_mesh
+from octex.viewer.streams import deflated
+
+#: Deflate's level: it stays on this machine.
+_QUICK = 1
+
+
+def packed_patch(session: Session, asked: str) -> bytes:
+    """Return a piece of the surface, laid flat: a line of JSON, and the mesh's stream.
+
+    ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
+    """
+    patch = session.patch(asked)
+    texture = session.shown.texture
+    header, stream = packed_mesh(texture, patch.surface.placed_in(texture).part(patch.triangles))
+    line = json.dumps({"mesh": header, "faults": patch.faults}).encode()
+    return line + b"\n" + deflated(stream, _QUICK)
+
+
+def packed_beneath(session: Session, asked: str) -> bytes:
+    """Return what strokes in a layer lead to, see `octex.painting.beneath`: a line of JSON, and streams.
+
+    ``asked`` is JSON with the layer and what strokes lead to. Raises ArgumentError for anything else, and for
+    a layer that is not there.
+    """
+    try:
+        given = json.loads(asked)
+    except (ValueError, RecursionError):
+        given = None
+    if not isinstance(given, dict):
+        raise ArgumentError("what strokes lead to is asked for by a JSON object")
+    layer = given.get("layer")
+    number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
+    texture = beneath(session.shown.stacked, number, given.get("leads"))  # type: ignore[arg-type]
+    if texture is None:
+        return b"null\n"
+    header, streams = pack(texture, None, level=_QUICK)
+    return b"\n".join([json.dumps(header).encode(), b"".join(streams.values())])

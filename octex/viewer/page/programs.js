@@ -1,0 +1,130 @@
+// Shaders, compiled for what is shown of a part: which channels there are and where, and what is drawn of them.
+
+import { readShaders } from "./data.js";
+
+const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
+for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
+const LANES = "xyzw";
+export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
+const STAGES = {
+  places: ["surface.vert", ["ways.glsl", "places.frag"]],
+  layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
+  source: ["surface.vert", ["source.frag"]],
+  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
+  probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
+  cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
+  stroke: ["screen.vert", ["stroke.frag"]],
+  retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
+  dabs: ["screen.vert", ["dabs.frag"]],
+  outline: ["screen.vert", ["ways.glsl", "outline.frag"]],
+};
+
+export const readPrograms = () => readShaders(FILES);
+
+export class Programs {
+  constructor(gl, shaders, parts) {
+    Object.assign(this, { gl, shaders, parts });
+    this.clear();
+  }
+
+  clear() {
+    this.known = new Map();
+  }
+
+  get size() {
+    return this.known.size;
+  }
+
+  // A program that draws or probes, for what is shown of a part; it is in use then.
+  use(kind, part, look, planes) {
+    const defines = this.defines(kind, part, look, planes), key = `${kind}\n${defines}`;
+    if (!this.known.has(key)) this.known.set(key, this.compiled(kind, defines, planes));
+    const program = this.known.get(key);
+    this.gl.useProgram(program.handle);
+    return program;
+  }
+
+  compiled(kind, defines, planes) {
+    const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
+    const head = `#version 300 es\n${defines}\n`;
+    const body = fragment.map((name) => shaders[name]).join("");
+    const repeated = (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n");
+    const all = body.replace(/^.*\{N\}.*$/gm, repeated);
+    const check = (is, log) => {
+      if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
+    };
+    const sources = [[gl.VERTEX_SHADER, head + shaders[vertex]], [gl.FRAGMENT_SHADER, head + all]];
+    for (const [type, source] of sources) {
+      const shader = gl.createShader(type);
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(handle, shader);
+      check(gl.getShaderParameter(shader, gl.COMPILE_STATUS), gl.getShaderInfoLog(shader));
+    }
+    gl.linkProgram(handle);
+    check(gl.getProgramParameter(handle, gl.LINK_STATUS), gl.getProgramInfoLog(handle));
+    const places = {};
+    return { handle, at: (name) => (places[name] ??= gl.getUniformLocation(handle, name)) };
+  }
+
+  // Where channels are, among the first planes, and what is shown, as the shaders name it.
+  defines(kind, part, look, planes) {
+    const { paint } = look;
+    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
+    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
+    const { isMixed, split, kept, mesh, motion, channels } = part.header;
+    const facing = look.facing && kind !== "cubes";
+    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 && kind !== "cubes" };
+    Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
+    Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
+    Object.assign(flags, { TURNS: look.moved && motion?.turns });
+    Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && showsSource(part, look) });
+    Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
+    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, OVER: kind === "surface" && look.isOver });
+    Object.assign(flags, { RELIEF: kind === "surface" && showsRelief(this.parts, look) });
+    Object.assign(flags, { KNOWN: look.beneath, PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
+    for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
+    const define = (name, text) => lines.push(`#define ${name} ${text}`);
+    for (let n = 0; n < planes; n++) define(`PLANE${n}(at)`, part.readPlane(n));
+    const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
+    const inRange = ({ range: [low, high] }, value) =>
+      low === 0 && high === 1 ? value : `(${low.toExponential()} + ${(high - low).toExponential()} * ${value})`;
+    for (const channel of channels) {
+      const { name, components, at } = channel;
+      if (at[0] >= planes) continue;
+      if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${lanes(channel)}`);
+      else if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
+      if (name !== look.channel) continue;
+      const color = (from) => (components === 2 ? `vec3(${from}.${lanes(channel)}, 0.0)` : `vec3(${from}.${lanes(channel)})`);
+      define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
+      define("CHANNEL_AT(at)", `PLANE${at[0]}(at)`);
+      define("CHANNEL_STORED", color("stored"));
+    }
+    const [plane, slot] = part.header.flags;
+    if (plane < planes) define("FLAGS_AT(at)", `uint(PLANE${plane}(at).${LANES[slot]} * 255.0 + 0.5)`);
+    return lines.join("\n");
+  }
+}
+
+// Whether the source is shown beside the octree.
+export function showsSource(part, look) {
+  const isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === "base_color");
+  return Boolean(part.source && isColor && look.divider > 0);
+}
+
+// How many planes of a part are read to show something.
+export function planesFor(part, look) {
+  const read = ["alpha"];
+  if (look.shown === "lit") read.push(...MATERIALS);
+  if (look.shown === "height") read.push("height");
+  if (look.shown === "unlit") read.push("base_color", "emissive");
+  if (["channel", "spread"].includes(look.shown)) read.push(look.channel);
+  const known = read.map((name) => part.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
+  if (look.shown === "facing" || look.facing || part.header.kept) known.push(part.header.flags[0]);
+  return Math.max(0, ...known) + 1;
+}
+
+// Whether heights bend the light.
+export function showsRelief(parts, look) {
+  return look.shown === "lit" && look.relief > 0 && parts.some((part) => part.channel("height")?.components === 1);
+}

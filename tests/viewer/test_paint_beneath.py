@@ -1,0 +1,128 @@
+"""Strokes below other layers and erasers are shown as they will be painted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.errors import ArgumentError
+from octex.painting.beneath import beneath
+from octex.viewer.below import packed_beneath
+from tests.conftest import needs_jit
+from tests.make.browser import served
+from tests.make.painted import ball
+from tests.viewer.test_painting import _HOLD, Studio, pictured
+
+_KEY = (
+    "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"
+)
+
+
+def everywhere(points: Any) -> Any:
+    return np.ones(len(points))
+
+
+def stacked() -> tuple[octex.Layers, list[int]]:
+    """Return layers that cover parts of a ball, and their numbers."""
+    surface = ball(32)
+    source = surface.with_sources({"base_color": lambda p: np.clip(0.4 * p + 0.5, 0, 1)})
+    layers = octex.Layers(octex.convert(source, depth=5), surface)
+    layers.fill(lambda p: (p[:, 2] > 0).astype(float), [0.5, 0.4, 0.1])
+    first = layers.add_layer(opacity=0.7).number
+    layers.fill(lambda p: (p[:, 0] > 0.1).astype(float), [0.8, 0.1, 0.1])
+    second = layers.add_layer(blend="multiply", opacity=0.5, name="shade").number
+    layers.fill(lambda p: (p[:, 1] > 0).astype(float), [0.2, 0.9, 0.3])
+    return layers, [first, second]
+
+
+@needs_jit
+@pytest.mark.parametrize("place", [None, 0, 1])
+@pytest.mark.parametrize(
+    ("leads", "channel"), [("erased", "base_color"), ("painted", "base_color"), ("painted", "white")]
+)
+def test_what_strokes_lead_to_is_what_they_make_of_all(place: int | None, leads: Any, channel: str) -> None:
+    layers, numbers = stacked()
+    number = None if place is None else numbers[place]
+    found = beneath(layers.stacked, number, leads)
+    assert found is not None
+    layers.choose(number)
+    layers.fill(everywhere, [float(channel == "white")] * 3, blend="erase" if leads == "erased" else "over")
+    made = layers.texture()
+    points = ball(32).rest
+    own, wanted = (
+        texture.sample(points, [name], "nearest")[name]
+        for texture, name in ((found, channel), (made, "base_color"))
+    )
+    known = np.ones(len(points), np.bool_)
+    if "alpha" in found.channels:
+        known = found.sample(points, ["alpha"], "nearest")["alpha"][:, 0] > 0.5
+    assert known.mean() > 0.2
+    assert (own[known] == wanted[known]).all()
+
+
+@needs_jit
+def test_nothing_is_told_where_no_other_paint_is_met() -> None:
+    surface = ball(8)
+    layers = octex.Layers(octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3), surface)
+    number = layers.add_layer().number
+    assert beneath(layers.stacked, number, "painted") is None
+    assert packed_beneath(f'{{"layer": {number}, "leads": "painted"}}', layers.stacked) == b"null\n"
+    for asked in ("", "[]", '{"layer": 7, "leads": "painted"}', '{"layer": null, "leads": "up"}'):
+        with pytest.raises(ArgumentError):
+            packed_beneath(asked, layers.stacked)
+
+
+@pytest.fixture(scope="module")
+def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+    found = Studio(browser, tmp_path_factory.mktemp("beneath"))
+    with served(found.viewer):
+        yield found
+    found.session.close()
+
+
+@needs_jit
+def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio: Studio) -> None:
+    page = studio.page()
+
+    def told(what: str) -> None:
+        page.wait_for_function(what, timeout=20_000)
+
+    def stroke(tool: str, **brush: Any) -> float:
+        """Draw a stroke; return how far what is shown is from what is baked, inside it, in codes."""
+        page.evaluate(
+            "([tool, brush]) => (viewer.painting.choose(tool), viewer.painting.set(brush))", [tool, brush]
+        )
+        told(_KEY)
+        plain = pictured(page)
+        page.evaluate(_HOLD)
+        studio.drag(page, (-70, 5), (70, -5))
+        told("viewer.painting.strokes.sent.length === 1")
+        before = pictured(page)
+        page.evaluate("release()")
+        told("!viewer.painting.strokes.sent.length")
+        after = pictured(page)
+        inside = np.abs(after - plain).max(axis=2) > 20
+        assert inside.mean() > 0.01
+        return float(np.sqrt(((before - after)[inside] ** 2).mean()))
+
+    colors = {"color": [250, 210, 40], "hardness": 0.7, "size": 60}
+    for number, color in ((1, [30, 60, 220]), (2, [20, 200, 90])):
+        page.evaluate("viewer.painting.layers.add()")
+        told(f"viewer.painting.layers.chosen === {number}")
+        page.evaluate("(brush) => viewer.painting.set(brush)", {"color": color, "size": 80})
+        studio.drag(page, (-40 * number, -60), (40, 60))
+        told("!viewer.painting.strokes.sent.length")
+    page.evaluate("viewer.painting.layers.send('set', '', { opacity: 0.6, blend: 'multiply' })")
+    told("viewer.painting.layers.stack[1].blend === 'multiply'")
+    found = {}
+    for chosen in (None, 1, 2):
+        page.evaluate("(chosen) => viewer.painting.layers.choose(chosen)", chosen)
+        found["paint", chosen] = stroke("brush", **colors)
+        found["eraser", chosen] = stroke("eraser", **colors)
+    assert max(found.values()) <= 2
+    assert page.complaints == []
+    page.close()
