@@ -29,7 +29,7 @@ def as_points(points: npt.ArrayLike, name: str = "points") -> Floats:
 
 def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
     """Return positions (n, 3) of any real type and order, not copied, or raise ArgumentError."""
-    array = as_array(points)
+    array = points if type(points) is np.ndarray else as_array(points)  # in most calls it is one
     if array.dtype == np.void:  # rows of unequal lengths
         raise ArgumentError(f"{name} must have shape (n, 3)")
     if array.dtype.kind not in "fiu":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -70,10 +71,11 @@ def test_nothing_is_told_where_no_other_paint_is_met() -> None:
     layers = octex.Layers(octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3), surface)
     number = layers.add_layer().number
     assert beneath(layers.stacked, number, "painted") is None
-    assert packed_beneath(f'{{"layer": {number}, "leads": "painted"}}', layers.stacked) == b"null\n"
+    session: Any = SimpleNamespace(shown=SimpleNamespace(stacked=layers.stacked))
+    assert packed_beneath(session, f'{{"layer": {number}, "leads": "painted"}}') == b"null\n"
     for asked in ("", "[]", '{"layer": 7, "leads": "painted"}', '{"layer": null, "leads": "up"}'):
         with pytest.raises(ArgumentError):
-            packed_beneath(asked, layers.stacked)
+            packed_beneath(session, asked)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,7 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio: Stud
 
     colors = {"color": [250, 210, 40], "hardness": 0.7, "size": 60}
     for number, color in ((1, [30, 60, 220]), (2, [20, 200, 90])):
-        page.evaluate("viewer.painting.layers.add()")
+        page.evaluate("viewer.painting.layers.make('add', 'Add a layer')")
         told(f"viewer.painting.layers.chosen === {number}")
         page.evaluate("(brush) => viewer.painting.set(brush)", {"color": color, "size": 80})
         studio.drag(page, (-40 * number, -60), (40, 60))

@@ -195,6 +195,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     camera.differentials(surface.vertices, surface.vertices)
     image = np.full((4, 16, 4), 128, np.uint8)
     image[0, 0] = 0
+    image[1, ::2, :3] = 20  # pictures of one colour are not sharpened
     picture = octex.Projection(image, camera)
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
