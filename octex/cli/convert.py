@@ -127,7 +127,7 @@ def _convert(options: Options, program: str) -> int:
         # With leaves of several sizes, finest cells are no part of their number.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
-        faces = (options.within or (None, None))[1] is not None
+        faces = options.within is not None and options.within.degrees is not None
         why = "is near enough and faces as they do" if faces else "is near enough"
         lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
     repaired, told = told_repair(surface)

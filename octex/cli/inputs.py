@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.parser import Options
-from octex.cli.values import PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName, function_name
+from octex.cli.values import PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName, Near, function_name
 from octex.errors import ArgumentError, CameraError, InputError
 
 if TYPE_CHECKING:
@@ -135,9 +135,7 @@ def check_model(options: Options, path: Path | Address) -> None:
     if options.also:
         refuse(options, ("--rest", "--pose", "--repair"), "applies to one model; leave out --also")
     if options.transfer is None:
-        refuse(options, ("--radius", "--within"), "needs --transfer")
-    if options.radius is not None and (options.within or (None,))[0] is not None:
-        raise ArgumentError("--radius and --within both limit the distance to points; give one of them")
+        refuse(options, ["--within"], "needs --transfer")
     _sources(options)
 
 
@@ -203,12 +201,12 @@ def _transferred(options: Options) -> dict[str, Any]:
     if path is None:
         return {}
     if path.suffix.lower() == PTEX_ENDING:
-        refuse(options, ("--radius", "--within"), f"cannot be used for {path}, which belongs to the model")
+        refuse(options, ["--within"], f"cannot be used for {path}, which belongs to the model")
         return {**octex.Ptex(path).sources}
-    distance, degrees = options.within or (None, None)
-    if options.radius is not None or kind_of(path) == "cloud":
+    distance, degrees, radius = options.within or Near()
+    if radius is not None or kind_of(path) == "cloud":
         angle = 90.0 if degrees is None else degrees
-        cloud = octex.PointCloud.load(path, radius=options.radius, distance=distance, max_angle=angle)
+        cloud = octex.PointCloud.load(path, radius=radius, distance=distance, max_angle=angle)
         return {**cloud.sources}
     angle = 180.0 if degrees is None else degrees
     return {**octex.Transfer(path, distance=distance, max_angle=angle).sources}

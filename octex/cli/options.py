@@ -41,8 +41,8 @@ _TABLE = """
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
---radius R            average the points of --transfer within this distance
---within D[,DEGREES]  leave cells empty whose --transfer is farther, or faces another way
+--within D[,DEGREES]  leave cells empty whose --transfer is farther, or faces another way; mean:R: the
+                      mean of the points within R
 --filter NAME         filter of images: nearest, bilinear, bicubic, trilinear, ripmap, sat or ewa (default)
 
 --crop BOX            keep only cells that meet the box x0,y0,z0,x1,y1,z1, in rest positions
@@ -119,7 +119,7 @@ _TABLE = """
 _READERS: dict[Callable[[str], Any], str] = {
     v.whole_number: "--depth --max-depth --level --texture-size --padding --supersample",
     v.count: "--threads --points",
-    v.length: "--cell --margin --radius --blur --zoom --max-distance",
+    v.length: "--cell --margin --blur --zoom --max-distance",
     v.real: "--exposure",
     v.codes: "--max-error --vertex-error",
     v.whole_codes: "--loss",
@@ -185,7 +185,7 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
   > statue.stl statue.octex --source base_color=wood.png --project box
   INPUT    a model, points, voxels, a texture, or FILE.py:NAME, a function that is negative inside
   OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
-  --depth --cell --max-error --detail --channels --dtype --source --project --transfer --radius --within
+  --depth --cell --max-error --detail --channels --dtype --source --project --transfer --within
   --filter SHAPE --repair --also --grid --separate --parts --memory --no-fit --preview RUNNING
 
 view  Show a texture in the browser, until you close the page; or write the page.

@@ -181,10 +181,21 @@ def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
     return (angle(",".join(numbers)) if numbers else None), both, hidden
 
 
-def near(text: str) -> tuple[float | None, float | None]:
-    """Read DISTANCE or DISTANCE,DEGREES: the largest distance, or "any", and angle between normals."""
+class Near(NamedTuple):
+    """What is taken of another model or of points: what is near enough."""
+
+    distance: float | None = None
+    degrees: float | None = None  # between normals
+    radius: float | None = None  # the mean of all points within it
+
+
+def near(text: str) -> Near:
+    """Read D or D,DEGREES; D is the largest distance, mean:RADIUS, or "any"."""
     distance, comma, degrees = text.partition(",")
-    return None if distance == "any" else length(distance), angle(degrees) if comma else None
+    largest = angle(degrees) if comma else None
+    if distance.startswith("mean:"):
+        return Near(None, largest, length(distance.removeprefix("mean:")))
+    return Near(None if distance == "any" else length(distance), largest)
 
 
 def light(text: str) -> Path | str:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -29,11 +27,8 @@ _WIDTH = 6.0
 _DARKEST, _LIGHTEST = 0.004, 0.97
 #: Rounds of least squares, and from what difference of logarithms on a picture may count for less.
 _ROUNDS, _FAR = 10, 0.02
-#: No lens makes corners darker by more than three stops: that much is what the pictures show.
-#: They do not make corners brighter than the middle; so much is rounding.
-_MOST, _ROUNDING = np.log(8.0), 0.02
-#: Focal lengths of one lens, one after another, differ by less than this factor: refined cameras are zoomed.
-_ZOOM = 1.02
+#: No lens makes corners darker, or brighter, by more than three stops: that much is what the pictures show.
+_MOST = np.log(8.0)
 #: How strongly, for each point, vignetting is held at none, and gains at one.
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
 #: From this light on a picture may be cut off: 250 of 255 codes.
@@ -85,13 +80,12 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     slopes = _slopes(np.repeat(squares, 3, axis=1), balance)
     hold = np.full((len(paint), slopes.shape[2]), _HOLD_GAIN)
     hold[:, 3:] = _HOLD
-    unknowns = _unknowns(source.shots, slopes.shape[2])
-    found = _agreed(logs, counted, slopes, hold, unknowns)
+    found = _agreed(logs, counted, slopes, hold)
     places = np.linspace(0, 1, 33)
     powers = np.stack([places, places**2])
-    while balance == "full" and (no_lens := _is_no_lens(found[:, 3:] @ powers)).any():
+    while balance == "full" and (no_lens := np.abs(found[:, 3:] @ powers).max(axis=1) > _MOST).any():
         hold[no_lens, 3:] = np.inf
-        found = _agreed(logs, counted, slopes, hold, unknowns)
+        found = _agreed(logs, counted, slopes, hold)
     if balance == "gain":
         found = np.concatenate([np.repeat(found, 3, axis=1), np.zeros((len(found), 2))], axis=1)
     lone = counted.sum(axis=1) == 0
@@ -103,39 +97,13 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     return found
 
 
-def _is_no_lens(lit: Float64s) -> Bools:
-    """Return which pictures' corrections, logarithms (pictures, radii), undo no vignetting of a lens."""
-    found: Bools = (lit.max(axis=1) > _MOST) | (lit.min(axis=1) < -_ROUNDING)
-    return found
-
-
-def _unknowns(shots: Sequence[Shot], numbers: int) -> Int64s:
-    """Return the unknown that each number of a picture is: pictures of one lens share its vignetting.
-
-    Pictures are of one lens if their sizes and distortions are equal and their focal lengths nearly so.
-    """
-    found = np.arange(len(shots) * numbers).reshape(-1, numbers)
-    groups: dict[tuple[object, ...], list[tuple[float, int]]] = {}
-    for number, shot in enumerate(shots):
-        key = *shot.mips.sizes[0].tolist(), shot.camera.is_pinhole, *shot.lens.tolist()
-        groups.setdefault(key, []).append((float(shot.K[1, 1]), number))
-    for group in groups.values():
-        for (before, last), (focal, number) in pairwise(sorted(group)):
-            if focal <= before * _ZOOM:
-                found[number, 3:] = found[last, 3:]
-    return found
-
-
-def _agreed(
-    logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s, unknowns: Int64s
-) -> Float64s:
+def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s) -> Float64s:
     """Return the numbers by which logarithms of pictures agree best; those held infinitely are 0."""
     found = np.zeros_like(hold)
     for _ in range(_ROUNDS):
         values = logs + (slopes @ found[:, :, None])[..., 0]
         counts, _ = robust_weights(values, counted, _FAR)
-        ridge = hold * max(counts.sum() / len(counts), 1.0)
-        found += agreed_step(slopes, values, counts, ridge, unknowns=unknowns)
+        found += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
     return found
 
 

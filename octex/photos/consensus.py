@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float64s, Int64s
+from octex.arrays import Float64s
 from octex.jit import kernel
 
 #: Residuals beyond this much of their scale count for less and less; the scale is that of the half nearest.
@@ -60,18 +60,12 @@ def medians(values: Float64s, weights: Float64s) -> Float64s:
 
 
 def agreed_step(
-    slopes: Float64s,
-    values: Float64s,
-    weights: Float64s,
-    ridge: Float64s,
-    pull: Float64s | None = None,
-    unknowns: Int64s | None = None,
+    slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s, pull: Float64s | None = None
 ) -> Float64s:
     """Return the changes (pictures, numbers) by which values agree best with each point's consensus.
 
     Least squares of weights · (values + slopes · changes − consensus)²: slopes (pictures, n, numbers). A
     change is held at 0 by ``ridge``, infinite for one that stays; ``pull`` is half the slope of other costs.
-    Changes with equal ``unknowns`` (pictures, numbers) are equal; by default all differ.
     """
     pictures, _, numbers = slopes.shape
     size = pictures * numbers
@@ -80,10 +74,9 @@ def agreed_step(
     matrix += np.tril(matrix, -1).T
     stays = np.isinf(ridge.ravel())
     matrix[np.diag_indices(size)] += np.where(stays, 0.0, ridge.ravel())
-    which = np.arange(size) if unknowns is None else unknowns.ravel()
-    ties = (which[:, None] == np.unique(which[~stays])).astype(np.float64) * ~stays[:, None]
-    inverse = np.linalg.pinv(ties.T @ matrix @ ties, rcond=1e-12, hermitian=True)
-    found: Float64s = ties @ (inverse @ (ties.T @ right))
+    free = np.flatnonzero(~stays)
+    found = np.zeros(size)
+    found[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
     return found.reshape(pictures, numbers)
 
 

@@ -58,7 +58,7 @@ def test_each_commands_help_is_a_screen_with_every_option(
     assert max(map(len, text.splitlines())) <= 100
     command = COMMANDS[name]
     assert all(f"\n  {each.word}" in text for each in (*command.files, *command.options))
-    assert len(command.options) <= {"convert": 27, "paint": 28, "diff": 8}.get(name, 22)
+    assert len(command.options) <= {"convert": 26, "paint": 28, "diff": 8}.get(name, 22)
 
 
 def test_every_exit_code_is_explained(capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,7 +53,13 @@ def test_another_models_colours_are_transferred(
 @needs_jit
 def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.octex"
-    for options in ([], ["--radius", 0.1], ["--within", "0.1,90"], ["--within", "any,90"]):
+    for options in (
+        [],
+        ["--within", "mean:0.1"],
+        ["--within", "0.1,90"],
+        ["--within", "mean:0.1,90"],
+        ["--within", "any,90"],
+    ):
         given = ["--depth", 5, "--transfer", folder / "green.npz", "--force", *options]
         result(capsys, folder / "wide.ply", out, *given)
         assert np.allclose(colors(out), [0, 1, 0], atol=1e-3)
@@ -71,14 +77,14 @@ def test_points_alone_become_a_texture(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["wide.ply", "--radius", "1"], "--radius needs --transfer"),
+        (["wide.ply", "--within", "mean:1"], "--within needs --transfer"),
         (["wide.ply", "--within", "1"], "--within needs --transfer"),
         (["wide.ply", "--within", "1,181"], "--within: 181 is not from 0 to 180"),
-        (["wide.ply", "--transfer", "green.npz", "--radius", "1", "--within", "1"], "give one of them"),
+        (["wide.ply", "--transfer", "green.npz", "--within", "mean:0"], "--within: 0 is not a finite number above zero"),
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
         (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
         (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
-        (["wide.ply", "--transfer", "red.obj", "--radius", "1"], "not a point cloud that octex reads"),
+        (["wide.ply", "--transfer", "red.obj", "--within", "mean:1"], "not a point cloud that octex reads"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

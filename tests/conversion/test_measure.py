@@ -72,8 +72,8 @@ def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
 def test_light_is_apart_by_codes_of_its_curve(form: ChannelFormat, light: float, code: float):
     other = srgb_to_linear(code / 255)
     apart = abs(255 * linear_to_srgb(light) - code)
-    assert far(form, light, other, apart - 2e-3)
-    assert not far(form, light, other, apart + 2e-3)
+    assert far(form, light, other, apart - 1e-3)
+    assert not far(form, light, other, apart + 1e-3)
 
 
 def test_light_above_one_is_apart_by_ratio():

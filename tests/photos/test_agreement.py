@@ -175,7 +175,7 @@ def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference() -> N
         changed = []
         for number, image in enumerate(images):
             gain = np.full(3, random.uniform(0.7, 1.3))
-            lost = 0.3 if balance == "full" else 0.0
+            lost = random.uniform(0, 0.4) if balance == "full" and number != 3 else 0.0
             gain = gain * random.uniform(0.9, 1.1, 3) if balance == "full" else gain
             gain = np.ones(3) if number == 3 else gain
             light = (1 - lost * (x**2 + y**2))[..., None] * gain
@@ -215,26 +215,6 @@ def test_a_step_is_that_of_least_squares_with_free_means() -> None:
     expected = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][:12].reshape(4, 3)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert (found[1] == 0).all()
-
-
-def test_pictures_of_one_lens_share_their_vignetting() -> None:
-    random = np.random.default_rng(6)
-    slopes, values = random.normal(size=(4, 50, 3)), random.normal(size=(4, 50))
-    weights = random.uniform(0, 1, (4, 50))
-    unknowns = np.arange(12).reshape(4, 3)
-    unknowns[2, 1:] = unknowns[0, 1:]
-    found = agreed_step(slopes, values, weights, np.full((4, 3), 0.1), unknowns=unknowns)
-    assert np.array_equal(found[2, 1:], found[0, 1:])
-    assert found[2, 0] != found[0, 0]
-
-    def cost(changes: Any) -> float:
-        all_of_it = values + (slopes @ changes[..., None])[..., 0]
-        middle = (weights * all_of_it).sum(axis=0) / weights.sum(axis=0)
-        return float((weights * (all_of_it - middle) ** 2).sum() + 0.1 * (changes**2).sum())
-
-    for unknown in np.unique(unknowns):
-        for step in (-1e-4, 1e-4):
-            assert cost(found + step * (unknowns == unknown)) > cost(found)
 
 
 def test_a_weighted_median_halves_the_weight() -> None:

@@ -24,8 +24,8 @@ Array = npt.NDArray[Any]
 
 #: Which pictures a stranger stands in, and how much of each it hides.
 STRANGERS, HIDDEN = (1, 5, 8), 0.1
-#: What of light is lost in the corners.
-_VIGNETTING = 0.3
+#: What of light is lost in the corners, at most.
+_VIGNETTING = 0.4
 #: Standard deviation of noise, in codes.
 _NOISE = 4.0
 
@@ -42,15 +42,16 @@ class Ring(NamedTuple):
 
 
 def exposed(ring: Ring) -> Ring:
-    """Gains of ± 30 % and white balance of ± 10 %, other for each picture, and the vignetting of one lens."""
+    """Gains of ± 30 %, white balance of ± 10 %, and vignetting, other for each picture."""
     random = np.random.default_rng(10)
     made = []
     for number, (picture, camera) in enumerate(zip(ring.pictures, ring.cameras, strict=True)):
         gain = random.uniform(0.7, 1.3) * random.uniform(0.9, 1.1, 3)
+        lost = random.uniform(0.0, _VIGNETTING)
         if number == 0:
-            gain = np.ones(3)
+            gain, lost = np.ones(3), 0.0
         made.append(picture * np.append(gain, 1).astype(np.float32))
-        made[-1][..., :3] *= 1 - np.float32(_VIGNETTING) * _radii(camera)[..., None] ** 2
+        made[-1][..., :3] *= 1 - np.float32(lost) * _radii(camera)[..., None] ** 2
     return ring._replace(pictures=made)
 
 
