@@ -22,7 +22,7 @@ void main() {
     vec4 place = uintBitsToFloat(texelFetch(u_places, at, 0));
     uvec4 ways = texelFetch(u_ways, at, 0);
     bool isAway = (floatBitsToUint(place.w) & 1u) == 1u;
-    if (place.w <= 0.0 || (isAway && u_limits.y < 0.5) || dot(unpacked(ways.x), unpacked(ways.y)) < u_limits.x) break;
+    if (place.w <= 0.0 || (isAway && u_limits.y < 0.5) || dot(unpacked(ways.x), unpacked(ways.y)) < u_limits.x) continue;  // the last one counts
     reach.x = part;
     if (distance(place.xyz, middle) <= u_half) reach.y = part;
   }
