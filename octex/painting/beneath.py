@@ -13,7 +13,6 @@ import numpy as np
 from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of
 from octex.checks import as_choice
 from octex.editing.draft import change_of_values, places_in
-from octex.errors import ArgumentError
 from octex.painting.layer import COVERAGE
 from octex.painting.restore import restored
 from octex.painting.stack import (
@@ -48,15 +47,13 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
     """Return the base colour of the composite to which strokes in a layer lead; None is the bottom.
 
     Of paint it is that of black, and beside it as ``white`` that of white. Alpha is 0 in cells that are not
-    known, where nothing is painted that a stroke meets. None if there is no such paint at all, and for
-    textures with alpha of their own. Raises ArgumentError for a layer that is not there.
+    known, where nothing is painted that a stroke meets. None if there is no such paint at all, for textures
+    with alpha of their own, and for a layer that is not there: a page may ask while the layer is undone.
     """
     as_choice(leads, _LEADS, "leads")
     texture, stack, opened = stacked
     place = next((at for at, each in enumerate(stack) if each.number == number), -1)
-    if place < 0 and number is not None:
-        raise ArgumentError(f"there is no layer {number!r}")
-    if ALPHA.name in texture.channels:
+    if ALPHA.name in texture.channels or (place < 0 and number is not None):
         return None
     if place < 0 and leads != "painted":
         if stack:

@@ -30,8 +30,7 @@ def packed_patch(session: Session, asked: str) -> bytes:
 def packed_beneath(session: Session, asked: str) -> bytes:
     """Return what strokes in a layer lead to, see `octex.painting.beneath`: a line of JSON, and streams.
 
-    ``asked`` is JSON with the layer and what strokes lead to. Raises ArgumentError for anything else, and for
-    a layer that is not there.
+    ``asked`` is JSON with the layer and what strokes lead to. Raises ArgumentError for anything else.
     """
     try:
         given = json.loads(asked)

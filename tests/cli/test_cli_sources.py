@@ -80,7 +80,10 @@ def test_points_alone_become_a_texture(
         (["wide.ply", "--within", "mean:1"], "--within needs --transfer"),
         (["wide.ply", "--within", "1"], "--within needs --transfer"),
         (["wide.ply", "--within", "1,181"], "--within: 181 is not from 0 to 180"),
-        (["wide.ply", "--transfer", "green.npz", "--within", "mean:0"], "0 is not a finite number above zero"),
+        (
+            ["wide.ply", "--transfer", "green.npz", "--within", "mean:0"],
+            "0 is not a finite number above zero",
+        ),
         (["green.npz", "--max-error", "2"], "--max-error needs a surface"),
         (["green.npz", "--transfer", "red.ply"], "--transfer needs a surface"),
         (["wide.ply", "--transfer", "none.ply"], "none.ply cannot be read"),
