@@ -12,7 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
-from octex.baking.directions import across, in_tangent_space, turned, unit
+from octex.baking.directions import in_tangent_space, turned
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
@@ -23,7 +23,7 @@ from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, workers
-from octex.source.corners import Corners, area_vectors, at_corners
+from octex.source.corners import Corners, across, area_vectors, at_corners, unit
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.directions import unit
 from octex.baking.layout import doubled_areas, neighbors, steps_between
 from octex.baking.texels import draw_texels
 from octex.jit import kernel
-from octex.source.corners import area_vectors
+from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 

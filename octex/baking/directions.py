@@ -6,29 +6,11 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.jit import inlined, kernel
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Frames
 from octex.source.vectors import Vector, between, cross_product, dot_product, length_of, minus, row_of, times
 
 #: Directions shorter than this point nowhere; squared.
 NOWHERE = 1e-12
-
-
-def unit(vectors: Float64s) -> Float64s:
-    """Return vectors (n, 3) of length 1; zeros stay."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
-
-
-def across(normals: Float64s) -> Float64s:
-    """Return unit vectors (n, 3) at right angles to normals (n, 3)."""
-    return unit(np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))))
-
-
-def frames_of(normals: Float64s, rows: Int32s) -> Frames:
-    """Return unit normals (n, 3), by corner, as frames; their tangents mean nothing."""
-    tangents = np.ones((len(normals), 4), np.float32)
-    tangents[:, :3] = across(normals)
-    return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))
 
 
 def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:

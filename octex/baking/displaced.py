@@ -7,13 +7,12 @@ import json
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
-from octex.baking.directions import frames_of, unit
 from octex.baking.tessellation import Tessellation, edges_of, tessellated
 from octex.channels import LUMINANCE, ChannelFormat
 from octex.checks import as_choice, as_number, as_positive, as_whole
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.corners import Corners
+from octex.source.corners import Corners, frames_of, unit
 from octex.source.mesh import FARTHEST
 from octex.source.subdivided import OnCage
 from octex.source.surface import Surface, as_surface

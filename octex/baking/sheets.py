@@ -20,10 +20,9 @@ from octex.baking.coordinates import (
     leaf_of,
     squeezed,
 )
-from octex.baking.directions import across, unit
 from octex.baking.layout import BEYOND, PADDING, Layout, Layouts, kept_layout, steps_between, unit_area
 from octex.errors import ModelError, ModelWarning
-from octex.source.corners import Corners, area_vectors
+from octex.source.corners import Corners, across, area_vectors, unit
 from octex.source.materials import Material, MaterialSource
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface

@@ -8,12 +8,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
-from octex.baking.directions import NOWHERE, frames_of, unit
+from octex.baking.directions import NOWHERE
 from octex.baking.tessellation import edges_of, in_order
 from octex.channels import ALPHA, BASE_COLOR, encode
 from octex.checks import as_choice, as_number, as_whole
 from octex.errors import ArgumentError
-from octex.source.corners import Corners, area_vectors
+from octex.source.corners import Corners, area_vectors, frames_of, unit
 from octex.source.materials import AlphaMode, Input, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import distinct_rows, welded

@@ -53,9 +53,13 @@ def area_vectors(corners: Float64s) -> Float64s:
 
 def unit_normals(corners: Float64s) -> Float64s:
     """Return the unit normals of triangles (m, 3); zeros without area."""
-    normals = area_vectors(corners)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(lengths > 0, lengths, 1)
+    return unit(area_vectors(corners))
+
+
+def unit(vectors: Float64s) -> Float64s:
+    """Return vectors (n, 3) of length 1; zeros stay."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0), np.float64)
 
 
 def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:
@@ -128,3 +132,15 @@ class Frames(NamedTuple):
     def of(self, triangles: Int32s) -> Frames:
         """Return the attribute of only some triangles (k,)."""
         return Frames(self.normals.of(triangles), self.tangents.of(triangles))
+
+
+def across(normals: Float64s) -> Float64s:
+    """Return unit vectors (n, 3) at right angles to normals (n, 3)."""
+    return unit(np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))))
+
+
+def frames_of(normals: Float64s, rows: Int32s) -> Frames:
+    """Return unit normals (n, 3), by corner, as frames whose tangents follow no texture coordinates."""
+    tangents = np.ones((len(normals), 4), np.float32)
+    tangents[:, :3] = across(normals)
+    return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))

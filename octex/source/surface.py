@@ -17,7 +17,7 @@ from octex.checks import as_choice, as_entries, as_items, as_names, as_number, a
 from octex.errors import ArgumentError
 from octex.source.base import Combined, Joined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
-from octex.source.corners import Corners, Creases, Frames, Polygons
+from octex.source.corners import Corners, Creases, Frames, Polygons, frames_of, unit
 from octex.source.images.decode import as_texels, is_translucent
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import as_wraps
@@ -88,6 +88,7 @@ class Surface(Mesh):
         colors: npt.ArrayLike | None = None,
         face_colors: npt.ArrayLike | None = None,
         uv: npt.ArrayLike | None = None,
+        normals: npt.ArrayLike | None = None,
         image: npt.ArrayLike | PIL.Image.Image | None = None,
         wrap: str | tuple[str, str] = "repeat",
         mag_filter: str = "linear",
@@ -108,6 +109,7 @@ class Surface(Mesh):
         image                multiplies too: a Pillow image, or sRGB codes (height, width) or (height, width,
                              1 to 4), uint8 or uint16
         uv                   of the image, per vertex (n, 2) or per corner (m, 3, 2), v *up* from its last row
+        normals              shading normals at rest, per vertex (n, 3) or per corner (m, 3, 3); of any length
         wrap, mag_filter     "repeat", "mirror" or "clamp", or one for u and one for v; "linear" or "nearest"
         filter               how the image is averaged over footprints: one of filters.FILTERS
 
@@ -139,8 +141,14 @@ class Surface(Mesh):
             texture = Texture(as_texels(image), *wraps, nearest)
         if uv is not None:
             bound = as_reals(uv, "uv", (len(positions), 2), (len(faces), 3, 2))
-            rows = faces if bound.ndim == 2 else np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
-            coordinates = Corners(flip_v(bound.reshape(-1, 2)), rows)
+            coordinates = Corners(flip_v(bound.reshape(-1, 2)), _rows_of(bound, faces))
+        frames = None
+        if normals is not None:
+            shading = as_reals(normals, "normals", (len(positions), 3), (len(faces), 3, 3))
+            directions = unit(shading.reshape(-1, 3))
+            if not directions.any(axis=1).all():
+                raise ArgumentError("normals must not have length 0")
+            frames = frames_of(directions, _rows_of(shading, faces))
         if alpha is None:
             translucent = full[3] < 1 or (corners is not None and bool((corners.values[:, 3] < 1).any()))
             translucent |= texture is not None and is_translucent(texture.texels)
@@ -152,7 +160,7 @@ class Surface(Mesh):
             [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners,
             coordinates=[] if coordinates is None else [coordinates], name=name, filter=filter,
         )  # fmt: skip
-        return cls(positions, faces, source, rest=placed, uv=coordinates, name=name)
+        return cls(positions, faces, source, rest=placed, uv=coordinates, frames=frames, name=name)
 
     @classmethod
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
@@ -421,6 +429,11 @@ class Surface(Mesh):
             np.ascontiguousarray(barycentric, np.float64),
             np.ascontiguousarray(widths, np.float32),
         )
+
+
+def _rows_of(values: Floats, faces: Int32s) -> Int32s:
+    """Return the rows of an attribute, by vertex or by corner, at corners of triangles (m, 3)."""
+    return faces if values.ndim == 2 else np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
 
 
 def flip_v(uv: Floats) -> Float32s:

@@ -43,6 +43,21 @@ def test_samples_lie_on_their_triangles() -> None:
     np.testing.assert_array_equal(samples.rest, samples.points)
 
 
+def test_shading_normals_are_given_by_vertex_or_by_corner() -> None:
+    by_vertex = CUBE - 0.5
+    by_corner = 3.0 * by_vertex[CUBE_TRIANGLES]
+    barycentric = np.full((len(CUBE_TRIANGLES), 3), 1 / 3)
+    for normals in (by_vertex, by_corner):
+        frames = Surface.from_arrays(CUBE, CUBE_TRIANGLES, normals=normals).frames
+        assert frames is not None
+        found = frames.normals.at(np.arange(len(CUBE_TRIANGLES)), barycentric)
+        np.testing.assert_allclose(found, by_vertex[CUBE_TRIANGLES].mean(axis=1) / 0.75**0.5, atol=1e-6)
+        tangents = frames.tangents.values[frames.tangents.rows, :3]
+        np.testing.assert_allclose((tangents * by_corner).sum(axis=2), 0, atol=1e-6)
+    with pytest.raises(ArgumentError, match="normals must not have length 0"):
+        Surface.from_arrays(CUBE, CUBE_TRIANGLES, normals=np.zeros((8, 3)))
+
+
 def test_samples_are_uniform_by_posed_area() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 3, 5]], float)
     rest = vertices * [1, 1, 0] + [0, 0, 7]

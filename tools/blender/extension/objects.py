@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What octex needs of objects, and what comes back to them.
+
+octex works on the object's own mesh at rest: without modifiers, at the first shape key, in the object's axes.
+Its rest positions have glTF's axes (y up), as in the model that the painting page shows.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+#: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
+NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
+#: Modifiers that move vertices but make none.
+_DEFORMING = {
+    "ARMATURE", "CAST", "CLOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LATTICE", "MESH_DEFORM",
+    "SHRINKWRAP",
+    "SIMPLE_DEFORM", "SMOOTH", "CORRECTIVE_SMOOTH", "LAPLACIANSMOOTH", "SURFACE_DEFORM", "WARP", "WAVE",
+    "COLLISION", "SOFT_BODY", "MESH_CACHE", "MESH_SEQUENCE_CACHE", "NORMAL_EDIT", "WEIGHTED_NORMAL",
+    "DATA_TRANSFER", "UV_PROJECT", "UV_WARP", "VERTEX_WEIGHT_EDIT", "VERTEX_WEIGHT_MIX",
+    "VERTEX_WEIGHT_PROXIMITY",
+}  # fmt: skip
+
+
+class ObjectError(Exception):
+    """An object, or what belongs to it, cannot be used; says what to do."""
+
+
+def mesh_object(context: bpy.types.Context) -> bpy.types.Object:
+    """Return the active object, a mesh with faces; raises ObjectError."""
+    chosen = context.active_object
+    if chosen is None or chosen.type != "MESH":
+        raise ObjectError("Select a mesh object first")
+    if chosen.mode == "EDIT":
+        chosen.update_from_editmode()
+    if not len(chosen.data.polygons):
+        raise ObjectError(f"{chosen.name} has no faces; octree textures colour surfaces")
+    return chosen
+
+
+def making_modifiers(chosen: bpy.types.Object) -> list[str]:
+    """Return the names of the modifiers that make geometry, which octex does not see."""
+    return [each.name for each in chosen.modifiers if each.type not in _DEFORMING and each.show_viewport]
+
+
+def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
+    """Return the absolute path of an object's texture; raises ObjectError if it is to exist and does not."""
+    path = chosen.octex.path or f"//{bpy.path.clean_name(chosen.name)}.octex"
+    if path.startswith("//") and not bpy.data.filepath:
+        raise ObjectError("Save the .blend file first, or choose a file for the texture")
+    found = Path(bpy.path.abspath(path, library=chosen.library))
+    if exists and not found.exists():
+        raise ObjectError(f"{found} does not exist; make the texture first")
+    return found
+
+
+# To octex
+
+
+def _rotated(positions: np.ndarray) -> np.ndarray:
+    """Return positions or directions (n, 3) in glTF's axes."""
+    return positions[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+
+
+def _read(
+    items: bpy.types.bpy_prop_collection, name: str, width: int, dtype: type = np.float32
+) -> np.ndarray:
+    values = np.empty(len(items) * width, dtype)
+    items.foreach_get(name, values)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def mesh_arrays(chosen: bpy.types.Object) -> dict[str, np.ndarray]:
+    """Return an object's mesh as arrays: rest, triangles, corners (m, 3), and normals at these."""
+    mesh = chosen.data
+    mesh.calc_loop_triangles()
+    at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
+    corners = _read(mesh.loop_triangles, "loops", 3, np.int32)
+    return {
+        "rest": _rotated(_read(at_rest, "co", 3).astype(np.float64)),
+        "triangles": _read(mesh.loop_triangles, "vertices", 3, np.int32),
+        "corners": corners,
+        "normals": _rotated(_read(mesh.corner_normals, "vector", 3).astype(np.float64))[corners],
+    }
+
+
+def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.ndarray:
+    """Return where the vertices lie in the scene (n, 3), in Blender's axes, deformed as it is seen."""
+    evaluated = chosen.evaluated_get(context.evaluated_depsgraph_get())
+    mesh = evaluated.to_mesh()
+    try:
+        if len(mesh.vertices) != len(chosen.data.vertices):
+            names = ", ".join(making_modifiers(chosen)) or "a modifier"
+            raise ObjectError(f"{chosen.name}: apply {names} first: photographs show what it makes")
+        positions = _read(mesh.vertices, "co", 3).astype(np.float64)
+    finally:
+        evaluated.to_mesh_clear()
+    matrix = np.array(chosen.matrix_world)
+    return positions @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path) -> None:
+    """Write an object with its materials as .glb, at rest, in its own axes; raises ObjectError."""
+    with _alone(chosen) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        bpy.ops.export_scene.gltf(
+            filepath=str(path), export_format="GLB", use_active_scene=True, export_apply=False,
+            export_animations=False, export_skins=False, export_morph=False, export_yup=True,
+            export_tangents=False, export_materials="EXPORT",
+        )  # fmt: skip
+
+
+@contextmanager
+def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
+    """Lend a scene with a copy of an object, bare of transforms and modifiers."""
+    scene = bpy.data.scenes.new("octex")
+    copy = chosen.copy()
+    try:
+        copy.animation_data_clear()
+        copy.parent = None
+        copy.constraints.clear()
+        copy.modifiers.clear()
+        copy.matrix_world = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+        for slot in copy.material_slots:
+            if slot.material is not None and MARK in slot.material:
+                slot.link = "DATA"  # what the texture is made of, not how it is shown
+        scene.collection.objects.link(copy)
+        yield scene
+    finally:
+        bpy.data.objects.remove(copy)
+        bpy.data.scenes.remove(scene)
+
+
+def check_images(chosen: bpy.types.Object) -> list[str]:
+    """Return what octex will not see of an object's materials; raises ObjectError for images without data."""
+    complaints = []
+    for slot in chosen.material_slots:
+        material = slot.material
+        if material is None or material.node_tree is None or MARK in material:
+            continue
+        for node in material.node_tree.nodes:
+            if node.type == "TEX_IMAGE" and node.image is not None:
+                if node.image.source == "TILED":
+                    raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
+                if not node.image.has_data and not node.image.size[0]:
+                    raise ObjectError(f"{node.image.name} is missing: find or remove it first")
+            elif node.type == "BSDF_PRINCIPLED" and node.inputs["Base Color"].is_linked:
+                source = node.inputs["Base Color"].links[0].from_node
+                if source.type.startswith("TEX_") and source.type != "TEX_IMAGE":
+                    name = source.bl_label
+                    complaints.append(
+                        f"{material.name}: bake its {name} to an image first; octex cannot read it"
+                    )
+    return complaints
+
+
+def photographs(context: bpy.types.Context, folder: Path) -> list[dict]:
+    """Return the picture, size, lens and pose of each camera object with a background image."""
+    made = []
+    for camera in context.scene.objects:
+        if camera.type != "CAMERA":
+            continue
+        images = [each.image for each in camera.data.background_images if each.image is not None]
+        if images:
+            made.append(_photograph(camera, images[0], folder))
+    if not made:
+        raise ObjectError("No camera has a background image; give each camera its photograph there")
+    return made
+
+
+def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) -> dict:
+    data, (width, height) = camera.data, image.size
+    if data.type != "PERSP":
+        raise ObjectError(f"{camera.name} is no perspective camera")
+    if not width or not height:
+        raise ObjectError(f"{camera.name}: its background image {image.name} is missing")
+    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
+    side = width if fit == "HORIZONTAL" else height
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    path = Path(bpy.path.abspath(image.filepath))
+    if image.packed_file is not None or image.is_dirty or not path.is_file():
+        path = folder / f"{bpy.path.clean_name(camera.name)}.png"
+        image.save(filepath=str(path))
+    location, rotation, _ = camera.matrix_world.decompose()
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.array(rotation.to_matrix()), location
+    return {
+        "image": str(path),
+        "size": [width, height],
+        "focal": data.lens / sensor * side,
+        "center": [width / 2 - data.shift_x * side, height / 2 + data.shift_y * side],
+        "pose": pose.tolist(),
+    }
+
+
+# From octex
+
+
+def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
+    """Store colours (corners, 4), linear light, as the colour attribute that is shown and drawn."""
+    attributes = chosen.data.color_attributes
+    attribute = attributes.get(NAME)
+    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "BYTE_COLOR"):
+        attributes.remove(attribute)
+        attribute = None
+    if attribute is None:
+        attribute = attributes.new(NAME, "BYTE_COLOR", "CORNER")
+    attribute.data.foreach_set("color", np.ascontiguousarray(colors, np.float32).reshape(-1))
+    attributes.active_color = attribute
+    attributes.render_color_index = attributes.active_color_index
+    chosen.data.update()
+
+
+def set_uv(chosen: bpy.types.Object, corners: np.ndarray, uv: np.ndarray) -> None:
+    """Store texture coordinates of triangles' corners (m, 3, 2) as a UV map.
+
+    Raises ObjectError if a polygon's triangles lie apart in it.
+    """
+    values = np.full((len(chosen.data.loops), 2), np.nan, np.float32)
+    values[corners.reshape(-1)] = uv.reshape(-1, 2)
+    if (np.abs(values[corners] - uv) > 1e-6).any():
+        raise ObjectError(
+            "The new UV map cuts faces with more than three corners; triangulate the object first"
+        )
+    layers = chosen.data.uv_layers
+    layer = layers.get(UV_MAP) or layers.new(name=UV_MAP)
+    if layer is None:
+        raise ObjectError(f"{chosen.name} has no room for another UV map; remove one")
+    layer.uv.foreach_set("vector", np.nan_to_num(values).reshape(-1))
+    chosen.data.update()
+
+
+def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:
+    """Show an object by baked materials (name, maps, values), or by its colour attribute without any.
+
+    The materials of its mesh stay: the object's slots show new ones instead.
+    """
+    if not chosen.material_slots:
+        chosen.data.materials.append(None)
+    for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
+        same = [each for each in baked if own is not None and each["name"] == own.name] or baked[:1]
+        slot.link = "OBJECT"
+        slot.material = _material(chosen, same[0]) if same else _colored(chosen)
+
+
+def _colored(chosen: bpy.types.Object) -> bpy.types.Material:
+    """Return a material that shows the colour attribute."""
+    material, shader = _emptied(f"{chosen.name} octree")
+    node = material.node_tree.nodes.new("ShaderNodeVertexColor")
+    node.layer_name, node.location = NAME, (-300, 0)
+    for output, socket in (("Color", "Base Color"), ("Alpha", "Alpha")):
+        material.node_tree.links.new(node.outputs[output], shader.inputs[socket])
+    return material
+
+
+def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Material:
+    """Return a material of images and values of channels; without a name, at the new UV map."""
+    material, shader = _emptied(" ".join([chosen.name, baked["name"], "octree"]))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    for channel, value in baked["values"].items():
+        socket = shader.inputs[SOCKETS[channel]]
+        socket.default_value = (*value, 1.0) if len(value) == 3 else value[0]
+    coordinates = None
+    if not baked["name"]:
+        coordinates = nodes.new("ShaderNodeUVMap")
+        coordinates.uv_map, coordinates.location = UV_MAP, (-850, 0)
+    for place, (channel, image) in enumerate(baked["maps"].items()):
+        height = 300 - 280 * place
+        node = nodes.new("ShaderNodeTexImage")
+        node.image, node.location = image, (-600, height)
+        if coordinates is not None:
+            links.new(coordinates.outputs["UV"], node.inputs["Vector"])
+        output = node.outputs["Color"]
+        if channel == "normal":
+            turn = nodes.new("ShaderNodeNormalMap")
+            turn.location = (-300, height)
+            links.new(output, turn.inputs["Color"])
+            output = turn.outputs["Normal"]
+        links.new(output, shader.inputs[SOCKETS[channel]])
+    if "emissive" in baked["maps"] or "emissive" in baked["values"]:
+        shader.inputs["Emission Strength"].default_value = 1.0
+    return material
+
+
+def _emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
+    """Return one of the extension's materials, with a Principled shader alone."""
+    material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
+    material[MARK] = True
+    if material.node_tree is None:  # as before Blender 5
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    output, shader = (tree.nodes.new(f"ShaderNode{each}") for each in ("OutputMaterial", "BsdfPrincipled"))
+    output.location = (300, 0)
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    return material, shader
+
+
+#: The shader's inputs of channels.
+SOCKETS = {
+    "base_color": "Base Color", "roughness": "Roughness", "metallic": "Metallic", "alpha": "Alpha",
+    "emissive": "Emission Color", "normal": "Normal",
+}  # fmt: skip

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The commands: each starts work in another process and takes over what comes of it."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from . import objects, watching
+from .jobs import Job, JobError
+
+#: Seconds between looks at a job: the window never waits longer.
+_PAUSE = 0.05
+
+
+class Working:
+    """An operator that begins a job, shows its progress, and finishes with its answer.
+
+    ``invoke`` leaves Blender usable meanwhile, and Esc cancels; ``execute``, as scripts call it, waits.
+    """
+
+    bl_options = {"REGISTER", "UNDO"}
+    running: "Working | None" = None
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        """Return the job; raises ObjectError."""
+        raise NotImplementedError
+
+    def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        """Take over what the job has made, and return what to tell; raises ObjectError."""
+        raise NotImplementedError
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if Working.running is not None:
+            cls.poll_message_set("octex is at work")
+            return False
+        return context.active_object is not None and context.active_object.type == "MESH"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            self.job = self.begin(context)
+        except objects.ObjectError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        try:
+            self.job.start()
+            return self._finished(context, self.job.wait())
+        except JobError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            self.job.close()
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        try:
+            self.job = self.begin(context)
+        except objects.ObjectError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.job.start()
+        self.target = context.active_object.name
+        self._timer = context.window_manager.event_timer_add(_PAUSE, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        Working.running = self
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC":
+            return self._ended(context, {"CANCELLED"})
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        for area in context.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+        try:
+            answer = self.job.poll()
+        except JobError as error:
+            self.report({"ERROR"}, str(error))
+            return self._ended(context, {"CANCELLED"})
+        if answer is None:
+            return {"PASS_THROUGH"}
+        return self._ended(context, self._finished(context, answer))
+
+    def _finished(self, context: bpy.types.Context, answer: dict[str, Any]) -> set[str]:
+        for warning in self.job.warnings:
+            self.report({"WARNING"}, warning)
+        try:
+            self.report({"INFO"}, self.finish(context, answer))
+        except objects.ObjectError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def _ended(self, context: bpy.types.Context, result: set[str]) -> set[str]:
+        Working.running = None
+        context.window_manager.event_timer_remove(self._timer)
+        self.job.close()
+        return result
+
+
+class OCTEX_OT_make(Working, bpy.types.Operator):
+    """Make an octree texture of the active object: of its materials, or grey"""
+
+    bl_idname = "octex.make"
+    bl_label = "Make Octree Texture"
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        self.object = chosen = objects.mesh_object(context)
+        output = objects.texture_path(chosen, exists=False)
+        settings = chosen.octex
+        for name in objects.making_modifiers(chosen):
+            self.report({"WARNING"}, f"{name} makes geometry that the texture does not know; apply it first")
+        if settings.origin == "GREY":
+            arrays = objects.mesh_arrays(chosen)
+            return Job("make", arrays, name=chosen.name, depth=settings.depth, output=str(output))
+        for complaint in objects.check_images(chosen):
+            self.report({"WARNING"}, complaint)
+        job = Job("make", name=chosen.name, depth=settings.depth, output=str(output))
+        objects.write_model(context, chosen, job.folder / "model.glb")
+        return job.given(model=str(job.folder / "model.glb"))
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        channels = ", ".join(answer["channels"])
+        return f"{objects.texture_path(self.object).name}: {answer['cells']:,} cells of {channels}"
+
+
+class OCTEX_OT_colors(Working, bpy.types.Operator):
+    """Bake the texture into a colour attribute at the corners of faces, and show it"""
+
+    bl_idname = "octex.colors"
+    bl_label = "Bake to Colour Attribute"
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        self.object = objects.mesh_object(context)
+        return colors_job(self.object)
+
+    def finish(self, _context: bpy.types.Context, _answer: dict[str, Any]) -> str:
+        take_colors(self.object, self.job)
+        objects.show(self.object)
+        return f"{self.object.name} shows the colour attribute {objects.NAME}"
+
+
+class OCTEX_OT_images(Working, bpy.types.Operator):
+    """Bake the texture to images at the object's UVs or at new ones, and show them"""
+
+    bl_idname = "octex.images"
+    bl_label = "Bake to Images"
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        self.object = chosen = objects.mesh_object(context)
+        settings, texture = chosen.octex, objects.texture_path(chosen)
+        given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
+        given["texture_size"] = settings.texture_size
+        if settings.layout == "ATLAS":
+            self.arrays = objects.mesh_arrays(chosen)
+            return Job("images", self.arrays, **given)
+        if not chosen.data.uv_layers:
+            raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
+        job = Job("images", **given)
+        objects.write_model(context, chosen, job.folder / "model.glb")
+        return job.given(model=str(job.folder / "model.glb"))
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        chosen = self.object
+        if chosen.octex.layout == "ATLAS":
+            objects.set_uv(chosen, self.arrays["corners"], np.load(self.job.folder / "uv.npy"))
+        for each in answer["materials"]:
+            each["maps"] = {name: _image(path, name) for name, path in each["maps"].items()}
+        objects.show(chosen, answer["materials"])
+        count = sum(len(each["maps"]) for each in answer["materials"])
+        return f"Wrote {count} images to {objects.texture_path(chosen).parent}"
+
+
+class OCTEX_OT_photographs(Working, bpy.types.Operator):
+    """Project the background images of all cameras onto the object, into its texture or a new one"""
+
+    bl_idname = "octex.photographs"
+    bl_label = "Project Photographs"
+
+    def begin(self, context: bpy.types.Context) -> Job:
+        self.object = chosen = objects.mesh_object(context)
+        output = objects.texture_path(chosen, exists=False)
+        arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
+        job = Job(
+            "photographs", arrays, name=chosen.name, depth=chosen.octex.depth, output=str(output),
+            texture=str(output) if output.exists() else "",
+        )  # fmt: skip
+        mirrored = chosen.matrix_world.determinant() < 0  # its front then faces inwards
+        return job.given(photographs=objects.photographs(context, job.folder), mirrored=mirrored)
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        return f"{objects.texture_path(self.object).name}: {answer['cells']:,} cells"
+
+
+class OCTEX_OT_paint(bpy.types.Operator):
+    """Paint in the browser, which saves a new texture next to this one; the object then shows that"""
+
+    bl_idname = "octex.paint"
+    bl_label = "Paint in Browser"
+
+    poll = Working.poll
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            output = watching.paint(context, objects.mesh_object(context))
+        except objects.ObjectError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"The browser opens; Ctrl-S there saves {output.name}")
+        return {"FINISHED"}
+
+
+def _image(path: str, channel: str) -> bpy.types.Image:
+    image = bpy.data.images.load(path, check_existing=True)
+    image.colorspace_settings.name = "sRGB" if channel in ("base_color", "emissive") else "Non-Color"
+    image.reload()
+    return image
+
+
+def colors_job(chosen: bpy.types.Object) -> Job:
+    """Return the job that looks up an object's colours; raises ObjectError."""
+    texture = objects.texture_path(chosen)
+    return Job("colors", objects.mesh_arrays(chosen), name=chosen.name, texture=str(texture))
+
+
+def take_colors(chosen: bpy.types.Object, job: Job) -> None:
+    """Store the colours of a job that has ended."""
+    objects.set_colors(chosen, np.load(Path(job.folder) / "colors.npy"))
+
+
+_CLASSES = (OCTEX_OT_make, OCTEX_OT_colors, OCTEX_OT_images, OCTEX_OT_photographs, OCTEX_OT_paint)
+
+
+def register() -> None:
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

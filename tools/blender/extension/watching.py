@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Painting in the browser: its processes, and the objects that show what is saved there."""
+
+import itertools
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import bpy
+
+from . import objects
+from .jobs import Job, JobError, environment
+
+#: Seconds between looks at the files that are painted.
+_PAUSE = 0.5
+_PROGRAM = "import sys; from octex.cli.start import octex; sys.exit(octex())"
+
+
+class _Painted(NamedTuple):
+    """An object that is painted in the browser."""
+
+    process: subprocess.Popen
+    folder: tempfile.TemporaryDirectory  # the model's
+    output: Path  # where the page saves
+    saved: int = 0  # when the file was saved that is shown, in nanoseconds
+    job: Job | None = None  # that looks up colours
+
+
+_painted: dict[str, _Painted] = {}  # by the object's name
+
+
+def paint(context: bpy.types.Context, chosen: bpy.types.Object) -> Path:
+    """Open the painting page for an object; return the new file that it saves. Raises ObjectError."""
+    texture = objects.texture_path(chosen)
+    before = _painted.get(chosen.name)
+    if before is not None and before.process.poll() is None:
+        raise objects.ObjectError(f"The painting page of {chosen.name} is open already")
+    output = _next(texture)
+    layers = texture.with_suffix(".layers.octex")
+    folder = tempfile.TemporaryDirectory(prefix="octex-")
+    model = Path(folder.name) / "model.glb"
+    objects.write_model(context, chosen, model)
+    command = ["view", layers if layers.exists() else texture, model, "--paint", output, "--quiet"]
+    if output.with_name(f"{output.name}.strokes").exists():  # Blender or the page ended before it was saved
+        command.append("--recover")
+    process = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, *command], env=environment(), stdin=subprocess.DEVNULL
+    )
+    _painted[chosen.name] = _Painted(process, folder, output)
+    if not bpy.app.timers.is_registered(look):
+        bpy.app.timers.register(look, first_interval=_PAUSE)
+    return output
+
+
+def _next(texture: Path) -> Path:
+    """Return the first free name of NAME-2.octex, NAME-3.octex and so on."""
+    stem = re.sub(r"-\d+$", "", texture.stem)
+    numbers = itertools.count(2)
+    return next(path for n in numbers if not (path := texture.with_name(f"{stem}-{n}.octex")).exists())
+
+
+def look() -> float | None:
+    """Show what was saved since the last look; return when to look again."""
+    for name, each in list(_painted.items()):
+        chosen = bpy.data.objects.get(name)
+        _painted[name] = each = each if chosen is None else _looked(chosen, each)
+        if chosen is None or (each.process.poll() is not None and each.job is None):
+            _ended(_painted.pop(name))
+    return _PAUSE if _painted else None
+
+
+def _looked(chosen: bpy.types.Object, each: _Painted) -> _Painted:
+    """Begin to look colours up where something was saved, or take them over."""
+    from .operators import colors_job, take_colors
+
+    try:
+        if each.job is None:
+            saved = each.output.stat().st_mtime_ns if each.output.exists() else 0
+            if saved == each.saved:
+                return each
+            chosen.octex.path = bpy.path.relpath(str(each.output)) if bpy.data.filepath else str(each.output)
+            job = colors_job(chosen)
+            job.start()
+            return each._replace(saved=saved, job=job)
+        if each.job.poll() is None:
+            return each
+        take_colors(chosen, each.job)
+    except (JobError, objects.ObjectError, OSError) as error:
+        print(f"octex: {error}")
+    if each.job is not None:
+        each.job.close()
+    return each._replace(job=None)
+
+
+def _ended(each: _Painted) -> None:
+    if each.process.poll() is None:
+        each.process.send_signal(signal.SIGINT)  # strokes that are not saved stay in its journal
+        each.process.wait()
+    if each.job is not None:
+        each.job.close()
+    each.folder.cleanup()
+
+
+def register() -> None:
+    """Nothing is painted at first."""
+
+
+def unregister() -> None:
+    while _painted:
+        _ended(_painted.popitem()[1])
+    if bpy.app.timers.is_registered(look):
+        bpy.app.timers.unregister(look)

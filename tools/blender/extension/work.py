@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What octex does for the extension, in a process of its own: work.py JOB.json.
+
+Prints lines of JSON: stages with shares, warnings, and at last the answer or an error.
+"""
+
+import json
+import re
+import sys
+import traceback
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import octex
+from octex.formats.images import image_file
+
+#: Half of white in sRGB, as linear light.
+_GREY = 0.2140
+#: What Blender's Principled shader shows.
+_CHANNELS = ("base_color", "alpha", "roughness", "metallic", "emissive", "normal")
+
+
+def say(**told: Any) -> None:
+    print(json.dumps(told), flush=True)
+
+
+def progress(stage: str, done: int, total: int) -> None:
+    say(stage=stage, share=done / max(total, 1))
+
+
+def surface_of(job: dict[str, Any], **options: Any) -> tuple[octex.Surface, dict[str, np.ndarray]]:
+    """Return the mesh of a job, and its arrays."""
+    with np.load(Path(job["folder"]) / "mesh.npz") as arrays:
+        mesh = dict(arrays)
+    surface = octex.Surface.from_arrays(
+        mesh.get("posed", mesh["rest"]), mesh["triangles"], rest=mesh["rest"], name=job["name"], **options
+    )
+    return surface, mesh
+
+
+def make(job: dict[str, Any]) -> dict[str, Any]:
+    """Make a texture of a model's materials, or of grey."""
+    if "model" in job:
+        surface = octex.load_surface(job["model"], normals=True)
+        surface = surface.with_channels([each.name for each in surface.channels if each.name in _CHANNELS])
+    else:
+        surface, _ = surface_of(job, factor=(_GREY,) * 3)
+    texture = octex.convert(surface, job["depth"], progress=progress)
+    texture.save(job["output"])
+    return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
+
+
+def colors(job: dict[str, Any]) -> dict[str, Any]:
+    """Look up the colour at each corner of the mesh, averaged over the width of its triangles."""
+    texture = octex.open(job["texture"])
+    _, mesh = surface_of(job)
+    rest, triangles = mesh["rest"], mesh["triangles"]
+    sides = np.linalg.norm(rest[triangles] - rest[np.roll(triangles, 1, axis=1)], axis=2)
+    names = [name for name in ("base_color", "alpha") if name in texture.channels]
+    found = texture.sample(
+        rest[triangles.reshape(-1)], names, width=np.repeat(sides.mean(axis=1), 3),
+        normals=mesh["normals"].reshape(-1, 3),
+    )  # fmt: skip
+    made = np.ones((int(mesh["corners"].max()) + 1, 4), np.float32)
+    corners = mesh["corners"].reshape(-1)
+    made[corners, :3] = found["base_color"]
+    if "alpha" in found:
+        made[corners, 3:] = found["alpha"]
+    np.save(Path(job["folder"]) / "colors.npy", made)
+    return {"channels": names}
+
+
+def images(job: dict[str, Any]) -> dict[str, Any]:
+    """Bake images of the texture: of each material at the mesh's own UVs, or one set at new ones."""
+    texture = octex.open(job["texture"])
+    folder, output = Path(job["folder"]), Path(job["output"])
+    if "model" in job:
+        surface, layout = octex.load_surface(job["model"], normals=True), "keep"
+    else:
+        (surface, mesh), layout = surface_of(job), "atlas"
+        surface, _ = surface_of(job, normals=mesh["normals"])
+    wanted = [name for name in _CHANNELS if name in texture.channels]
+    baked = octex.bake(
+        texture, surface, uv=layout, texture_size=job["texture_size"], channels=wanted, progress=progress
+    )
+    if layout == "atlas":
+        uv = baked.source.coordinates[0]
+        np.save(folder / "uv.npy", uv.values[uv.rows] * (1, -1) + (0, 1))
+    made: list[dict[str, Any]] = []
+    for material in baked.source.materials:
+        name = material.name if layout == "keep" else ""
+        maps, values = {}, {}
+        for channel, given in material.inputs.items():
+            if given.texture is None:
+                values[channel] = given.factor
+            else:
+                path = output.with_name("-".join([output.stem, *re.findall(r"\w+", name), channel]) + ".png")
+                path.write_bytes(image_file(given.texture.texels, given.lanes)[0])
+                maps[channel] = str(path)
+        made.append({"name": name, "maps": maps, "values": values})
+    return {"materials": made}
+
+
+def photographs(job: dict[str, Any]) -> dict[str, Any]:
+    """Project photographs onto the mesh, into its texture or a new one."""
+    surface, _ = surface_of(job)
+    pictures = [
+        octex.Projection(
+            each["image"],
+            octex.Camera.pinhole(
+                tuple(each["size"]), pose=np.array(each["pose"]), convention="opengl", focal=each["focal"],
+                center=tuple(each["center"]),
+            ),
+        )
+        for each in job["photographs"]
+    ]  # fmt: skip
+    before = octex.open(job["texture"]) if job["texture"] else None
+    texture = octex.paint(
+        before, surface, pictures, max_depth=job["depth"], back_faces=job["mirrored"], progress=progress
+    )
+    if texture is before:
+        raise octex.OctexError("No camera sees the object; nothing is painted")
+    texture.save(job["output"])
+    return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
+
+
+TASKS = {each.__name__: each for each in (make, colors, images, photographs)}
+
+
+def main() -> int:
+    job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    warnings.showwarning = lambda message, *_: say(warning=str(message))
+    try:
+        say(**TASKS[job["task"]](job))
+    except octex.OctexError as error:
+        say(error=str(error))
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,211 @@
+#!/usr/bin/env python
+"""Use the extension as a user of Blender does, without a window; print what came of it as JSON.
+
+usage: tools/blender/try_extension.py FOLDER, by a Python that has bpy and octex
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy  # type: ignore[import-not-found]
+import extension
+import numpy as np
+from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
+from extension import objects, watching
+from mathutils import Vector  # type: ignore[import-not-found]
+
+SIZE = 256
+
+
+def main() -> int:
+    folder = Path(sys.argv[1])
+    extension.register()
+    told: dict[str, Any] = {"refused": refused(folder)}
+    told["grey"] = grey()
+    told["material"] = material(folder)
+    told["atlas"] = atlas()
+    told["photograph"] = photograph(folder)
+    told["painted"] = painted()
+    extension.unregister()
+    print(json.dumps(told))
+    return 0
+
+
+def ball(name: str = "ball") -> bpy.types.Object:
+    """Add a ball of triangles, turned, mirrored and moved, and make it the active object."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
+    made = bpy.context.active_object
+    made.name = name
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.quads_convert_to_tris()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    made.location, made.rotation_euler, made.scale = (3, -2, 1), (0.3, 0.2, 1.0), (-1.5, 1.5, 1.5)
+    made.octex.depth = 7
+    return made
+
+
+def gradient(name: str) -> bpy.types.Image:
+    """Return an image whose red grows to the right and whose green grows upwards, in linear light."""
+    image = bpy.data.images.new(name, SIZE, SIZE)
+    image.colorspace_settings.name = "sRGB"
+    across = (np.arange(SIZE) + 0.5) / SIZE
+    pixels = np.ones((SIZE, SIZE, 4), np.float32)
+    pixels[..., 0], pixels[..., 1], pixels[..., 2] = across, across[:, None], 0.25
+    image.pixels.foreach_set(pixels.reshape(-1))
+    return image
+
+
+def colors(chosen: bpy.types.Object) -> np.ndarray:
+    """Return the colour attribute (corners, 4) as Blender's image pixels have it: codes / 255."""
+    found = np.empty(4 * len(chosen.data.loops), np.float32)
+    chosen.data.color_attributes[objects.NAME].data.foreach_get("color_srgb", found)
+    return found.reshape(-1, 4)
+
+
+def worst(difference: np.ndarray) -> float:
+    return float(np.abs(difference).max() * 255)
+
+
+def refused(folder: Path) -> list[str]:
+    """Return what is said of objects that cannot be used."""
+    said = []
+
+    def attempt(command: str) -> None:
+        try:
+            getattr(bpy.ops.octex, command)()
+        except RuntimeError as error:
+            said.append(str(error).removeprefix("Error: ").strip())
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    ball()
+    attempt("make")
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    attempt("colors")
+    attempt("photographs")
+    attempt("images")
+    empty = bpy.data.objects.new("empty", bpy.data.meshes.new("empty"))
+    bpy.context.scene.collection.objects.link(empty)
+    bpy.context.view_layer.objects.active = empty
+    attempt("make")
+    (folder / "ball.octex").write_bytes(b"no texture")
+    bpy.context.view_layer.objects.active = bpy.data.objects["ball"]
+    attempt("colors")
+    return said
+
+
+def grey() -> float:
+    """Make a grey texture, and return how far the colours are from grey."""
+    chosen = bpy.data.objects["ball"]
+    chosen.octex.origin = "GREY"
+    bpy.ops.octex.make()
+    bpy.ops.octex.colors()
+    return worst(colors(chosen)[:, :3] - 0.5)
+
+
+def material(folder: Path) -> dict[str, Any]:
+    """Make a texture of a material's image, and return how far the colours are from it at the UVs."""
+    chosen = ball("painted")
+    image = gradient("gradient")
+    image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
+    image.save()
+    own = bpy.data.materials.new("own")
+    if own.node_tree is None:
+        own.use_nodes = True
+    node = own.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    own.node_tree.links.new(
+        node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    )
+    chosen.data.materials.append(own)
+    chosen.octex.depth = 8
+    bpy.ops.octex.make()
+    bpy.ops.octex.colors()
+    uv = np.empty(2 * len(chosen.data.loops), np.float32)
+    chosen.data.uv_layers[0].uv.foreach_get("vector", uv)
+    uv = uv.reshape(-1, 2)
+    inside = (np.abs(uv - 0.5) < 0.4).all(axis=1)  # at the poles and the seam, texels meet others
+    shown = chosen.material_slots[0].material.name
+    return {
+        "worst": worst(colors(chosen)[inside, :2] - uv[inside]),
+        "kept": chosen.data.materials[0].name,
+        "shown": shown,
+        "scenes": len(bpy.data.scenes),
+        "objects": len(bpy.data.objects),
+    }
+
+
+def atlas() -> dict[str, Any]:
+    """Bake images at new UVs, and return how far they are from the colours at corners."""
+    chosen = bpy.data.objects["painted"]
+    chosen.octex.layout, chosen.octex.texture_size = "ATLAS", 512
+    bpy.ops.octex.images()
+    node = next(
+        each for each in chosen.material_slots[0].material.node_tree.nodes if each.type == "TEX_IMAGE"
+    )
+    size = node.image.size[0]
+    pixels = np.empty(4 * size * size, np.float32)
+    node.image.pixels.foreach_get(pixels)
+    uv = np.empty(2 * len(chosen.data.loops), np.float32)
+    chosen.data.uv_layers[objects.UV_MAP].uv.foreach_get("vector", uv)
+    places = np.clip((uv.reshape(-1, 2) * size).astype(int), 0, size - 1)
+    found = pixels.reshape(size, size, 4)[places[:, 1], places[:, 0], :2]
+    off = np.abs(found - colors(chosen)[:, :2]).max(axis=1) * 255
+    return {"size": size, "median": float(np.median(off)), "space": node.image.colorspace_settings.name}
+
+
+def photograph(folder: Path) -> dict[str, Any]:
+    """Project a camera's background image, and return how far colours are from it where it sees the ball."""
+    chosen = bpy.data.objects["ball"]
+    image = gradient("photograph")
+    image.filepath_raw, image.file_format = str(folder / "photograph.png"), "PNG"
+    image.save()
+    data = bpy.data.cameras.new("camera")
+    data.lens, data.shift_x, data.shift_y = 40.0, 0.05, -0.02
+    camera = bpy.data.objects.new("camera", data)
+    scene = bpy.context.scene
+    scene.collection.objects.link(camera)
+    camera.location = (9, -8, 4)
+    camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
+    data.background_images.new().image = image
+    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    bpy.context.view_layer.objects.active = chosen
+    bpy.context.view_layer.update()
+    bpy.ops.octex.photographs()
+    bpy.ops.octex.colors()
+    found = colors(chosen)
+    off = []
+    for loop in chosen.data.loops:
+        place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
+        outward = (place - chosen.location).normalized()
+        if outward.dot((camera.location - place).normalized()) > 0.6:
+            seen = world_to_camera_view(scene, camera, Vector(place))
+            off.append(np.abs(found[loop.index, :2] - seen[:2]).max() * 255)
+    return {"corners": len(off), "worst": max(off)}
+
+
+def painted() -> dict[str, Any]:
+    """Open the painting page, save a grey texture as it does, and return what the object then shows."""
+    chosen = bpy.data.objects["ball"]
+    os.environ["BROWSER"] = "true"
+    bpy.context.view_layer.objects.active = chosen
+    bpy.ops.octex.paint()
+    output = watching._painted[chosen.name].output
+    chosen.octex.origin = "GREY"
+    bpy.ops.octex.make()
+    objects.texture_path(chosen).rename(output)
+    began = time.monotonic()
+    while np.abs(colors(chosen)[:, :3] - 0.5).max() > 0.01 and time.monotonic() - began < 60:
+        watching.look()
+        time.sleep(0.05)
+    is_open = watching._painted[chosen.name].process.poll() is None
+    return {"worst": worst(colors(chosen)[:, :3] - 0.5), "path": chosen.octex.path, "is_open": is_open}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
