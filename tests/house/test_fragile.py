@@ -146,13 +146,13 @@ WAYS_TO_END = [
 @pytest.fixture(scope="module")
 def endings(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     """How those end, forked from a process smaller than this one."""
-    works = ", ".join(f"lambda: {work}" for work, _, _ in WAYS_TO_END)
+    works = ", ".join(f"(lambda: {work}, {1 if end == 'HANG' else 100})" for work, end, _ in WAYS_TO_END)
     code = (
         "import importlib.util, json, os, signal, sys, time\nfrom pathlib import Path\n"
         f"specification = importlib.util.spec_from_file_location('fragile', {str(TOOL)!r})\n"
         "tool = importlib.util.module_from_spec(specification)\nspecification.loader.exec_module(tool)\n"
         f"folder = Path({str(tmp_path_factory.mktemp('scratch'))!r})\n"
-        f"print(json.dumps([tool.forked(work, folder, 2, 1 << 30) for work in [{works}]]))\n"
+        f"print(json.dumps([tool.forked(work, folder, seconds, 1 << 30) for work, seconds in [{works}]]))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return [tool.Ended(*each) for each in json.loads(done.stdout)]
