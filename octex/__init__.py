@@ -62,6 +62,8 @@ if TYPE_CHECKING:
 
     from octex.baking.bake import bake as bake
     from octex.baking.displaced import displace as displace
+    from octex.baking.finish import finish as finish
+    from octex.baking.simplify import simplify as simplify
     from octex.baking.vertices import bake_vertices as bake_vertices
     from octex.cameras.camera import Camera as Camera
     from octex.cameras.files import read_cameras as read_cameras
@@ -121,6 +123,8 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "baking.bake": "bake",
     "baking.displaced": "displace",
+    "baking.finish": "finish",
+    "baking.simplify": "simplify",
     "baking.vertices": "bake_vertices",
     "cameras.camera": "Camera",
     "cameras.files": "read_cameras write_cameras",

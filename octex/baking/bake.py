@@ -30,6 +30,7 @@ from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.order import put_rows
+from octex.view.shading import corner_normals
 
 #: The smallest and the largest maps, and what their sizes are multiples of.
 _SMALLEST, _MOST, _STEP = 64, 16384, 8
@@ -69,7 +70,8 @@ def bake(
     """Bake a texture to images, and return the surface with them, for ``write_model``.
 
     source         the surface that the texture was made of, if ``surface`` is another mesh of the same
-                   object: each texel takes the nearest point of ``source``, at rest, that faces the same way
+                   object: each texel takes the nearest point of ``source``, at rest, that faces the same way.
+                   Normals are then baked too: those of the texture, or else of ``source``
     max_distance   how far away that point may be, in the model's units (None: any distance). Other texels are
                    filled from their neighbours
     uv             "keep": the surface's texture coordinates, with maps for each material; "atlas": new ones
@@ -102,7 +104,7 @@ def bake(
     as_choice(uv, LAYOUTS, "uv")
     if padding is not None:
         padding = as_whole(padding, "padding", 0, 64)
-    names = _channels_of(texture, channels)
+    names = _channels_of(texture, channels, has_normals=source is not None)
     if bits not in BITS:
         raise ArgumentError(f"bits must be 8, 16 or 32, not {bits!r}")
     supersample = as_whole(supersample, "supersample", 1, _MOST_LOOKUPS)
@@ -121,7 +123,8 @@ def bake(
         other = _Other.of(as_surface(source, "source"), texture, distance)
     with workers(run) as given, sharing(given) as pool:
         run.report("unwrap", 0, 1)
-        sheets = sheets_of(texture, surface, names, uv, texture_size, padding, pool)
+        stored = [name for name in names if name in texture.channels]
+        sheets = sheets_of(texture, surface, stored, uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         run.report("unwrap", 1, 1)
         job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
@@ -191,14 +194,15 @@ def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> 
     return made, shows_any
 
 
-def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
+def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_normals: bool) -> list[str]:
     baked = [name for name in CHANNELS if name != "detail"]
+    known = list(dict.fromkeys([*texture.channels, *([NORMAL.name] if has_normals else [])]))
     if channels is None:
-        names = [name for name in texture.channels if name in baked]
+        names = [name for name in known if name in baked]
     else:
         names = as_names(channels, "channels")
         for name in names:
-            as_choice(name, texture.channels, "channel of the texture")
+            as_choice(name, known, "channel of the texture")
             as_choice(name, baked, "channel of materials")
     if not names:
         raise ArgumentError(f"no channel to bake: baking to a material needs one of {', '.join(baked)}")
@@ -211,6 +215,7 @@ class _Other(NamedTuple):
     surface: Surface  # at rest where the texture has it
     nearest: Triangles  # at rest where the baked surface is
     normals: Float64s  # (m, 3)   of its triangles where the texture has them
+    shading: Corners  # its shading normals where the baked surface is
     distance: float
 
     @classmethod
@@ -220,8 +225,14 @@ class _Other(NamedTuple):
             nearest = Triangles.of(surface.rest, surface.triangles)
         except ModelError as error:
             raise ModelError(f"{surface.name}: {error}") from None
+        if surface.frames is None:
+            normals = corner_normals(surface.rest, surface.triangles).reshape(-1, 3)
+            shading = Corners(normals, np.arange(len(normals), dtype=np.int32).reshape(-1, 3))
+        else:
+            shading = surface.frames.normals
         placed = surface.placed_on(texture)
-        return cls(placed, nearest, unit(area_vectors(placed.rest[placed.triangles])), distance)
+        flat = unit(area_vectors(placed.rest[placed.triangles]))
+        return cls(placed, nearest, flat, shading, distance)
 
 
 class _Job:
@@ -260,17 +271,23 @@ class _Job:
     ) -> tuple[Float32s, Bools | None]:
         """Return the channels side by side at points of triangles (n,), and which have any; None for all."""
         normals, there = self.normals[triangles], None
+        barycentric = np.empty((0, 3))
         if self.other is not None:
             nearest = self.other.nearest.nearest(
                 rest, normals, distance=self.other.distance, least_cosine=0.0
             )
             there = nearest.triangles >= 0
-            triangles = nearest.triangles[there]
-            rest = self.other.surface.rest_at(triangles, nearest.barycentric[there])
+            triangles, barycentric = nearest.triangles[there], nearest.barycentric[there]
+            rest = self.other.surface.rest_at(triangles, barycentric)
             normals = self.other.normals[triangles]
             derivatives = derivatives and (derivatives[0][there], derivatives[1][there])
         dPdx, dPdy = derivatives or (None, None)
-        values = self.texture.sample(rest, self.names, dPdx=dPdx, dPdy=dPdy, normals=normals, threads=1)
+        names = [name for name in self.names if name in self.texture.channels]
+        values = self.texture.sample(rest, names, dPdx=dPdx, dPdy=dPdy, normals=normals, threads=1)
+        if len(names) < len(self.names):
+            assert self.other is not None
+            shading = unit(self.other.shading.at(triangles, barycentric)).astype(np.float32)
+            values[NORMAL.name] = shading
         return np.concatenate([values[name] for name in self.names], axis=1), there
 
     def write(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.common import Reporter, bytes_text, check_outputs, tell_file
-from octex.cli.inputs import open_texture, refuse, shaped_model, told_repair
+from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _OF_IMAGES = (
     *("--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"),
-    *("--original", "--max-distance"),
+    *("--triangles", "--original", "--max-distance"),
 )
 _OF_VERTICES = "--max-edge", "--vertex-error"
 _ALWAYS_VERTICES = ".ply", ".3mf"
@@ -37,6 +37,8 @@ def bake(options: Options, program: str) -> int:
     inputs = options.TEXTURE, options.MODEL, options.rest, options.original
     check_outputs([(options.OUTPUT, BAKED_ENDINGS, "OUTPUT")], inputs, force=options.force)
     if ending == PTEX_ENDING:
+        if options.TEXTURE is None:
+            raise ArgumentError(f"{options.OUTPUT}: needs a texture; octex convert makes one of the model")
         return _write_ptex(options, program)
     at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
     work, others = ("vertex colours", _OF_IMAGES) if at_vertices else ("images", _OF_VERTICES)
@@ -46,16 +48,28 @@ def bake(options: Options, program: str) -> int:
     images, bits = _IMAGES[options.image_format or "png"]
     if images == "exr" and ending in (".glb", ".gltf"):
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
+    if options.triangles is not None:
+        refuse(options, ["--original", "--displace"], "cannot be used with --triangles")
+        if options.uv == "keep":
+            raise ArgumentError("--uv keep cannot be used with --triangles: the mesh gets new UVs")
+    from octex.baking.finish import own_texture
     from octex.formats.models import check_extra, materials_of
 
     check_extra(options.OUTPUT)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
-            texture = open_texture(options.TEXTURE)
-            cell = texture.placement.size / 2.0**texture.tree.max_depth
+            texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
+            cell = None if texture is None else texture.placement.size / 2.0**texture.tree.max_depth
             surface = shaped_model(options.MODEL, options, cell, normals=True)
             made, lines = told_repair(surface)
             original = None if options.original is None else octex.load_surface(options.original)
+        if texture is None:
+            path, source = options.original or options.MODEL, original or surface
+            model = path if kind_of(path) == "voxels" else source
+            texture = own_texture(model, source, None, options.texture_size, octex.Run(progress=progress))
+        if options.triangles is not None and len(surface.triangles) > options.triangles:
+            with progress.stage("simplify"):
+                original, surface = surface, octex.simplify(surface, options.triangles)
         if options.displace is not None:
             channel, height, middle = options.displace
             with progress.stage("displace"):
@@ -71,7 +85,7 @@ def bake(options: Options, program: str) -> int:
                 surface,
                 source=original,
                 max_distance=options.max_distance,
-                uv=options.uv or "auto",
+                uv=options.uv or ("auto" if options.triangles is None else "atlas"),
                 texture_size=options.texture_size,
                 padding=options.padding,
                 channels=options.channels,

@@ -90,6 +90,7 @@ _TABLE = """
                       new ones, cut by xatlas (slow for scans)
 --texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
                       to 4 where images would differ from the texture by more than 3/255, RMS)
+--triangles N         make a mesh of so many, like 50k, with a normal map of what it lacks
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
 --max-distance D      how far the surface of --original may be, in its units (default: any)
 --padding N           texels around each chart (default 8)
@@ -119,6 +120,7 @@ _TABLE = """
 _READERS: dict[Callable[[str], Any], str] = {
     v.whole_number: "--depth --max-depth --level --texture-size --padding --supersample",
     v.count: "--threads --points",
+    v.thousands: "--triangles",
     v.length: "--cell --margin --blur --zoom --max-distance",
     v.real: "--exposure",
     v.codes: "--max-error --vertex-error",
@@ -220,10 +222,12 @@ paint  Project pictures through their cameras onto a model, into its texture or 
 bake  Write a model with images, or vertex colours, of a texture, for other programs.
   > droid.octex droid.glb baked.glb
   > droid.octex droid.glb web.glb --texture-size 1024 --image-format webp
-  TEXTURE  an .octex or .octz file, or its address
+  > scan.ply scan.glb --triangles 50k --texture-size 2048
+  [TEXTURE]  an .octex or .octz file, or its address; without it, the model's own colours
   MODEL    the model of the texture; with --original, a simpler mesh of the same object
   OUTPUT   NAME.glb, .gltf, .obj, .usdz, .usd, .usda, .usdc, .3mf, .ply or .ptx
-  --uv --texture-size --padding --channels --image-format --supersample --original --max-distance
+  --uv --texture-size --padding --channels --image-format --supersample --triangles --original
+  --max-distance
   --vertex-colors --max-edge --vertex-error --displace --unit SHAPE --repair RUNNING
 
 edit  Make a texture from a texture. Options are applied in the order listed here.

@@ -168,6 +168,18 @@ def file_size(text: str) -> int:
         raise ArgumentError(str(error)) from None
 
 
+def thousands(text: str) -> int:
+    """Read a whole number above zero: 50k, 1.5M, 50000."""
+    number, factor = text[:-1], {"k": 1e3, "M": 1e6}.get(text[-1:])
+    try:
+        value = float(number) * factor if factor else float(int(text))
+    except ValueError:
+        value = 0.0
+    if not 1 <= value < 2**31:
+        raise ArgumentError(f"{text!r} is not a number like 50k, 1.5M or 50000")
+    return round(value)
+
+
 def edge_length(text: str) -> float | str:
     """Read a length, or "auto"."""
     return text if text == "auto" else float(length(text))

@@ -12,8 +12,8 @@ from octex.errors import ArgumentError
 GROUPS = {
     "start": "tutorial concepts",
     "tasks": (
-        "convert page render no-uvs paint-browser paint-view paint-python photographs bake print blender "
-        "arrays"
+        "convert page render no-uvs paint-browser paint-view paint-python photographs bake finish print "
+        "blender arrays"
     ),
     "reference": (
         "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "

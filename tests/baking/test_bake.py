@@ -934,7 +934,7 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert cli.main(["bake", *given]) == 2
     assert "exists" in capsys.readouterr().err
     assert cli.main(["bake", *given[1:], str(tmp_path / "c.glb")]) == 2
-    assert "is not a .octex file" in capsys.readouterr().err
+    assert "c.glb is one file too many for octex bake [TEXTURE] MODEL OUTPUT" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("bake", [octex.bake, octex.bake_vertices])

@@ -82,9 +82,9 @@ EXCEPTIONS = {("checks", "octex.tree.layout")}
 _NAMES = """
 Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Painter Patch PointCloud
 Projection Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast
-combine convert convert_set crop curves difference displace fill levels load_surface merge mix paint project
-read_cameras refine_cameras render repair resize separate subdivide unwrap write_cameras write_model
-write_preview write_ptex
+combine convert convert_set crop curves difference displace fill finish levels load_surface merge mix paint
+project read_cameras refine_cameras render repair resize separate simplify subdivide unwrap write_cameras
+write_model write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
@@ -183,7 +183,9 @@ def test_the_extra_test_brings_what_tests_are_skipped_without() -> None:
     project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
     listed = [each for extra in project["optional-dependencies"].values() for each in extra]
     brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]
-    packages = {"pxr": "usd-core", "opengl_basisu": "opengl-basisu"}
+    packages = {
+        "fast_simplification": "fast-simplification", "opengl_basisu": "opengl-basisu", "pxr": "usd-core",
+    }  # fmt: skip
     left_out = {"moto", "s3fs", "scipy"}  # much to install for a test each
     texts = [path.read_text("utf-8") for path in (ROOT.parent / "tests").rglob("*.py")]
     modules = set(re.findall(r'importorskip\(\s*"(\w+)', " ".join(texts)))

@@ -1,0 +1,121 @@
+"""Meshes of fewer triangles, by quadric errors (Garland & Heckbert 1997)."""
+
+from __future__ import annotations
+
+import warnings
+from importlib.util import find_spec
+
+import numpy as np
+
+from octex.arrays import Bools, Float64s, Int32s
+from octex.checks import as_whole
+from octex.errors import MissingExtraError, ModelError, ModelWarning
+from octex.source.corners import area_vectors, unit_normals
+from octex.source.parts import parts_of
+from octex.source.surface import Surface, as_surface
+from octex.source.welding import welded
+from octex.view.shading import corner_normals
+
+#: How boldly edges collapse, and whether borders stay: first so that hardly a triangle turns over, then until
+#: few enough are left.
+_ROUNDS = (3.0, True), (7.0, True), (3.0, False), (5.0, False), (7.0, False), (9.0, False)
+#: A result may have so many times the triangles that were asked for.
+_ENOUGH = 1.02
+#: Triangles that each loose part keeps at least.
+_LEAST = 12
+#: A triangle has an area if its double is more than this part of the square of its longest edge.
+_THINNEST = 1e-12
+#: Degrees between triangles up to which an edge is smooth: normal maps hold what is sharp.
+_SMOOTH = 180.0
+
+
+def simplify(surface: Surface, triangles: int) -> Surface:
+    """Return a mesh of fewer triangles near a surface at rest, without colours: ``bake`` gives it these.
+
+    triangles  how many are left, 4 or more; a surface with no more of them is only welded
+
+    Vertices at one position count as one, and triangles without area are left out. Edges whose collapse
+    changes the surface least go first; borders stay in place as far as the number allows. Shading normals are
+    smooth everywhere: ``bake`` with ``source`` makes a normal map of what they lack. Each loose part keeps
+    some triangles: a model of very many of them may stay above ``triangles``, which a ModelWarning says.
+
+    Raises ArgumentError for a number out of range, MissingExtraError without the extra ``simplify``, and
+    ModelError if no triangle has an area.
+    """
+    if not find_spec("fast_simplification"):
+        what = "to make a mesh of fewer triangles"
+        raise MissingExtraError.needed(what, "fast-simplification", "simplify")
+    as_surface(surface)
+    count = as_whole(triangles, "triangles", 4, 2**31 - 1)
+    vertices, faces = _welded(surface)
+    middle, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
+    points, made = _parts_collapsed((vertices - middle) / scale, faces, count)
+    if len(made) > _ENOUGH * count:
+        note = f"{len(made):,} triangles are left, not {count:,}: its loose parts and borders need them"
+        warnings.warn(f"{surface.name}: {note}", ModelWarning, stacklevel=2)
+    vertices = points * scale + middle
+    normals = np.empty_like(vertices)
+    normals[made] = corner_normals(vertices, made, _SMOOTH)
+    is_none = ~normals.any(axis=1)[made]  # where triangles lie back to back
+    rows, corners = np.nonzero(is_none)
+    normals[made[rows, corners]] = unit_normals(vertices[made[rows]])
+    return Surface.from_arrays(vertices, made, normals=normals, name=surface.name)
+
+
+def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
+    """Return rest positions, each once, and the triangles on them that have an area."""
+    numbers = welded(surface.rest)
+    vertices = np.empty((int(numbers.max()) + 1, 3))
+    vertices[numbers] = surface.rest
+    faces = numbers[surface.triangles]
+    faces = faces[_has_area(vertices, faces)]
+    if not len(faces):
+        raise ModelError(f"{surface.name}: no triangle has an area")
+    return vertices, faces.astype(np.int32)
+
+
+def _has_area(vertices: Float64s, faces: Int32s) -> Bools:
+    """Say which triangles (m,) have an area."""
+    corners = vertices[faces]
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+    has_area: Bools = np.linalg.norm(area_vectors(corners), axis=1) > _THINNEST * longest
+    return has_area
+
+
+def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
+    """Collapse edges until about ``count`` triangles are left, and some of each loose part."""
+    parts = parts_of(faces, np.arange(len(points)))
+    is_small = (np.bincount(parts) * (count / len(faces)) < _LEAST)[parts]
+    order = np.flatnonzero(is_small)
+    order = order[np.argsort(parts[order], kind="stable")]
+    pieces = np.split(faces[order], np.flatnonzero(np.diff(parts[order])) + 1) if order.size else []
+    made = [_collapsed(points, each, _LEAST) for each in pieces]
+    if not is_small.all():
+        left = count - sum(len(each) for _, each in made)
+        made.append(_collapsed(points, faces[~is_small], max(left, _LEAST)))
+    firsts = np.cumsum([0, *(len(each) for each, _ in made)])
+    numbered = [each + first for (_, each), first in zip(made, firsts, strict=False)]
+    return np.concatenate([each for each, _ in made]), np.concatenate(numbered).astype(np.int32)
+
+
+def _collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
+    """Collapse edges until about ``count`` triangles are left; return these, and the points they use."""
+    from fast_simplification import simplify as collapsed
+
+    points, faces = _used(points, faces)
+    for boldness, keeps_borders in _ROUNDS:
+        if len(faces) <= _ENOUGH * count:
+            break
+        found, left = collapsed(
+            points, faces, target_count=count, agg=boldness, preserve_border=keeps_borders
+        )
+        left = left[_has_area(found, left)]
+        if len(left) >= min(count, _LEAST) // 2:  # else a part would vanish
+            points, faces = _used(found, left)
+    return points, faces
+
+
+def _used(points: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
+    """Return the points that triangles use, and the triangles on these."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return np.asarray(points[used], np.float64), numbers.reshape(-1, 3).astype(np.int32)

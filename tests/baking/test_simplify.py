@@ -1,0 +1,142 @@
+"""Meshes of fewer triangles, and what is baked onto them from the surface that they stand for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.cli.main import main
+from octex.errors import ArgumentError, MissingExtraError, ModelError, ModelWarning
+from octex.nearest.triangles import Triangles
+from octex.source.surface import Surface
+from tests.conftest import needs_jit
+from tests.make.painted import ball
+
+pytest.importorskip("fast_simplification", reason="needs the extra simplify")
+
+
+def colors(points: Any) -> Any:
+    return 0.5 + 0.4 * np.sin(3.0 * points)
+
+
+def bumpy(around: int = 64) -> Surface:
+    """A ball with bumps that few triangles cannot follow."""
+    surface = ball(around)
+    directions = surface.rest / np.linalg.norm(surface.rest, axis=1, keepdims=True)
+    heights = 1.0 + 0.01 * np.sin(20.0 * directions).prod(axis=1, keepdims=True)
+    return Surface.from_arrays(directions * heights, surface.triangles).with_sources({"base_color": colors})
+
+
+def distances(surface: Surface, other: Surface) -> Any:
+    """Return how far points scattered over a surface are from another."""
+    points = surface.scatter(2000, 1).points
+    found = Triangles.of(other.rest, other.triangles).nearest(points)
+    return np.linalg.norm(points - other.rest_at(found.triangles, found.barycentric), axis=1)
+
+
+@needs_jit
+def test_fewer_triangles_stay_near_the_surface_and_face_outwards() -> None:
+    surface = bumpy()
+    low = octex.simplify(surface, 1000)
+    assert 900 <= len(low.triangles) <= 1020
+    assert max(distances(low, surface).max(), distances(surface, low).max()) < 0.02
+    corners = low.vertices[low.triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(axis=1)).sum(axis=1) > 0).mean() > 0.99
+    assert low.frames is not None
+    again = octex.simplify(surface, 1000)
+    np.testing.assert_array_equal(low.vertices, again.vertices)
+    np.testing.assert_array_equal(low.triangles, again.triangles)
+
+
+@needs_jit
+def test_borders_stay_and_few_triangles_are_only_welded() -> None:
+    across = np.linspace(0, 1, 20)
+    x, y = np.meshgrid(across, across, indexing="ij")
+    plane = np.stack([x, y, 0.001 * np.sin(9 * x)], axis=2).reshape(-1, 3)
+    number = np.arange(400).reshape(20, 20)
+    a, b, c, d = (number[i : 19 + i, j : 19 + j].reshape(-1) for i in (0, 1) for j in (0, 1))
+    triangles = np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+    surface = Surface.from_arrays(plane, triangles)
+    low = octex.simplify(surface, 150)
+    assert len(low.triangles) <= 153
+    assert abs(low.areas().sum() - surface.areas().sum()) < 1e-4
+    assert len(octex.simplify(surface, 20).triangles) <= 20
+    apart = Surface.from_arrays(plane[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+    assert len(octex.simplify(apart, 5000).vertices) == 400
+
+
+@needs_jit
+def test_what_cannot_be_simplified_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    tetrahedron = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    many = np.concatenate([tetrahedron + np.array([3 * n, 0, 0]) for n in range(30)])
+    parts = Surface.from_arrays(many, np.concatenate([faces + 4 * n for n in range(30)]), name="parts")
+    with pytest.warns(ModelWarning, match=r"^parts: 120 triangles are left, not 20"):
+        assert len(octex.simplify(parts, 20).triangles) == 120
+    flat = Surface.from_arrays(np.zeros((3, 3)) + np.arange(3)[:, None], [[0, 1, 2]], name="flat")
+    with pytest.raises(ModelError, match="flat: no triangle has an area"):
+        octex.simplify(flat, 10)
+    with pytest.raises(ArgumentError, match="triangles"):
+        octex.simplify(parts, 3)
+    monkeypatch.setattr("octex.baking.simplify.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match=r"octex\[simplify\]"):
+        octex.simplify(parts, 20)
+
+
+@needs_jit
+def test_a_low_mesh_shows_the_colours_and_normals_of_the_surface() -> None:
+    surface = bumpy()
+    low = octex.finish(surface, triangles=600, depth=7, texture_size=512)
+    assert len(low.triangles) <= 612
+    points = low.scatter(3000, 2)
+    found = Triangles.of(surface.rest, surface.triangles).nearest(points.points)
+    nearest = surface.rest_at(found.triangles, found.barycentric)
+    off = low.evaluate(points, "base_color") - colors(nearest)
+    assert np.sqrt((off**2).mean()) < 0.012
+    # The normals of the bumps, from their formula: they are nearer to the map's than to the low mesh's own.
+    at, step = nearest / np.linalg.norm(nearest, axis=1, keepdims=True), 1e-4
+    slopes = np.stack([radius(at + step * axis) - radius(at - step * axis) for axis in np.eye(3)], axis=1)
+    slopes /= 2 * step
+    exact = at - slopes / radius(at)[:, None]
+    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    mapped = low.evaluate(points, "normal")
+    assert low.frames is not None
+    own = low.frames.normals.at(points.triangles, points.barycentric)
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    by_map, by_mesh = (
+        np.degrees(np.arccos(np.clip((each * exact).sum(axis=1), -1, 1))) for each in (mapped, own)
+    )
+    assert np.sqrt((by_map**2).mean()) < 2.5
+    assert np.sqrt((by_map**2).mean()) < 0.5 * np.sqrt((by_mesh**2).mean())
+
+
+def radius(points: Any) -> Any:
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return 1.0 + 0.01 * np.sin(20.0 * directions).prod(axis=1)
+
+
+@needs_jit
+def test_the_command_bakes_a_model_without_a_texture(tmp_path: Path, capsys: Any) -> None:
+    surface = bumpy(32)
+    model, output = tmp_path / "model.ply", tmp_path / "low.glb"
+    octex.write_model(octex.bake_vertices(octex.convert(surface, depth=5), surface), model)
+    call = ["bake", str(model), str(output), "--triangles", "0.5k", "--texture-size", "256", "--quiet"]
+    assert main(call) == 0
+    low = octex.load_surface(output)
+    assert len(low.triangles) <= 510
+    assert [each.name for each in low.channels] == ["base_color", "metallic", "roughness", "normal"]
+    for words, complaint in (
+        (["--triangles", "0"], "'0' is not a number like 50k"),
+        (["--triangles", "9k", "--uv", "keep"], "--uv keep cannot be used with --triangles"),
+        (["--triangles", "9k", "--original", str(model)], "--original cannot be used with --triangles"),
+        (["--triangles", "9k", "--vertex-colors"], "--triangles cannot be used with vertex colours"),
+    ):
+        assert main(["bake", str(model), str(tmp_path / "other.glb"), *words]) == 2
+        assert complaint in capsys.readouterr().err
+    assert main(["bake", str(model), str(tmp_path / "other.ptx")]) == 2
+    assert "other.ptx: needs a texture" in capsys.readouterr().err
