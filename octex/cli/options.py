@@ -196,7 +196,7 @@ view  Show a texture in the browser, until you close the page; or write the page
   > droid.octex droid.glb --paint painted.octex
   [TEXTURE]  a texture, or a folder of parts; without it, the model is converted
   [MODEL]  its model; without it, the page shows the cells
-  [PAGE]   NAME.html: write the page, which opens offline
+  [PAGE]   NAME.html: write the page, which opens offline; NAME.octw: its data, for three.js
   --depth --part --max-size --paint --keep --recover --port --no-browser SHAPE RUNNING
 
 draw  Draw a texture, a model or both: side by side, one view, or how they differ.
@@ -276,7 +276,7 @@ _FILES: dict[str, Callable[[str], Any]] = {
 #: Whether a word is a file that may be missing.
 _FITS: dict[str, Callable[[str], bool]] = {
     "TEXTURE": v.is_texture_name,
-    "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, ".png")),
+    "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, v.WEB_ENDING, ".png")),
 }
 
 

@@ -17,6 +17,8 @@ from octex.files import is_address
 TEXTURE_ENDING, ARCHIVE_ENDING = ".octex", ".octz"
 TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
 PAGE_ENDING, PTEX_ENDING = ".html", ".ptx"
+#: Files of data alone, for three.js.
+WEB_ENDING = ".octw"
 #: As formats.models.WRITTEN_ENDINGS, without an import.
 USD_ENDINGS = ".usdz", ".usd", ".usda", ".usdc"
 BAKED_ENDINGS = ".glb", ".gltf", ".obj", *USD_ENDINGS, ".3mf", ".ply", PTEX_ENDING

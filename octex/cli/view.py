@@ -12,7 +12,7 @@ import octex
 from octex.cli.common import Reporter, check_outputs, say, tell_file
 from octex.cli.inputs import kind_of, number_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
-from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS
+from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS, WEB_ENDING
 from octex.errors import ArgumentError, ExitCode, OctexError
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def _check(options: Options, is_set: bool) -> None:
     else:
         refuse(options, ["--port", "--no-browser", "--paint"], "cannot be used when a page is written")
         inputs = path, model, options.rest
-        check_outputs([(page, (PAGE_ENDING,), "PAGE")], inputs, force=options.force)
+        check_outputs([(page, (PAGE_ENDING, WEB_ENDING), "PAGE")], inputs, force=options.force)
 
 
 def _check_painting(options: Options, is_set: bool) -> None:

@@ -13,7 +13,7 @@ GROUPS = {
     "start": "tutorial concepts",
     "tasks": (
         "convert page render no-uvs paint-browser paint-view paint-python photographs bake finish print "
-        "blender arrays"
+        "blender three arrays"
     ),
     "reference": (
         "commands models surfaces channels lookups filters adaptive parts previews viewer painting cameras "

@@ -1,4 +1,4 @@
-"""One file with the page, its modules and the data: it opens by a double click, offline."""
+"""One file: a page with its modules and data, which opens by a double click; or data alone, for three.js."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import json
 import re
 from importlib.resources import files
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from octex.errors import ArgumentError
 from octex.files import replacing
@@ -25,8 +27,8 @@ if TYPE_CHECKING:
 
 #: Modules in the order in which each knows those before it.
 _NAMES = """
-elements kept data octree patch mesh motion camera controls legend connection source part programs gpu player
-divider pointed viewer
+elements kept octree data patch mesh motion camera controls legend connection source part field programs gpu
+player divider pointed viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.
@@ -39,6 +41,8 @@ PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
+#: How web files end, and begin.
+WEB_ENDING, WEB_MAGIC, WEB_VERSION = ".octw", b"octexweb", 1
 #: Deflate's level for files, which are packed once.
 _SMALLEST = 9
 #: What part of a page's size animations may take, and images likewise, before base64.
@@ -62,8 +66,9 @@ def write_page(
 ) -> list[str]:
     """Write a page of a texture on its surface, or of a set on its model; without these, of the cells.
 
-    ``motion`` is how the surface of a texture moves. ``max_size``, in bytes, leaves out the finest levels
-    until the file is no larger; of that animations take a quarter at most, and images of the source
+    A ``path`` that ends in .octw gets a web file instead, for three.js: without motion and images of the
+    source. ``motion`` is how the surface of a texture moves. ``max_size``, in bytes, leaves out the finest
+    levels until the file is no larger; of that animations take a quarter at most, and images of the source
     likewise. Returns what the page shows otherwise than the textures have it. Raises ArgumentError if it does
     not fit without any level, for a surface that is not the textures', and for sets of more than 255 parts;
     OutputError if the file cannot be written.
@@ -71,7 +76,11 @@ def write_page(
     parts = parts_of(textures, surface)
     level = deepest = max(part.texture.tree.max_depth for part in parts)
     room = None if max_size is None else int(_SHARE * max_size)
-    maps = None if surface is None or len(parts) > 1 else maps_of(surface, small=True, room=room)
+    is_page = path.suffix.lower() != WEB_ENDING
+    maps = None
+    if is_page and surface is not None and len(parts) == 1:
+        maps = maps_of(surface, small=True, room=room)
+    motion = motion if is_page else None
     progress("pack", 0, 1)
     while True:
         cut = [
@@ -82,7 +91,7 @@ def write_page(
         if level < deepest:
             note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"
             packed.header["parts"][0]["notes"].insert(0, note)
-        page = _inlined(packed).encode()
+        page = _inlined(packed).encode() if is_page else _web_file(packed)
         if max_size is None or len(page) <= max_size:
             break
         level = _level_within(packed, len(page) - max_size)
@@ -109,6 +118,20 @@ def _level_within(packed: Packed, excess: int) -> int:
         level = min(level, first - 1 if first else level - 1)
         excess -= chunk["bytes"] * 4 // 3  # base64
     return min(level, deepest - 1)
+
+
+def _web_file(packed: Packed) -> bytes:
+    """Return a web file, as formats/FORMAT.md says: a header, then meshes, then levels, coarse ones first."""
+    names = [name for name in packed.streams if name != "studio"]
+    names.sort(key=lambda name: (not name.endswith("mesh"), *map(int, re.findall(r"\d+", name)[::-1])))
+    ends = np.cumsum([0, *(len(packed.streams[name]) for name in names)]).tolist()
+    streams = {
+        name: [first, end - first] for name, first, end in zip(names, ends[:-1], ends[1:], strict=True)
+    }
+    parts = packed.header["parts"]
+    header = json.dumps({"title": packed.header["title"], "parts": parts, "streams": streams}).encode()
+    head = WEB_MAGIC + np.array([WEB_VERSION, len(header)], "<u4").tobytes()
+    return b"".join([head, header, *(packed.streams[name] for name in names)])
 
 
 def _inlined(packed: Packed) -> str:

@@ -125,7 +125,7 @@ def run_command(line: str) -> None:
     ]
     command = COMMANDS[words[0]]
     silent = [word for word in ("--force", "--quiet") if command.has(word)]
-    if words[0] == "view" and not words[-1].endswith("MB"):
+    if words[0] == "view" and not any(word.endswith((".html", ".octw")) for word in words):
         silent = ["--no-browser", "--quiet"]
     if words[0] == "draw" and "--size" not in words:
         words += ["--size", "128,128"]

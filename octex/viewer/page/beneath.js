@@ -2,7 +2,7 @@
 // through the layers above. The server knows it of the cells with other paint; elsewhere strokes look as their colour says.
 // See beneath.py.
 
-import { inflated } from "./data.js";
+import { inflated } from "./octree.js";
 import { Part } from "./part.js";
 import { Made, Seen } from "./retouch.js";
 

@@ -1,11 +1,7 @@
 // Where the page's data comes from: a server, or the page itself.
 
 import { reload } from "./kept.js";
-
-export async function inflated(stream) {
-  const unpacked = stream.pipeThrough(new DecompressionStream("deflate-raw"));
-  return new Uint8Array(await new Response(unpacked).arrayBuffer());
-}
+import { inflated } from "./octree.js";
 
 function embedded(name) {
   return document.getElementById(`data-${name}`);

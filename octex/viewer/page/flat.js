@@ -1,7 +1,7 @@
 // A piece of the model, laid flat and seen from the front, beside the model: both are painted on. The GPU draws the view
 // that the pointer is over; of the other one the page has a picture, drawn anew after each change. See poses.py.
 
-import { inflated } from "./data.js";
+import { inflated } from "./octree.js";
 import { element } from "./elements.js";
 import { unpackedMesh } from "./mesh.js";
 import { act, make } from "./panel.js";

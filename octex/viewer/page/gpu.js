@@ -1,11 +1,11 @@
 // What the GPU holds of a texture and its mesh, and how they are drawn.
 
+import { walkUniforms } from "./field.js";
 import { ROW, planes } from "./octree.js";
 import { FACINGS, LEVELS } from "./legend.js";
 import { summed } from "./mesh.js";
 import { Programs, planesFor, showsRelief, showsSource } from "./programs.js";
 
-export const FILTERS = ["nearest", "linear", "quadratic"];
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
 // Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
@@ -94,13 +94,10 @@ export class Gpu {
     part.stores.forEach(({ name, kind, texture }, unit) => bind(unit, texture, name, kind));
     Object.entries(places).forEach(([name, texture], n) => bind(part.stores.length + n, texture, name));
     gl.activeTexture(gl.TEXTURE0);
-    const { kept, split } = octree.tables, nCells = octree.cells.at(-1);
-    gl.uniform3ui(program.at("u_kept"), 0, kept, nCells);
-    gl.uniform1i(program.at("u_keptLevel"), kept ? octree.cells.findLastIndex((first) => first <= octree.entries[0]) : octree.depth);
-    gl.uniform3ui(program.at("u_split"), kept, split, nCells + kept);
-    gl.uniform1i(program.at("u_leafRoot"), octree.nodes.at(-1) === 0 ? 1 : 0);
-    gl.uniform1i(program.at("u_depth"), Math.min(look.level, octree.depth, part.deepest));
-    gl.uniform1i(program.at("u_filter"), FILTERS.indexOf(look.filter));
+    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest), look.filter))) {
+      if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
+      else gl.uniform1i(program.at(name), value);
+    }
   }
 
   setCamera(program, camera, pixel = null, size = null) {

@@ -3,6 +3,11 @@
 export const ROW = 4096;
 const PIECE = 2048; // nodes whose cells become cubes at a time
 
+export async function inflated(stream) {
+  const unpacked = stream.pipeThrough(new DecompressionStream("deflate-raw"));
+  return new Uint8Array(await new Response(unpacked).arrayBuffer());
+}
+
 export const bitsSet = new Uint8Array(256).map((_, n) => n.toString(2).replaceAll("0", "").length);
 
 // Whole numbers from planes of their bytes.
@@ -189,6 +194,13 @@ export class Octree {
   codes(channel, cell) {
     const [plane, slot] = channel.at;
     return Array.from(this.planes[plane].subarray(4 * cell + slot, 4 * cell + slot + channel.components));
+  }
+
+  // The deepest level whose cells fit into textures of so many rows.
+  deepestIn(rows) {
+    let level = this.header.depth;
+    while (level > 0 && this.cells[level + 1] > rows * ROW) level--;
+    return level;
   }
 
   // Of each level up to one how many cells are leaves, or are taken for such at the last.

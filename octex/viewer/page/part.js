@@ -16,10 +16,7 @@ export class Part {
 
   // The deepest level whose rows fit into this GPU's textures.
   get deepest() {
-    const { cells } = this.octree;
-    let level = this.octree.header.depth;
-    while (level > 0 && cells[level + 1] > this.mostRows * ROW) level--;
-    return level;
+    return this.octree.deepestIn(this.mostRows);
   }
 
   // The lowest and the highest corner of what is drawn.
@@ -72,12 +69,6 @@ export class Part {
   // The arrays that textures hold, with their rows.
   get held() {
     return this.stores.flatMap(({ read, size, rows }) => read().map((array) => ({ array, size, rows })));
-  }
-
-  // How shaders read a plane, with a place in braces.
-  readPlane(number) {
-    const { planes } = this.header, isSrgb = planes[number], layer = planes.slice(0, number).filter((is) => is === isSrgb).length;
-    return `texelFetch(${isSrgb ? "u_srgb" : "u_linear"}, ivec3(at, ${layer}), 0)`;
   }
 
   // Make a texture for arrays, with room for a part more.

@@ -1,10 +1,10 @@
 // Shaders, compiled for what is shown of a part: which channels there are and where, and what is drawn of them.
 
 import { readShaders } from "./data.js";
+import { lanesOf, planeLines, repeated, sumOf, walkLines } from "./field.js";
 
 const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
-const LANES = "xyzw";
 export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
@@ -47,9 +47,7 @@ export class Programs {
   compiled(kind, defines, planes) {
     const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
     const head = `#version 300 es\n${defines}\n`;
-    const body = fragment.map((name) => shaders[name]).join("");
-    const repeated = (line) => Array.from({ length: planes }, (_, n) => line.replaceAll("{N}", n)).join("\n");
-    const all = body.replace(/^.*\{N\}.*$/gm, repeated);
+    const all = repeated(fragment.map((name) => shaders[name]).join(""), planes);
     const check = (is, log) => {
       if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
     };
@@ -71,37 +69,28 @@ export class Programs {
   defines(kind, part, look, planes) {
     const { paint } = look;
     if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
-    const lines = [`#define PLANES ${planes}`, `#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
-    const { isMixed, split, kept, mesh, motion, channels } = part.header;
-    const facing = look.facing && kind !== "cubes";
-    const flags = { PROBE: kind === "probe", PICKED: look.picked, MIXED: isMixed, KEPT: isMixed && kept > 0 && kind !== "cubes" };
-    Object.assign(flags, { LINEAR_MIXED: isMixed && look.filter === "linear" });
+    const { mesh, motion, channels } = part.header, isCubes = kind === "cubes";
+    const lines = [`#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
+    lines.push(...planeLines(part.header, planes), ...walkLines(isCubes ? { ...part.header, kept: 0 } : part.header, look.facing && !isCubes, look.filter));
+    const flags = { PROBE: kind === "probe", PICKED: look.picked };
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { TURNS: look.moved && motion?.turns });
     Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && showsSource(part, look) });
-    Object.assign(flags, { FACING: facing, SPLIT: facing && split[0] > 0 });
     Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, OVER: kind === "surface" && look.isOver });
     Object.assign(flags, { RELIEF: kind === "surface" && showsRelief(this.parts, look) });
     Object.assign(flags, { KNOWN: look.beneath, PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
-    for (let n = 0; n < planes; n++) define(`PLANE${n}(at)`, part.readPlane(n));
-    const lanes = ({ at: [, slot], components }) => LANES.slice(slot, slot + Math.min(components, 3));
-    const inRange = ({ range: [low, high] }, value) =>
-      low === 0 && high === 1 ? value : `(${low.toExponential()} + ${(high - low).toExponential()} * ${value})`;
     for (const channel of channels) {
       const { name, components, at } = channel;
       if (at[0] >= planes) continue;
-      if (name === "alpha" && components === 1) define("ALPHA", `value${at[0]}.${lanes(channel)}`);
-      else if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), inRange(channel, `g_sum${at[0]}.${lanes(channel)}`));
+      if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), sumOf(channel));
       if (name !== look.channel) continue;
-      const color = (from) => (components === 2 ? `vec3(${from}.${lanes(channel)}, 0.0)` : `vec3(${from}.${lanes(channel)})`);
+      const color = (from) => (components === 2 ? `vec3(${from}.${lanesOf(channel)}, 0.0)` : `vec3(${from}.${lanesOf(channel)})`);
       define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
       define("CHANNEL_AT(at)", `PLANE${at[0]}(at)`);
       define("CHANNEL_STORED", color("stored"));
     }
-    const [plane, slot] = part.header.flags;
-    if (plane < planes) define("FLAGS_AT(at)", `uint(PLANE${plane}(at).${LANES[slot]} * 255.0 + 0.5)`);
     return lines.join("\n");
   }
 }

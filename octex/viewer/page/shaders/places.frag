@@ -18,22 +18,6 @@ uniform bool u_footprints;  // as in surface.frag
 uniform vec2 u_alphas;  // only what has an alpha from the first to below the second is seen
 #endif
 
-// The side of the square that a pixel covers, in root cells; a long one is shortened by half.
-float footprint() {
-  vec3 x = dFdx(v_rest), y = dFdy(v_rest);
-  float a = dot(x, x), b = dot(x, y), c = dot(y, y);
-  float apart = sqrt((a - c) * (a - c) + 4.0 * b * b);
-  float longer = sqrt(0.5 * (a + c + apart)), shorter = sqrt(max(0.5 * (a + c - apart), 0.0));
-  return max(max(shorter, 0.5 * longer), 1e-9);
-}
-
-// Where a direction across the surface at rest points in view space, by what both do along the picture's axes.
-vec3 carried(vec3 way) {
-  vec3 x = dFdx(v_rest), y = dFdy(v_rest);
-  float a = dot(x, x), b = dot(x, y), c = dot(y, y), p = dot(x, way), q = dot(y, way);
-  return (c * p - b * q) * dFdx(v_seen) + (a * q - b * p) * dFdy(v_seen);
-}
-
 void main() {
   vec3 toward = normalize(-v_seen);
   vec3 normal = normalize(v_normal), seen = cross(dFdx(v_seen), dFdy(v_seen));
@@ -47,9 +31,9 @@ void main() {
   side = size > 0.0 ? side / size : vec3(0.0, 0.0, 1.0);
   vec3 across = normal;
 #ifdef POSED
-  across = carried(tangent(side));
+  across = carried(tangent(side), v_rest, v_seen);
 #endif
-  float width = footprint();
+  float width = footprint(v_rest);
 #ifdef LAYERED
 #ifdef FACING
   face(side);

@@ -196,16 +196,6 @@ vec4 painted(vec4 values, int plane) {
 }
 #endif
 
-#ifdef POSED
-// A direction at rest as it is posed: `side` is the surface's normal at rest, `normal` that in view space, in which
-// `across` is what became of the side's tangent.
-vec3 turned(vec3 way, vec3 side, vec3 across, vec3 normal) {
-  vec3 x = tangent(side), y = cross(side, x);
-  across = normalize(across - dot(across, normal) * normal);
-  return dot(way, x) * across + dot(way, y) * cross(normal, across) + dot(way, side) * normal;
-}
-#endif
-
 #ifdef RELIEF
 uniform float u_relief;  // how far a height of 1 rises, in root cells
 uniform highp usampler2D u_heights;  // bits of the heights that pixels see

@@ -1,0 +1,47 @@
+// A web file: a header, and streams one after another, coarse levels first. See FORMAT.md.
+
+import { inflated } from "../page/octree.js";
+
+const MAGIC = "octexweb", VERSION = 1, HEAD = 16;
+
+export class WebFile {
+  // `read` takes the bytes from one place up to another, or up to the end.
+  constructor(name, read) {
+    Object.assign(this, { name, read });
+  }
+
+  static fetched(url, options = {}) {
+    let whole = null; // of a server that knows no ranges
+    return new WebFile(url, async (begin, end) => {
+      if (whole) return (await whole).slice(begin, end);
+      const response = await fetch(url, { ...options, headers: { ...options.headers, Range: `bytes=${begin}-${end - 1}` } });
+      if (!response.ok) throw new Error(`${url}: ${response.status} ${response.statusText}`);
+      if (response.status === 206) return response.arrayBuffer();
+      whole = response.arrayBuffer();
+      return (await whole).slice(begin, end);
+    });
+  }
+
+  async bytes(begin, end) {
+    const bytes = await this.read(begin, end);
+    if (bytes.byteLength < end - begin) throw new Error(`${this.name} ends too early: ${end} bytes are expected`);
+    return bytes;
+  }
+
+  async header() {
+    const head = new DataView(await this.bytes(0, HEAD)), magic = new TextDecoder().decode(head.buffer.slice(0, MAGIC.length));
+    if (magic !== MAGIC) throw new Error(`${this.name} is no octex web file; octex view TEXTURE MODEL NAME.octw writes one`);
+    const version = head.getUint32(8, true), length = head.getUint32(12, true);
+    if (version !== VERSION) throw new Error(`${this.name} has version ${version}; this octex-three reads version ${VERSION}`);
+    const header = JSON.parse(new TextDecoder().decode(await this.bytes(HEAD, HEAD + length)));
+    this.first = HEAD + length;
+    this.streams = header.streams;
+    return header;
+  }
+
+  // The bytes of a stream, unpacked.
+  async stream(name) {
+    const [begin, length] = this.streams[name], packed = await this.bytes(this.first + begin, this.first + begin + length);
+    return inflated(new Blob([packed]).stream());
+  }
+}

@@ -1,0 +1,167 @@
+"""Web files in three.js: pixels are samples. OCTEX_TEST_THREE names the folder of three's package."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import octex
+from octex.channels import linear_to_srgb
+from octex.source.surface import Surface
+from octex.viewer.export import write_page
+from tests.conftest import needs_jit
+from tests.make.painted import ball
+
+THREE = os.environ.get("OCTEX_TEST_THREE", "")
+pytestmark = [needs_jit, pytest.mark.skipif(not THREE, reason="OCTEX_TEST_THREE names no package of three")]
+VIEWER = Path(octex.__file__).parent / "viewer"
+SIZE = 64
+PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
+<script type="importmap">{"imports": {"three": "/three/build/three.module.js",
+"three/addons/": "/three/examples/jsm/", "octex-three": "/viewer/three/index.js"}}</script>
+<script type="module">
+import * as THREE from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { OctreeTextureLoader } from "octex-three";
+const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
+renderer.setPixelRatio(1);
+renderer.setSize(64, 64);
+const camera = new THREE.OrthographicCamera(-0.5, 0.5, 0.5, -0.5, 0.1, 20);
+camera.position.set(0.5, 0.5, 10);
+const pictured = (scene, view = camera) => {
+  renderer.render(scene, view);
+  const gl = renderer.getContext(), codes = new Uint8Array(4 * 64 * 64);
+  gl.readPixels(0, 0, 64, 64, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+  return Array.from(codes);
+};
+const read = async (name) => {
+  const loaded = await new OctreeTextureLoader().loadAsync(name);
+  await loaded.complete;
+  return loaded;
+};
+const unlit = ({ textures: [texture], group }) => {
+  group.children[0].material = texture.applyTo(new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
+  return new THREE.Scene().add(group);
+};
+globalThis.told = { THREE, GLTFLoader, OctreeTextureLoader, pictured, read, unlit, camera };
+</script>"""
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    folder = Path()
+    extensions_map = {**http.server.SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}  # noqa: RUF012
+
+    def translate_path(self, path: str) -> str:
+        _, first, *rest = path.split("?")[0].split("/")
+        root = {"three": Path(THREE), "viewer": VIEWER}.get(first, self.folder / (first or "index.html"))
+        return str(root.joinpath(*rest))
+
+    def log_message(self, *_: object) -> None:
+        """Tests have no use for lines of requests."""
+
+
+@pytest.fixture
+def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    (tmp_path / "index.html").write_text(PAGE)
+    kind = type("Own", (Handler,), {"folder": tmp_path})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page = browser.new_page(viewport={"width": SIZE, "height": SIZE})
+        page.complaints = []
+        page.on("pageerror", lambda error: page.complaints.append(str(error)))
+        page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+        page.goto(f"http://127.0.0.1:{server.server_port}/")
+        page.wait_for_function("globalThis.told")
+        yield page
+        assert page.complaints == []
+        page.close()
+        server.shutdown()
+
+
+def waves(points: Any) -> Any:
+    return 0.5 + 0.4 * np.sin(points * [19.0, 13.0, 7.0] + [0.0, 1.0, 2.0])
+
+
+def square() -> Surface:
+    corners = np.array([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3], [1, 1, 0.3]], float)
+    return Surface.from_arrays(corners, [[0, 1, 2], [1, 3, 2]]).with_sources({"base_color": waves})
+
+
+def codes(found: list[int]) -> Any:
+    return np.array(found).reshape(SIZE, SIZE, 4)[..., :3]
+
+
+@pytest.mark.parametrize("max_error", [None, 20.0])
+def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) -> None:
+    surface = square()
+    texture = octex.convert(surface, depth=5, max_error=max_error)
+    write_page(texture, tmp_path / "square.octw", surface)
+    page.evaluate(
+        "async () => { told.own = await told.read('/square.octw'); told.scene = told.unlit(told.own); }"
+    )
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+    for filter in ("nearest", "linear", "quadratic"):
+        asked = """filter => {
+          Object.assign(told.own.textures[0], { filter, footprints: false });
+          return told.pictured(told.scene);
+        }"""
+        found = codes(page.evaluate(asked, filter))
+        wanted = 255 * linear_to_srgb(texture.sample(points, filter=filter).reshape(SIZE, SIZE, 3))
+        assert np.abs(found - wanted).max() <= 1.0, filter
+    page.evaluate("() => { told.own.textures[0].footprints = true; }")
+    found = codes(page.evaluate("() => told.pictured(told.scene)"))
+    wanted = 255 * linear_to_srgb(texture.sample(points, width=1 / SIZE).reshape(SIZE, SIZE, 3))
+    assert np.abs(found - wanted).max() <= 2.0
+
+
+def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -> None:
+    surface = ball(24).with_sources({"base_color": waves})
+    texture = octex.convert(surface, depth=5)
+    write_page(texture, tmp_path / "ball.octw", surface)
+    write_page(texture, tmp_path / "bare.octw")
+    octex.write_model(octex.bake(texture, surface, texture_size=64), tmp_path / "ball.glb")
+    page.evaluate(
+        """async () => {
+          const { THREE, read, unlit, GLTFLoader } = told;
+          told.view = new THREE.OrthographicCamera(-1.2, 1.2, 1.2, -1.2, 0.1, 20);
+          told.view.position.set(0, 0, 10);
+          const own = await read("/ball.octw"), bare = await read("/bare.octw"), [mesh] = own.group.children;
+          const gltf = await new GLTFLoader().loadAsync("/ball.glb");
+          bare.textures[0].applyToObject(gltf.scene, () => new THREE.MeshBasicMaterial());
+          told.scenes = [unlit(own), new THREE.Scene().add(gltf.scene)];
+          const many = new THREE.InstancedMesh(mesh.geometry, mesh.material, 2), at = new THREE.Matrix4();
+          many.setMatrixAt(0, at.makeScale(0.5, 0.5, 0.5).setPosition(-0.6, 0, 0));
+          many.setMatrixAt(1, at.makeScale(0.5, 0.5, 0.5).setPosition(0.6, 0, 0));
+          told.scenes.push(new THREE.Scene().add(many));
+        }"""
+    )
+    own, other, many = (
+        codes(page.evaluate(f"() => told.pictured(told.scenes[{n}], told.view)")) for n in range(3)
+    )
+    assert (own > 0).any(axis=2).mean() > 0.4
+    assert np.percentile(np.abs(own - other), 99) <= 2
+    np.testing.assert_array_less(np.abs(many[:, :32] - many[:, 32:]), 2)
+
+
+def test_files_that_cannot_be_read_are_refused_in_words(page: Any, tmp_path: Path) -> None:
+    write_page(octex.convert(square(), depth=3), tmp_path / "good.octw")
+    whole = (tmp_path / "good.octw").read_bytes()
+    (tmp_path / "other.octw").write_bytes(b"something else that is long enough")
+    (tmp_path / "newer.octw").write_bytes(whole[:8] + b"\x09" + whole[9:])
+    (tmp_path / "cut.octw").write_bytes(whole[:-20])
+    for name, complaint in (
+        ("other", "/other.octw is no octex web file"),
+        ("newer", "/newer.octw has version 9; this octex-three reads version 1"),
+        ("cut", "/cut.octw ends too early"),
+    ):
+        said = page.evaluate("name => told.read(name).catch((error) => error.message)", f"/{name}.octw")
+        assert complaint in said
