@@ -105,7 +105,7 @@ def bake(
     if padding is not None:
         padding = as_whole(padding, "padding", 0, 64)
     names = _channels_of(texture, channels, has_normals=source is not None)
-    if bits not in BITS:
+    if as_whole(bits, "bits", min(BITS), max(BITS)) not in BITS:
         raise ArgumentError(f"bits must be 8, 16 or 32, not {bits!r}")
     supersample = as_whole(supersample, "supersample", 1, _MOST_LOOKUPS)
     if texture_size is not None:

@@ -179,6 +179,7 @@ FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
     "convert, thin": lambda run, _: octex.convert(bent(0.03), 5, run=run),
     "convert_set": lambda run, _: octex.convert_set({"a": SURFACE, "b": bent(0.03)}, 4, run=run),
     "fill": lambda run, _: octex.fill(None, SURFACE, SPHERE, (1, 0, 0), max_depth=7, run=run),
+    "finish": lambda run, _: octex.finish(SURFACE, painted(), texture_size=64, run=run),
     "fill, finer": lambda run, _: octex.fill(
         painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, run=run
     ),

@@ -213,6 +213,8 @@ def calls() -> list[Call]:
         (w.parts.info, {}),
         (octex.Transfer, {"model": w.surface}),
         (octex.bake, {**painted, "texture_size": 64, "padding": 1}),
+        (octex.finish, {"model": painted["surface"], "texture": painted["texture"], "texture_size": 64}),
+        (octex.simplify, {"surface": painted["surface"], "triangles": 20}),
         (octex.bake_vertices, {**painted, "most_triangles": 99}),
         (octex.Painter, painted),
         (painter.paint, {"projections": w.picture, "max_depth": 2, "fit": False}),

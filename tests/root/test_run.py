@@ -89,8 +89,8 @@ def test_all_that_works_in_parallel_takes_a_run_and_threads_and_says_so() -> Non
     assert not functions_with({"executor", "memory", "resume"})
     functions = functions_with({"run", "threads"})
     assert {name.split(".")[-1] for name in functions} == {
-        *("bake", "blur", "combine", "contains", "convert", "convert_set", "fill", "merge", "mix", "paint"),
-        *("project", "refine_cameras", "resize", "sample", "taps", "write_ptex"),
+        *("bake", "blur", "combine", "contains", "convert", "convert_set", "fill", "finish", "merge", "mix"),
+        *("paint", "project", "refine_cameras", "resize", "sample", "taps", "write_ptex"),
     }
     for name, function in functions.items():
         parameters = inspect.signature(function).parameters
