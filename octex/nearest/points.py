@@ -73,9 +73,9 @@ class Points(NamedTuple):
         _around(self, places, radii, facing, farthest, float(least_cosine), width, means, found)
         return means, found
 
-    def spacing(self, most: int = 10_000) -> float:
-        """Return how near 19 of 20 points have another; ``most`` points at most are asked."""
-        chosen = np.unique(np.linspace(0, len(self.positions) - 1, most).astype(np.int64))
+    def spacing(self) -> float:
+        """Return how near 19 of 20 points have another; 10,000 points at most are asked."""
+        chosen = np.unique(np.linspace(0, len(self.positions) - 1, 10_000).astype(np.int64))
         return float(np.sqrt(np.quantile(_to_others(self, chosen), _MOST_POINTS, method="higher")))
 
 

@@ -141,8 +141,8 @@ class RemoteSource(Source):
 
     def _fetched_around(self, question: Question) -> OctreeTexture:
         """Fetch what says which points leaves hold, and return the texture that says so."""
-        origin, size = self._here.placement
-        places = np.clip(np.nan_to_num((question.given["points"] - np.array(origin)) / size), 0.0, 1.0)
+        places = self._here.placement.to_texture_space(question.given["points"])
+        places = np.clip(np.nan_to_num(places), 0.0, 1.0)
         depth = self._here.tree.max_depth
         cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
         self._renew(self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest"))
