@@ -91,8 +91,9 @@ def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float
     pieces = np.split(faces[order], np.flatnonzero(np.diff(parts[order])) + 1) if order.size else []
     made = [_collapsed(points, each, _LEAST) for each in pieces]
     if not is_small.all():
+        large = faces[~is_small]
         left = count - sum(len(each) for _, each in made)
-        made.append(_collapsed(points, faces[~is_small], max(left, _LEAST)))
+        made.append(_collapsed(points, large, max(left, round(count * len(large) / len(faces)), _LEAST)))
     firsts = np.cumsum([0, *(len(each) for each, _ in made)])
     numbered = [each + first for (_, each), first in zip(made, firsts, strict=False)]
     return np.concatenate([each for each, _ in made]), np.concatenate(numbered).astype(np.int32)

@@ -78,6 +78,13 @@ def test_what_cannot_be_simplified_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     parts = Surface.from_arrays(many, np.concatenate([faces + 4 * n for n in range(30)]), name="parts")
     with pytest.warns(ModelWarning, match=r"^parts: 120 triangles are left, not 20"):
         assert len(octex.simplify(parts, 20).triangles) == 120
+    surface = bumpy(32)
+    joined = Surface.joined([surface, parts.with_sources({"base_color": colors})])
+    with pytest.warns(ModelWarning, match="triangles are left, not 400"):
+        low = octex.simplify(joined, 400)
+    assert (
+        300 <= (low.vertices[low.triangles].max(axis=(1, 2)) < 1.1).sum() - 4 <= 400
+    )  # of the ball, less a part's
     flat = Surface.from_arrays(np.zeros((3, 3)) + np.arange(3)[:, None], [[0, 1, 2]], name="flat")
     with pytest.raises(ModelError, match="flat: no triangle has an area"):
         octex.simplify(flat, 10)
