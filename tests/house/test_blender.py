@@ -28,7 +28,8 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_objects_that_cannot_be_used_are_refused_in_words(used: dict[str, Any]) -> None:
     expected = (
         "Save the .blend file first", "make the texture first", "No camera has a background image",
-        "make the texture first", "empty has no faces", "is not an octree texture file",
+        "make the texture first", "empty has no faces", "Leave Edit Mode of ball first",
+        "is not an octree texture file",
     )  # fmt: skip
     assert len(used["refused"]) == len(expected)
     for said, part in zip(used["refused"], expected, strict=True):

@@ -93,8 +93,11 @@ def refused(folder: Path) -> list[str]:
     bpy.context.scene.collection.objects.link(empty)
     bpy.context.view_layer.objects.active = empty
     attempt("make")
-    (folder / "ball.octex").write_bytes(b"no texture")
     bpy.context.view_layer.objects.active = bpy.data.objects["ball"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    attempt("make")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    (folder / "ball.octex").write_bytes(b"no texture")
     attempt("colors")
     return said
 

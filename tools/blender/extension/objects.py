@@ -36,7 +36,7 @@ def mesh_object(context: bpy.types.Context) -> bpy.types.Object:
     if chosen is None or chosen.type != "MESH":
         raise ObjectError("Select a mesh object first")
     if chosen.mode == "EDIT":
-        chosen.update_from_editmode()
+        raise ObjectError(f"Leave Edit Mode of {chosen.name} first")
     if not len(chosen.data.polygons):
         raise ObjectError(f"{chosen.name} has no faces; octree textures colour surfaces")
     return chosen
@@ -201,6 +201,7 @@ def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) 
 
 def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     """Store colours (corners, 4), linear light, as the colour attribute that is shown and drawn."""
+    _check_same(chosen, len(colors))
     attributes = chosen.data.color_attributes
     attribute = attributes.get(NAME)
     if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "BYTE_COLOR"):
@@ -214,11 +215,18 @@ def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     chosen.data.update()
 
 
+def _check_same(chosen: bpy.types.Object, corners: int) -> None:
+    """Raise ObjectError if a mesh has not as many corners as when a job began."""
+    if chosen.mode == "EDIT" or len(chosen.data.loops) != corners:
+        raise ObjectError(f"{chosen.name} was edited meanwhile; bake it again in Object Mode")
+
+
 def set_uv(chosen: bpy.types.Object, corners: np.ndarray, uv: np.ndarray) -> None:
     """Store texture coordinates of triangles' corners (m, 3, 2) as a UV map.
 
     Raises ObjectError if a polygon's triangles lie apart in it.
     """
+    _check_same(chosen, int(corners.max()) + 1)
     values = np.full((len(chosen.data.loops), 2), np.nan, np.float32)
     values[corners.reshape(-1)] = uv.reshape(-1, 2)
     if (np.abs(values[corners] - uv) > 1e-6).any():

@@ -31,6 +31,13 @@ class Working:
         """Take over what the job has made, and return what to tell; raises ObjectError."""
         raise NotImplementedError
 
+    def chosen(self) -> bpy.types.Object:
+        """Return the object that the job is of; raises ObjectError if it is gone."""
+        found = bpy.data.objects.get(self.target)
+        if found is None:
+            raise objects.ObjectError(f"{self.target} is gone; nothing was changed")
+        return found
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if Working.running is not None:
@@ -60,7 +67,6 @@ class Working:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.job.start()
-        self.target = context.active_object.name
         self._timer = context.window_manager.event_timer_add(_PAUSE, window=context.window)
         context.window_manager.modal_handler_add(self)
         Working.running = self
@@ -107,7 +113,8 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
     bl_label = "Make Octree Texture"
 
     def begin(self, context: bpy.types.Context) -> Job:
-        self.object = chosen = objects.mesh_object(context)
+        chosen = objects.mesh_object(context)
+        self.target = chosen.name
         output = objects.texture_path(chosen, exists=False)
         settings = chosen.octex
         for name in objects.making_modifiers(chosen):
@@ -123,7 +130,7 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         channels = ", ".join(answer["channels"])
-        return f"{objects.texture_path(self.object).name}: {answer['cells']:,} cells of {channels}"
+        return f"{objects.texture_path(self.chosen()).name}: {answer['cells']:,} cells of {channels}"
 
 
 class OCTEX_OT_colors(Working, bpy.types.Operator):
@@ -133,13 +140,14 @@ class OCTEX_OT_colors(Working, bpy.types.Operator):
     bl_label = "Bake to Colour Attribute"
 
     def begin(self, context: bpy.types.Context) -> Job:
-        self.object = objects.mesh_object(context)
-        return colors_job(self.object)
+        chosen = objects.mesh_object(context)
+        self.target = chosen.name
+        return colors_job(chosen)
 
     def finish(self, _context: bpy.types.Context, _answer: dict[str, Any]) -> str:
-        take_colors(self.object, self.job)
-        objects.show(self.object)
-        return f"{self.object.name} shows the colour attribute {objects.NAME}"
+        take_colors(self.chosen(), self.job)
+        objects.show(self.chosen())
+        return f"{self.target} shows the colour attribute {objects.NAME}"
 
 
 class OCTEX_OT_images(Working, bpy.types.Operator):
@@ -149,7 +157,8 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
     bl_label = "Bake to Images"
 
     def begin(self, context: bpy.types.Context) -> Job:
-        self.object = chosen = objects.mesh_object(context)
+        chosen = objects.mesh_object(context)
+        self.target = chosen.name
         settings, texture = chosen.octex, objects.texture_path(chosen)
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
@@ -163,7 +172,7 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
         return job.given(model=str(job.folder / "model.glb"))
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
-        chosen = self.object
+        chosen = self.chosen()
         if chosen.octex.layout == "ATLAS":
             objects.set_uv(chosen, self.arrays["corners"], np.load(self.job.folder / "uv.npy"))
         for each in answer["materials"]:
@@ -180,7 +189,8 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
     bl_label = "Project Photographs"
 
     def begin(self, context: bpy.types.Context) -> Job:
-        self.object = chosen = objects.mesh_object(context)
+        chosen = objects.mesh_object(context)
+        self.target = chosen.name
         output = objects.texture_path(chosen, exists=False)
         arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
         job = Job(
@@ -191,7 +201,7 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
         return job.given(photographs=objects.photographs(context, job.folder), mirrored=mirrored)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
-        return f"{objects.texture_path(self.object).name}: {answer['cells']:,} cells"
+        return f"{objects.texture_path(self.chosen()).name}: {answer['cells']:,} cells"
 
 
 class OCTEX_OT_paint(bpy.types.Operator):
@@ -239,5 +249,8 @@ def register() -> None:
 
 
 def unregister() -> None:
+    if Working.running is not None:
+        Working.running.job.close()
+        Working.running = None
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)
