@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from types import MappingProxyType
 from typing import NamedTuple
 
-from octex.channels import ALPHA, BASE_COLOR, alpha_of
+from octex.channels import ALPHA, BASE_COLOR, alpha_of, plain_name
 from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
@@ -57,8 +57,8 @@ class Layers(Painter):
     ``texture()`` is the composite. Undo and redo cover strokes and changes of the stack. Only the tiles that
     a stroke touches are composited anew, so it takes the same time in all layers.
 
-    All layers have the cells of one tree: fine paint in one makes all of them finer there, without changing
-    what they look like.
+    All layers have the cells of one tree: fine paint in one makes all of them finer there. What they look
+    like changes by rounding, and a little beside that paint.
 
     A saved texture whose layers no longer make what it shows was edited since: it raises ArgumentError unless
     ``keep`` says what to go on with, "shown" or "layers". Edits of what is shown do not reach the layers.
@@ -290,6 +290,8 @@ class Layers(Painter):
             if name not in names
             and any(was is not now for was, now in zip(before.channels[name][1:], own[1:], strict=True))
         ]
+        alphas = [alpha_of(name) or name for name in names if name != plain_name(name)]
+        names += [name for name in dict.fromkeys(alphas) if name in after.channels and name not in names]
         drafts = (
             each.with_cells(each.tree, {name: each.channels[name] for name in names})
             for each in (before, after)

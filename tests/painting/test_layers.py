@@ -153,6 +153,19 @@ def everywhere(points: Any) -> Any:
     return np.ones(len(points))
 
 
+def test_paint_that_changes_no_coverage_is_stored_with_it() -> None:
+    """Its colours change and its coverage, 0 in all cells that are changed, does not."""
+    surface = random_edits.waved("flat", 5, ["base_color", "alpha"], 34)
+    layers = octex.Layers(octex.convert(surface, 3, dtype="uint16"), surface)
+    layers.add_layer(blend="multiply", opacity=0.6)
+    layers.fill(
+        octex.Sphere((0.282, -0.449, 0.0), 0.4, soft=0.1), (0.7, 1.0, 0.2), blend="replace", max_depth=2
+    )
+    before = layers.texture()
+    layers.add_layer()
+    assert_same(layers.texture(), before)
+
+
 def test_without_layers_it_is_a_painter() -> None:
     surface, texture, layers = start()
     painter = octex.Painter(texture, surface)

@@ -669,6 +669,31 @@ def draw_session(random: Random, run: Run) -> Step:
     )
 
 
+def draw_layers(random: Random, run: Run) -> Step:
+    """Paint in two layers, hide and show the upper one, undo all and redo all: each brings back what was."""
+    steps = draw_fill(random, run), draw_paint(random, run)
+    lines = []
+    for step, name in zip(steps, ("low", "high"), strict=True):
+        *first, single = (line.replace(", run=octex.Run(memory=1)", "") for line in step.lines)
+        blend, opacity = one_of(random, ("over", "multiply", "screen")), one_of(random, (1.0, 0.6))
+        lines += [*first, f"{name} = layers.add_layer(blend={blend!r}, opacity={opacity}).number"]
+        lines += [re.sub(r"^texture = octex\.(\w+)\(texture, surface, ", r"layers.\1(", single)]
+        lines += [f"with_{name} = layers.texture()"]
+    lines.insert(0, "layers = octex.Layers(texture, surface)")
+    lines += ["layers.change_layer(high, is_visible=False)", "layers.change_layer(high, is_visible=True)"]
+    lines += ["again = layers.texture()", "count = len(layers.strokes)"]
+    lines += ["for _ in range(count): layers.undo()", "undone = layers.texture()"]
+    lines += ["for _ in range(count): layers.redo()", "texture = layers.texture()"]
+
+    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        names = run.names
+        assert claims.digest(names["undone"]) == claims.digest(before), "layers undo otherwise"
+        for each in after, names["again"]:
+            assert claims.digest(each) == claims.digest(names["with_high"]), "layers are shown otherwise"
+
+    return Step(tuple(lines), claim, fits=True, leaves_range=True)
+
+
 def draw_map(random: Random, run: Run) -> Step:
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     scale, shift = one_of(random, ((0.5, 0.25), (-1.0, 1.0), (1.0, 0.0), (0.25, 0.0)))
@@ -875,6 +900,7 @@ STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_fill_all, 1),
     (draw_paint, 4),
     (draw_session, 2),
+    (draw_layers, 2),
     (draw_layer, 2),
     (draw_again, 1),
     (draw_map, 2),
@@ -889,7 +915,17 @@ STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
     (draw_curves, 1),
     (draw_reopened, 1),
 )
-LARGE = (draw_paint, draw_session, draw_layer, draw_again, draw_mix, draw_combine, draw_curves, draw_reopened)
+LARGE = (
+    draw_paint,
+    draw_session,
+    draw_layers,
+    draw_layer,
+    draw_again,
+    draw_mix,
+    draw_combine,
+    draw_curves,
+    draw_reopened,
+)
 SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)
 
 
