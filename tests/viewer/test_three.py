@@ -152,16 +152,70 @@ def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -
     np.testing.assert_array_less(np.abs(many[:, :32] - many[:, 32:]), 2)
 
 
+def test_mirrored_sheets_show_the_side_that_is_seen(page: Any, tmp_path: Path) -> None:
+    corners, faces = (
+        np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float),
+        [[0, 1, 2], [1, 3, 2]],
+    )
+    both = np.concatenate([faces, np.array(faces)[:, ::-1]])
+    sides = np.array([[240, 60, 60]] * 2 + [[60, 60, 240]] * 2, np.uint8)
+    sheet = Surface.from_arrays(corners, both, face_colors=sides)
+    texture = octex.convert(sheet, depth=4)
+    assert texture.tree.split.cells.size
+    write_page(texture, tmp_path / "sheet.octw", sheet)
+    seen = page.evaluate(
+        """async () => {
+          const loaded = await told.read("/sheet.octw"), scene = told.unlit(loaded), seen = [];
+          const [mesh] = loaded.group.children;
+          mesh.material.side = told.THREE.FrontSide;
+          for (const [mirror, turn] of [[1, 0], [-1, 0], [1, Math.PI], [-1, Math.PI]]) {
+            mesh.scale.x = mirror;
+            mesh.rotation.y = turn;
+            mesh.position.x = mirror * Math.cos(turn) < 0 ? 1 : 0;
+            mesh.position.z = turn ? 1 : 0;
+            seen.push(told.pictured(scene).slice(4 * (32 * 64 + 32), 4 * (32 * 64 + 32) + 3));
+          }
+          return seen;
+        }"""
+    )
+    np.testing.assert_allclose(seen, [[240, 60, 60]] * 2 + [[60, 60, 240]] * 2, atol=4)
+
+
+def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
+    page: Any, tmp_path: Path
+) -> None:
+    surface = square()
+    texture = octex.convert(surface, depth=4)
+    write_page(texture, tmp_path / "square.octw", surface)
+    wanted = 255 * linear_to_srgb(texture.sample([[32.5 / SIZE, 32.5 / SIZE, 0.3]], width=1 / SIZE))[0]
+    seen = page.evaluate(
+        """async () => {
+          const { THREE, read, pictured } = told, { textures: [texture], group } = await read("/square.octw");
+          const [mesh] = group.children;
+          const shared = new THREE.MeshBasicMaterial({ color: 0x333333, vertexColors: true });
+          mesh.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(12).fill(0.2), 3));
+          group.add(new THREE.Mesh(mesh.geometry, shared));
+          texture.applyToObject(group, () => shared);
+          return pictured(new THREE.Scene().add(group)).slice(4 * (32 * 64 + 32), 4 * (32 * 64 + 32) + 3);
+        }"""
+    )
+    np.testing.assert_allclose(seen, wanted, atol=4)
+
+
 def test_files_that_cannot_be_read_are_refused_in_words(page: Any, tmp_path: Path) -> None:
     write_page(octex.convert(square(), depth=3), tmp_path / "good.octw")
     whole = (tmp_path / "good.octw").read_bytes()
     (tmp_path / "other.octw").write_bytes(b"something else that is long enough")
     (tmp_path / "newer.octw").write_bytes(whole[:8] + b"\x09" + whole[9:])
     (tmp_path / "cut.octw").write_bytes(whole[:-20])
+    (tmp_path / "header.octw").write_bytes(whole[:16] + b"?" + whole[17:])
+    (tmp_path / "levels.octw").write_bytes(whole[:-20] + bytes(20))
     for name, complaint in (
         ("other", "/other.octw is no octex web file"),
         ("newer", "/newer.octw has version 9; this octex-three reads version 1"),
         ("cut", "/cut.octw ends too early"),
+        ("header", "/header.octw is damaged, in header; write it again"),
+        ("levels", "/levels.octw is damaged, in 0-levels-0; write it again"),
     ):
         said = page.evaluate("name => told.read(name).catch((error) => error.message)", f"/{name}.octw")
         assert complaint in said

@@ -33,7 +33,8 @@ export class WebFile {
     if (magic !== MAGIC) throw new Error(`${this.name} is no octex web file; octex view TEXTURE MODEL NAME.octw writes one`);
     const version = head.getUint32(8, true), length = head.getUint32(12, true);
     if (version !== VERSION) throw new Error(`${this.name} has version ${version}; this octex-three reads version ${VERSION}`);
-    const header = JSON.parse(new TextDecoder().decode(await this.bytes(HEAD, HEAD + length)));
+    const text = new TextDecoder().decode(await this.bytes(HEAD, HEAD + length));
+    const header = this.checked("header", () => JSON.parse(text));
     this.first = HEAD + length;
     this.streams = header.streams;
     return header;
@@ -42,6 +43,23 @@ export class WebFile {
   // The bytes of a stream, unpacked.
   async stream(name) {
     const [begin, length] = this.streams[name], packed = await this.bytes(this.first + begin, this.first + begin + length);
-    return inflated(new Blob([packed]).stream());
+    try {
+      return await inflated(new Blob([packed]).stream());
+    } catch {
+      throw this.damaged(name);
+    }
+  }
+
+  // What `take` makes of a part of the file, which may be damaged.
+  checked(name, take) {
+    try {
+      return take();
+    } catch {
+      throw this.damaged(name);
+    }
+  }
+
+  damaged(name) {
+    return new Error(`${this.name} is damaged, in ${name}; write it again`);
   }
 }

@@ -14,8 +14,6 @@ export class OctreeTexture {
   level: number;
   /** Whether each pixel averages over what it covers. Default: true. */
   footprints: boolean;
-  /** The GPU's limit: the finest levels are left out that do not fit. Default: 8192. */
-  maxTextureSize: number;
   /** Have a material take its channels from this texture instead of its own maps and values; returns the material. */
   applyTo<T extends Material>(material: T): T;
   /** Give the meshes of an object positions at rest, as it stands now, and materials of this texture: clones of its own by default. */

@@ -6,18 +6,24 @@ import { Shaders, OctreeTexture } from "./texture.js";
 
 export class OctreeTextureLoader extends Loader {
   load(url, onLoad, onProgress, onError) {
-    this.loadAsync(url, onProgress).then(onLoad, (error) => {
-      if (onError) onError(error);
-      else console.error(error);
-      this.manager.itemError(url);
-    });
+    this.loadAsync(url, onProgress).then(onLoad, onError ?? console.error);
   }
 
   // Returns an object with `textures`, `group` (their meshes; null without), and `complete`, which resolves when the finest
   // levels are there. What is returned shows the first levels at once.
   async loadAsync(url, onProgress) {
-    const path = this.path + url, options = { headers: this.requestHeader, credentials: this.withCredentials ? "include" : "same-origin" };
-    return this.parse(WebFile.fetched(path, options), onProgress);
+    const path = this.manager.resolveURL(this.path + url), options = { headers: this.requestHeader, credentials: this.withCredentials ? "include" : "same-origin" };
+    this.manager.itemStart(url);
+    try {
+      const loaded = await this.parse(WebFile.fetched(path, options), onProgress);
+      const end = () => this.manager.itemEnd(url);
+      loaded.complete.then(end, () => (this.manager.itemError(url), end()));
+      return loaded;
+    } catch (error) {
+      this.manager.itemError(url);
+      this.manager.itemEnd(url);
+      throw error;
+    }
   }
 
   // Take a web file that is in memory.
@@ -33,14 +39,16 @@ export class OctreeTextureLoader extends Loader {
     const progress = (bytes) => onProgress({ loaded: (loaded += bytes), total, lengthComputable: true });
     for (const [number, texture] of textures.entries()) {
       if (!parts[number].mesh) continue;
-      texture.takeMesh(await file.stream(`${number}-mesh`));
+      const bytes = await file.stream(`${number}-mesh`);
+      file.checked(`${number}-mesh`, () => texture.takeMesh(bytes));
       progress(parts[number].mesh.bytes);
     }
     const takeChunk = async (n) => {
       for (const [number, texture] of textures.entries()) {
         const chunk = parts[number].chunks[n];
         if (!chunk) continue;
-        texture.take(chunk, await file.stream(`${number}-levels-${n}`));
+        const name = `${number}-levels-${n}`, bytes = await file.stream(name);
+        file.checked(name, () => texture.take(chunk, bytes));
         progress(chunk.bytes);
       }
     };

@@ -1,10 +1,10 @@
 // An octree texture: what the GPU holds of it, and how materials of three.js look it up.
 
 import {
-  BufferAttribute, BufferGeometry, DataArrayTexture, DataTexture, Matrix4, Mesh, MeshStandardMaterial,
+  BufferAttribute, BufferGeometry, DataArrayTexture, DataTexture, Matrix3, Matrix4, Mesh, MeshStandardMaterial,
   NearestFilter, NoColorSpace, RGBAFormat, RGIntegerFormat, SRGBColorSpace, UnsignedByteType, UnsignedIntType, Vector3,
 } from "three";
-import { lanesOf, planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
+import { FILTERS, planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
 import { unpackedMesh } from "../page/mesh.js";
 import { Octree, ROW } from "../page/octree.js";
 
@@ -21,7 +21,7 @@ const OWN = {
   base_color: ["map", "color", "#ffffff"], roughness: ["roughnessMap", "roughness", 1], metallic: ["metalnessMap", "metalness", 1],
   emissive: ["emissiveMap", "emissive", "#000000"], occlusion: ["aoMap"], normal: ["normalMap"],
 };
-// Materials without light have neither of these.
+// Materials without light have none of these.
 const LIT = ["roughness", "metallic", "emissive", "occlusion", "normal"];
 const NORMAL = `
 {
@@ -31,12 +31,19 @@ const NORMAL = `
     normal = normalize(dot(stored, normal) < 0.0 ? -stored : stored);
   }
 }`;
-const VARYINGS = "varying vec3 vOctexRest;\nvarying vec3 vOctexNormal;\n";
+const VARYINGS = "varying vec3 vOctexRest;\nvarying vec3 vOctexNormal;\nvarying float vOctexMirror;\n";
 const VERTEX_HEAD = `attribute vec3 octexRest;\nattribute vec3 octexNormal;\n${VARYINGS}`;
-const VERTEX = "\nvOctexRest = octexRest;\nvOctexNormal = octexNormal;\n";
+const VERTEX = `
+vOctexRest = octexRest;
+vOctexNormal = octexNormal;
+vOctexMirror = sign(determinant(mat3(modelMatrix)));
+#ifdef USE_INSTANCING
+vOctexMirror *= sign(determinant(mat3(instanceMatrix)));
+#endif
+`;
 // The side at rest that is looked at, then the look itself.
 const LOOK = `
-vec3 octexSide = cross(dFdx(vOctexRest), dFdy(vOctexRest));
+vec3 octexSide = vOctexMirror * cross(dFdx(vOctexRest), dFdy(vOctexRest));
 octexSide = dot(octexSide, vOctexNormal) < 0.0 ? -vOctexNormal : vOctexNormal;
 octexSide /= max(length(octexSide), 1e-20);
 #ifdef FACING
@@ -49,8 +56,13 @@ diffuseColor.a *= g_alpha;
 export class Shaders {
   // The walk and what it needs, read once.
   static read() {
-    const text = async (name) => (await fetch(new URL(`../page/shaders/${name}`, import.meta.url))).text();
+    const text = async (name) => {
+      const response = await fetch(new URL(`../page/shaders/${name}`, import.meta.url));
+      if (!response.ok) throw new Error(`octex-three: ${response.url}: ${response.status}; serve the package's page folder too`);
+      return response.text();
+    };
     this.known ??= Promise.all(["ways.glsl", "walk.glsl"].map(text)).then((texts) => texts.join("\n"));
+    this.known.catch(() => (this.known = null));
     return this.known;
   }
 }
@@ -62,7 +74,6 @@ export class OctreeTexture {
     this.octree = new Octree(header);
     this.mesh = null;
     this.materials = new Set();
-    this.maxTextureSize = 8192; // of the GPU: the finest levels are left out that do not fit
     this.uniforms = { u_footprints: { value: true } };
     const { octree } = this, { planes } = header;
     this.stores = [["u_nodes", () => [octree.words], RGIntegerFormat, 2], ["u_entries", () => [octree.entries], RGIntegerFormat, 2]];
@@ -108,6 +119,7 @@ export class OctreeTexture {
 
   // "nearest", "linear" or "quadratic".
   set filter(filter) {
+    if (!FILTERS.includes(filter)) throw new Error(`filter must be one of ${FILTERS.join(", ")}, not ${filter}`);
     this.known = { ...this.known, filter };
     for (const material of this.materials) material.needsUpdate = true; // programs differ
     this.update();
@@ -134,7 +146,7 @@ export class OctreeTexture {
 
   update() {
     const { octree, level, filter } = this;
-    const values = walkUniforms(octree, Math.min(level, octree.deepestIn(this.maxTextureSize)), filter);
+    const values = walkUniforms(octree, level, filter);
     for (const [name, value] of Object.entries(values)) {
       (this.uniforms[name] ??= { value: null }).value = Array.isArray(value) ? new Vector3(...value) : value;
     }
@@ -142,8 +154,10 @@ export class OctreeTexture {
 
   // Have a material take its channels from this texture instead of its own maps and values; returns the material.
   applyTo(material) {
-    const before = material.onBeforeCompile, key = material.customProgramCacheKey, isLit = "roughness" in material || "specular" in material;
+    if (this.materials.has(material)) return material;
+    const before = material.onBeforeCompile, key = material.customProgramCacheKey, isLit = !material.isMeshBasicMaterial;
     const names = Object.keys(OWN).filter((name) => this.channel(name) && (isLit || !LIT.includes(name)));
+    if (names.includes("base_color")) material.vertexColors = false;
     for (const name of names) {
       const [map, value, plain] = OWN[name];
       if (map in material) material[map] = null;
@@ -154,6 +168,7 @@ export class OctreeTexture {
     material.onBeforeCompile = (shader, renderer) => {
       before.call(material, shader, renderer);
       Object.assign(shader.uniforms, this.uniforms);
+      this.check(renderer.capabilities.maxTextureSize);
       this.compile(shader, names, defines());
     };
     material.customProgramCacheKey = () => `${key.call(material)} ${defines()}`;
@@ -161,6 +176,12 @@ export class OctreeTexture {
     material.needsUpdate = true;
     this.materials.add(material);
     return material;
+  }
+
+  // Refuse a GPU whose textures are too small.
+  check(most) {
+    const rows = Math.max(...this.octree.planes.map((plane) => plane.length / 4 / ROW));
+    if (Math.max(rows, ROW) > most) throw new Error(`this GPU has textures of ${most}, and the octree needs ${Math.max(rows, ROW)}: write the file with a --max-size`);
   }
 
   lines(names) {
@@ -202,9 +223,11 @@ export class OctreeTexture {
     const { geometry } = mesh, { position, normal } = geometry.attributes, { origin, size } = this.header;
     const places = new Float32Array(3 * position.count), sides = new Float32Array(3 * position.count), at = new Vector3();
     const whole = new Matrix4().multiplyMatrices(toRoot, mesh.matrixWorld), low = new Vector3(...origin);
+    const turn = new Matrix3().getNormalMatrix(whole);
+    if (!normal) geometry.computeVertexNormals();
     for (let n = 0; n < position.count; n++) {
       mesh.getVertexPosition(n, at).applyMatrix4(whole).sub(low).divideScalar(size).toArray(places, 3 * n);
-      if (normal) at.fromBufferAttribute(normal, n).transformDirection(whole).toArray(sides, 3 * n);
+      at.fromBufferAttribute(geometry.attributes.normal, n).applyNormalMatrix(turn).toArray(sides, 3 * n);
     }
     geometry.setAttribute("octexRest", new BufferAttribute(places, 3));
     geometry.setAttribute("octexNormal", new BufferAttribute(sides, 3));
