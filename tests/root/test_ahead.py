@@ -120,7 +120,7 @@ with ahead.ahead("convert"):
     os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
-    for _ in range(200):
+    for _ in range(1200):
         if over.exists():
             break
         time.sleep(0.05)

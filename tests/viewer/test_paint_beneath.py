@@ -92,7 +92,7 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio: Stud
     page = studio.page()
 
     def told(what: str) -> None:
-        page.wait_for_function(what, timeout=20_000)
+        page.wait_for_function(what, timeout=60_000)
 
     def stroke(tool: str, **brush: Any) -> float:
         """Draw a stroke; return how far what is shown is from what is baked, inside it, in codes."""

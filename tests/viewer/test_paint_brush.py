@@ -448,7 +448,7 @@ def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
     }
     for (x, y), expected in turned.items():
         page.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y)
-        page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=20_000)
+        page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=60_000)
     times = page.evaluate("""async () => {
       const { under } = await import("./under.js"), { viewer } = globalThis, found = [];
       for (let n = 0; n < 50; n++) {

@@ -332,7 +332,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
 
     def until_said(text: str) -> None:
         said = f"document.getElementById('status').textContent.includes({text!r})"
-        page.wait_for_function(said, timeout=20_000)
+        page.wait_for_function(said, timeout=60_000)
 
     def until_depth(depth: int) -> None:
         shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isComplete"
@@ -370,7 +370,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
     until_said("The connection is lost")
     server, _ = served(path)  # nothing has changed
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=20_000)
+    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
     until_depth(4)
     page.close()
 

@@ -136,11 +136,11 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser: A
         viewer._ended.set()
         for seconds in (1, 2, 4):
             said = f"document.getElementById('status').textContent.includes('tried again in {seconds} s')"
-            page.wait_for_function(said, timeout=20_000)
+            page.wait_for_function(said, timeout=60_000)
         viewer._ended.clear()
         page.unroute("**/events")
         page.unroute("**/proof*")
-        page.wait_for_function("document.getElementById('status').textContent === ''", timeout=20_000)
+        page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
         page.close()
 
 

@@ -45,7 +45,7 @@ class Served:
     def ask(
         self, path: str = "", method: str = "GET", token: str | None = None, **headers: str
     ) -> tuple[int, bytes]:
-        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=5)
+        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=60)
         named = {name.replace("_", "-"): text for name, text in headers.items()}
         token = self.viewer.token if token is None else token
         connection.request(method, f"/{token}/{path}" if token else f"/{path}", headers=named)
@@ -56,7 +56,7 @@ class Served:
         return found
 
     def raw(self, content: bytes) -> bytes:
-        with socket.create_connection(("127.0.0.1", self.viewer.port), timeout=5) as line:
+        with socket.create_connection(("127.0.0.1", self.viewer.port), timeout=60) as line:
             line.sendall(content)
             line.shutdown(socket.SHUT_WR)
             return b"".join(iter(lambda: line.recv(4096), b""))
