@@ -311,7 +311,7 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
     ("words", "message"),
     [
         (["a.octex", "--depth", "3"], "--depth is for models; choose the level of a.octex in the page"),
-        (["a.glb", "b.glb"], "b.glb: PAGE has the ending '.glb'; octex writes .html here"),
+        (["a.glb", "b.glb"], "b.glb: PAGE has the ending '.glb'; octex writes .html and .octw here"),
         (["a.octex", "--max-size", "1MB"], "--max-size is for pages, NAME.html"),
         (["a.octex", "a.html", "--port", "80"], "--port cannot be used when a page is written"),
         (["a.octex", "--port", "0"], "--port: 0 is not a port from 1 to 65535"),
