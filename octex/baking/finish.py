@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from octex.baking.bake import bake
-from octex.baking.simplify import simplify
+from octex.baking.simplify import check_simplifier, simplify
 from octex.checks import as_flag, as_path, as_whole, is_path
 from octex.cleaning.repair import repair as repaired
 from octex.conversion.convert import convert
@@ -55,6 +55,7 @@ def finish(
     as_flag(repair, "repair")
     if triangles is not None:
         triangles = as_whole(triangles, "triangles", 4, 2**31 - 1)
+        check_simplifier()
     if texture is not None:
         as_texture(texture)
     run.report("read", 0, 1)

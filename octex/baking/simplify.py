@@ -42,9 +42,7 @@ def simplify(surface: Surface, triangles: int) -> Surface:
     Raises ArgumentError for a number out of range, MissingExtraError without the extra ``simplify``, and
     ModelError if no triangle has an area.
     """
-    if not find_spec("fast_simplification"):
-        what = "to make a mesh of fewer triangles"
-        raise MissingExtraError.needed(what, "fast-simplification", "simplify")
+    check_simplifier()
     as_surface(surface)
     count = as_whole(triangles, "triangles", 4, 2**31 - 1)
     vertices, faces = _welded(surface)
@@ -60,6 +58,13 @@ def simplify(surface: Surface, triangles: int) -> Surface:
     rows, corners = np.nonzero(is_none)
     normals[made[rows, corners]] = unit_normals(vertices[made[rows]])
     return Surface.from_arrays(vertices, made, normals=normals, name=surface.name)
+
+
+def check_simplifier() -> None:
+    """Raise MissingExtraError without the extra ``simplify``."""
+    if not find_spec("fast_simplification"):
+        what = "to make a mesh of fewer triangles"
+        raise MissingExtraError.needed(what, "fast-simplification", "simplify")
 
 
 def _welded(surface: Surface) -> tuple[Float64s, Int32s]:

@@ -52,6 +52,9 @@ def bake(options: Options, program: str) -> int:
         refuse(options, ["--original", "--displace"], "cannot be used with --triangles")
         if options.uv == "keep":
             raise ArgumentError("--uv keep cannot be used with --triangles: the mesh gets new UVs")
+        from octex.baking.simplify import check_simplifier
+
+        check_simplifier()
     from octex.baking.finish import own_texture
     from octex.formats.models import check_extra, materials_of
 
