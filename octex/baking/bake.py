@@ -124,7 +124,7 @@ def bake(
     with workers(run) as given, sharing(given) as pool:
         run.report("unwrap", 0, 1)
         stored = [name for name in names if name in texture.channels]
-        sheets = sheets_of(texture, surface, stored, uv, texture_size, padding, pool)
+        sheets = sheets_of(texture, surface, stored or [*texture.channels], uv, texture_size, padding, pool)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         run.report("unwrap", 1, 1)
         job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)

@@ -12,6 +12,7 @@ import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, MissingExtraError, ModelError, ModelWarning
 from octex.nearest.triangles import Triangles
+from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.painted import ball
@@ -120,6 +121,19 @@ def test_a_low_mesh_shows_the_colours_and_normals_of_the_surface() -> None:
     )
     assert np.sqrt((by_map**2).mean()) < 2.5
     assert np.sqrt((by_map**2).mean()) < 0.5 * np.sqrt((by_mesh**2).mean())
+
+
+@needs_jit
+def test_normals_of_the_source_may_be_all_that_is_baked() -> None:
+    surface = bumpy(32)
+    texture = octex.convert(surface, depth=5)
+    baked = octex.bake(texture, octex.simplify(surface, 300), source=surface, channels=["normal"])
+    source = baked.source
+    assert isinstance(source, MaterialSource)
+    read = {name for name, each in source.materials[0].inputs.items() if each.texture is not None}
+    assert read == {"normal"}
+    with pytest.raises(ArgumentError, match="normal"):
+        octex.bake(texture, surface, channels=["normal"])
 
 
 def radius(points: Any) -> Any:

@@ -45,8 +45,8 @@ export class WebFile {
     const [begin, length] = this.streams[name], packed = await this.bytes(this.first + begin, this.first + begin + length);
     try {
       return await inflated(new Blob([packed]).stream());
-    } catch {
-      throw this.damaged(name);
+    } catch (error) {
+      throw this.damaged(name, error);
     }
   }
 
@@ -54,12 +54,12 @@ export class WebFile {
   checked(name, take) {
     try {
       return take();
-    } catch {
-      throw this.damaged(name);
+    } catch (error) {
+      throw this.damaged(name, error);
     }
   }
 
-  damaged(name) {
-    return new Error(`${this.name} is damaged, in ${name}; write it again`);
+  damaged(name, cause) {
+    return new Error(`${this.name} is damaged, in ${name}; write it again`, { cause });
   }
 }

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands: each starts work in another process and takes over what comes of it."""
 
-from pathlib import Path
 from typing import Any
 
 import bpy
@@ -23,8 +22,8 @@ class Working:
     bl_options = {"REGISTER", "UNDO"}
     running: "Working | None" = None
 
-    def begin(self, context: bpy.types.Context) -> Job:
-        """Return the job; raises ObjectError."""
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        """Return the job of the active object; raises ObjectError."""
         raise NotImplementedError
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
@@ -45,14 +44,22 @@ class Working:
             return False
         return context.active_object is not None and context.active_object.type == "MESH"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def _begun(self, context: bpy.types.Context) -> bool:
+        """Start the job, or report why there is none."""
         try:
-            self.job = self.begin(context)
+            chosen = objects.mesh_object(context)
+            self.target = chosen.name
+            self.job = self.begin(context, chosen)
         except objects.ObjectError as error:
             self.report({"ERROR"}, str(error))
+            return False
+        self.job.start()
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if not self._begun(context):
             return {"CANCELLED"}
         try:
-            self.job.start()
             return self._finished(context, self.job.wait())
         except JobError as error:
             self.report({"ERROR"}, str(error))
@@ -61,12 +68,8 @@ class Working:
             self.job.close()
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        try:
-            self.job = self.begin(context)
-        except objects.ObjectError as error:
-            self.report({"ERROR"}, str(error))
+        if not self._begun(context):
             return {"CANCELLED"}
-        self.job.start()
         self._timer = context.window_manager.event_timer_add(_PAUSE, window=context.window)
         context.window_manager.modal_handler_add(self)
         Working.running = self
@@ -112,9 +115,7 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
     bl_idname = "octex.make"
     bl_label = "Make Octree Texture"
 
-    def begin(self, context: bpy.types.Context) -> Job:
-        chosen = objects.mesh_object(context)
-        self.target = chosen.name
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
         settings = chosen.octex
         for name in objects.making_modifiers(chosen):
@@ -139,9 +140,7 @@ class OCTEX_OT_colors(Working, bpy.types.Operator):
     bl_idname = "octex.colors"
     bl_label = "Bake to Colour Attribute"
 
-    def begin(self, context: bpy.types.Context) -> Job:
-        chosen = objects.mesh_object(context)
-        self.target = chosen.name
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         return colors_job(chosen)
 
     def finish(self, _context: bpy.types.Context, _answer: dict[str, Any]) -> str:
@@ -156,9 +155,7 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
     bl_idname = "octex.images"
     bl_label = "Bake to Images"
 
-    def begin(self, context: bpy.types.Context) -> Job:
-        chosen = objects.mesh_object(context)
-        self.target = chosen.name
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         settings, texture = chosen.octex, objects.texture_path(chosen)
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
@@ -188,9 +185,7 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
     bl_idname = "octex.photographs"
     bl_label = "Project Photographs"
 
-    def begin(self, context: bpy.types.Context) -> Job:
-        chosen = objects.mesh_object(context)
-        self.target = chosen.name
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
         arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
         job = Job(
@@ -237,7 +232,7 @@ def colors_job(chosen: bpy.types.Object) -> Job:
 
 def take_colors(chosen: bpy.types.Object, job: Job) -> None:
     """Store the colours of a job that has ended."""
-    objects.set_colors(chosen, np.load(Path(job.folder) / "colors.npy"))
+    objects.set_colors(chosen, np.load(job.folder / "colors.npy"))
 
 
 _CLASSES = (OCTEX_OT_make, OCTEX_OT_colors, OCTEX_OT_images, OCTEX_OT_photographs, OCTEX_OT_paint)

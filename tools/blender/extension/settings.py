@@ -35,7 +35,7 @@ class Settings(bpy.types.PropertyGroup):
     layout: EnumProperty(
         name="UVs",
         items=[
-            ("KEEP", "Own", "Bake at the active UV map"),
+            ("KEEP", "Own", "Bake at the UV map that is active for rendering"),
             ("ATLAS", "New", "Make a UV map without overlaps, and bake at it"),
         ],
     )

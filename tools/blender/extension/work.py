@@ -31,10 +31,14 @@ def progress(stage: str, done: int, total: int) -> None:
     say(stage=stage, share=done / max(total, 1))
 
 
-def surface_of(job: dict[str, Any], **options: Any) -> tuple[octex.Surface, dict[str, np.ndarray]]:
-    """Return the mesh of a job, and its arrays."""
+def surface_of(
+    job: dict[str, Any], shaded: bool = False, **options: Any
+) -> tuple[octex.Surface, dict[str, np.ndarray]]:
+    """Return the mesh of a job, with its shading normals if asked for, and its arrays."""
     with np.load(Path(job["folder"]) / "mesh.npz") as arrays:
         mesh = dict(arrays)
+    if shaded:
+        options["normals"] = mesh["normals"]
     surface = octex.Surface.from_arrays(
         mesh.get("posed", mesh["rest"]), mesh["triangles"], rest=mesh["rest"], name=job["name"], **options
     )
@@ -80,8 +84,7 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     if "model" in job:
         surface, layout = octex.load_surface(job["model"], normals=True), "keep"
     else:
-        (surface, mesh), layout = surface_of(job), "atlas"
-        surface, _ = surface_of(job, normals=mesh["normals"])
+        (surface, _), layout = surface_of(job, shaded=True), "atlas"
     wanted = [name for name in _CHANNELS if name in texture.channels]
     baked = octex.bake(
         texture, surface, uv=layout, texture_size=job["texture_size"], channels=wanted, progress=progress
