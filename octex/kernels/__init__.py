@@ -9,7 +9,7 @@ A renderer looks a texture up at every hit, inside its own compiled loop:
         scratch = octex.kernels.new_scratch(arrays)  # one a thread
         for n in range(len(hits)):
             r, g, b, _ = octex.kernels.footprint(arrays, hits[n], widths[n], normals[n], scratch)
-            image[n] = r, g, b
+            image[n, 0], image[n, 1], image[n, 2] = r, g, b  # image[n] = r, g, b compiles for 5 s more
 
 ``nearest``, ``linear`` and ``quadratic`` look at the leaves, as `OctreeTexture.sample` does with these
 filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
