@@ -286,3 +286,14 @@ def _name(file: BinaryIO, path: Path) -> None:
     number = file.fileno()
     # Given a folder's number Python follows the link to the file; for an absolute path it means nothing else.
     os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
+
+
+def bytes_text(number: int) -> str:
+    """Return a number of bytes for a person."""
+    if number < 1000:
+        return f"{number} bytes"
+    size, units = number / 1000, ["PB", "TB", "GB", "MB", "kB"]
+    while size >= 999.5 and len(units) > 1:
+        size /= 1000
+        units.pop()
+    return f"{size:.3g} {units[-1]}"

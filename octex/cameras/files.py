@@ -105,7 +105,7 @@ def _read_own(path: Path, document: dict[str, Any]) -> list[Frame]:
                 view = b64decode(record.text("view"), validate=True) if "view" in record else None
             except ValueError as error:
                 raise BrokenError(f"view is not an image in base64 ({error}); draw the view again") from None
-            frames.append(frame._replace(view=view))
+            frames.append(frame._replace(view=view, image=path.parent / name))
     return frames
 
 

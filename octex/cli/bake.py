@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, bytes_text, check_outputs, tell_file
+from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
+from octex.files import bytes_text
 
 if TYPE_CHECKING:
     from octex.baking.maps import Bits
@@ -41,8 +42,12 @@ def bake(options: Options, program: str) -> int:
             raise ArgumentError(f"{options.OUTPUT}: needs a texture; octex convert makes one of the model")
         return _write_ptex(options, program)
     at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
-    work, others = ("vertex colours", _OF_IMAGES) if at_vertices else ("images", _OF_VERTICES)
-    refuse(options, others, f"cannot be used with {work}")
+    if at_vertices:
+        refuse(options, _OF_IMAGES, "cannot be used with vertex colours")
+        if options.max_edge not in (None, "auto"):
+            refuse(options, ["--vertex-error"], "needs --max-edge auto")
+    else:
+        refuse(options, _OF_VERTICES, "is for vertex colours; add --vertex-colors")
     if ending not in _WITH_UNIT:
         refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     images, bits = _IMAGES[options.image_format or "png"]
@@ -80,7 +85,8 @@ def bake(options: Options, program: str) -> int:
         if at_vertices:
             with progress.stage("divide"):
                 error = 8.0 if options.vertex_error is None else options.vertex_error
-                edge: Any = options.max_edge or ("auto" if ending == ".3mf" else None)
+                is_divided = ending == ".3mf" or options.vertex_error is not None
+                edge: Any = options.max_edge or ("auto" if is_divided else None)
                 baked = octex.bake_vertices(texture, surface, subdivide=edge, max_error=error)
         else:
             baked = octex.bake(

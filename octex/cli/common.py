@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import at_first_compilation, use_shipped_code
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
-from octex.files import undo_all
+from octex.files import bytes_text, undo_all
 from octex.parallel import at_most
 
 if TYPE_CHECKING:
@@ -275,7 +275,7 @@ class Reporter:
         warnings.simplefilter("always", ModelWarning)
         self._show_warning, warnings.showwarning = warnings.showwarning, self._warn
         if self._announce and not self._quiet:
-            text = "compiling this command's code, once (octex warm-up compiles all)"
+            text = "compiling what this needs, once (octex warm-up compiles all)"
             self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 
@@ -327,14 +327,3 @@ def identity(path: Path) -> tuple[int, int] | Path:
         status = path.stat()
         return status.st_dev, status.st_ino
     return Path(os.path.realpath(path))  # which takes links that lead to themselves
-
-
-def bytes_text(number: int) -> str:
-    """Return a number of bytes for a person."""
-    if number < 1000:
-        return f"{number} bytes"
-    size, units = number / 1000, ["PB", "TB", "GB", "MB", "kB"]
-    while size >= 999.5 and len(units) > 1:
-        size /= 1000
-        units.pop()
-    return f"{size:.3g} {units[-1]}"

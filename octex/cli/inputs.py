@@ -46,12 +46,17 @@ def kind_of(path: Path | Address) -> str:
     return "model"
 
 
-def open_texture(path: Path | Address) -> OctreeTexture:
-    """Open a texture and validate it; errors name the file and what is broken."""
+def check_texture(path: Path | Address) -> None:
+    """Refuse a file whose ending is no texture's."""
     if not is_texture(path):
         raise ArgumentError(
             f"{path}: is not a {TEXTURE_ENDINGS[0]} file; octex convert makes one from a model"
         )
+
+
+def open_texture(path: Path | Address) -> OctreeTexture:
+    """Open a texture and validate it; errors name the file and what is broken."""
+    check_texture(path)
     texture = octex.open(str(path))
     texture.validate()
     return texture

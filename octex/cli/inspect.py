@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, say, tell
 from octex.cli.convert import INDEX, overlaps_as_json
-from octex.cli.inputs import check_model, is_texture, open_texture, read_model, refuse
+from octex.cli.inputs import check_model, check_texture, is_texture, open_texture, read_model, refuse
 from octex.cli.parser import Options
 from octex.cli.values import Address
 from octex.errors import ExitCode, TextureFileError
@@ -98,7 +98,10 @@ def diff(options: Options, program: str) -> int:
 
 
 def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
-    return octex.TextureSet.open(path) if path.is_dir() else octex.open(str(path))
+    if path.is_dir():
+        return octex.TextureSet.open(path)
+    check_texture(path)
+    return octex.open(str(path))
 
 
 def _texture_text(information: dict[str, Any]) -> Iterator[str]:

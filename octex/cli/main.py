@@ -67,7 +67,7 @@ def _answer(first: str, rest: Sequence[str]) -> int:
 
 
 def _overview() -> str:
-    summaries = {name: each.summary for name, each in COMMANDS.items()}
+    summaries = {name: each.summary.partition(". ")[0].rstrip(".") + "." for name, each in COMMANDS.items()}
     summaries["help"] = "Print a page on a topic, or the help of a command."
     lines = [
         f"usage: {PROGRAM} COMMAND … [options]",

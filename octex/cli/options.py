@@ -97,7 +97,8 @@ _TABLE = """
 --image-format NAME   png (default), webp, jpeg, jpeg-all, png16 or exr
 --supersample N       average this many lookups along each side of a texel (default 1)
 --vertex-colors       write colours at the vertices, no images; always so in .ply and .3mf
---max-edge SIZE       divide triangles to edges of this length; auto: until --vertex-error holds
+--max-edge SIZE       divide triangles to edges of this length; auto (default for .3mf and with
+                      --vertex-error): until --vertex-error holds; else they stay
 --vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
 --displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
 --unit UNIT           a length of 1 in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
@@ -276,7 +277,7 @@ _FILES: dict[str, Callable[[str], Any]] = {
 #: Whether a word is a file that may be missing.
 _FITS: dict[str, Callable[[str], bool]] = {
     "TEXTURE": v.is_texture_name,
-    "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, v.WEB_ENDING, ".png")),
+    "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, v.WEB_ENDING, ".png", ".jpg", ".jpeg")),
 }
 
 

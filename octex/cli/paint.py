@@ -46,7 +46,8 @@ def _check(options: Options, program: str) -> bool:
     if layers:
         if len(layers) < len(options.IMAGE):
             raise ArgumentError(
-                f"{layers[0]}: is a layer; merge layers and paint pictures one after the other"
+                f"{layers[0]}: is a layer; merge layers and paint pictures one after the other. A "
+                "texture to paint on stands before its model"
             )
         refuse(options, set(options.words) - _OF_LAYERS, "cannot be used with layers")
     elif options.unwrap is not None:

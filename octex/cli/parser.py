@@ -142,6 +142,7 @@ class Parser:
         """Return files by name, or refuse too few or too many."""
         found: dict[str, Any] = {}
         left = deque(words)
+        late = None  # a file after its place
         for each in self._command.files:
             if each.number == "any":
                 found[each.word] = [self._read(each.read, each.word, word) for word in left]
@@ -150,8 +151,11 @@ class Parser:
                 found[each.word] = self._read(each.read, each.word, left.popleft())
             elif each.number == "maybe":
                 found[each.word] = None
+                late = late or next(filter(each.fits, left), None)
         usage = " ".join(each.usage for each in self._command.files)
         if left:
+            if late is not None:
+                self.error(f"{late} is no file for its place: write {self.program} {usage}")
             self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
         missing = [
             each.word for each in self._command.files if each.number == "one" and each.word not in found

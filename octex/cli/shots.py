@@ -150,7 +150,10 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(own for _, own in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
-        return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
+        try:
+            return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
+        except CameraError as error:
+            raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     own = [(frame.image, frame) for frame in frames if frame.image is not None]
     if not own:
         raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from difflib import get_close_matches
 from importlib.resources import files
 
@@ -21,6 +22,8 @@ GROUPS = {
     ),
     "about": "figures limits contributing changelog",
 }
+#: The longest line of text on a terminal; some in the sources are longer.
+_WIDTH = 130
 TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 
 
@@ -31,7 +34,18 @@ def topic(name: str) -> str:
         hint = f"do you mean {near[0]!r}? octex help lists all" if near else f"there are {', '.join(TOPICS)}"
         raise ArgumentError(f"there is no page on {name!r}; {hint}")
     text = (files(__name__) / f"{name}.md").read_text("utf-8").rstrip()
-    return re.sub(r"```\w+\n(.*?)```\n?", _indented, text, flags=re.DOTALL)
+    text = re.sub(r"```\w+\n(.*?)```\n?", _indented, text, flags=re.DOTALL)
+    return "\n\n".join(map(_wrapped, text.split("\n\n")))
+
+
+def _wrapped(paragraph: str) -> str:
+    """Wrap the lines of a paragraph that are too long; those of titles, tables and code stay."""
+    if re.match(r"#|\||    ", paragraph):
+        return paragraph
+    lines = paragraph.splitlines()
+    return "\n".join(
+        textwrap.fill(line, _WIDTH, subsequent_indent="  " * line.startswith("* ")) for line in lines
+    )
 
 
 def _indented(block: re.Match[str]) -> str:

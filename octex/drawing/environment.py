@@ -310,9 +310,10 @@ def _read_all(tables: Tables, directions: Float64s, level: float, found: Float64
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
         if level < 0.0:
-            found[n] = matte_light(tables, x, y, z)
+            red, green, blue = matte_light(tables, x, y, z)
         else:
-            found[n] = glossy_light(tables, level / _STEPS, x, y, z)
+            red, green, blue = glossy_light(tables, level / _STEPS, x, y, z)
+        found[n, 0], found[n, 1], found[n, 2] = red, green, blue  # whole rows compile for 3 s more
 
 
 @inlined

@@ -22,7 +22,7 @@ from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_
 from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
-from octex.files import replacing
+from octex.files import bytes_text, replacing
 from octex.source.surface import as_surface
 from octex.texture import as_texture
 from octex.tree.octree import distinct
@@ -187,7 +187,7 @@ def leaf_camera(
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     """Return a title and a subtitle for a picture of a model."""
-    return surface.name, f"{named(channel)}original, {count_text(len(surface.triangles), 'triangle')}"
+    return surface.name, f"{named(channel)}model, {count_text(len(surface.triangles), 'triangle')}"
 
 
 def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
@@ -198,7 +198,7 @@ def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tup
 
 def texture_facts(texture: OctreeTexture) -> str:
     """Return how large a texture is."""
-    return f"{count_text(texture.tree.n_leaves, 'leaf', 'leaves')}, {texture.nbytes / 1e6:.3g} MB"
+    return f"{count_text(texture.tree.n_leaves, 'leaf', 'leaves')}, {bytes_text(texture.nbytes)}"
 
 
 def named(channel: str) -> str:

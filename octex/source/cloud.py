@@ -31,8 +31,6 @@ _LEAST_POINTS = 3
 _MOST_AROUND = 30_000
 _HEADER = 1 << 16
 _FARTHEST = 1e100
-# Colours may exceed 1 by this much; they are clipped to 1.
-_ROUNDING = 1e-5
 _NAMES = {
     "points": ("points", "positions", "xyz"),
     "colors": ("colors", "rgb", "base_color"),
@@ -71,17 +69,7 @@ class PointCloud(Placeable):
         self.points = locked(_rows(points, f"{name}: points"))
         if len(self.points) < _LEAST_POINTS:
             raise ModelError(f"{name} has {len(self.points)} points; a cloud needs at least three")
-        light = linear_colors(colors, len(self.points), f"{name}: colors")
-        if not np.isfinite(light).all():
-            raise ModelError(f"{name}: colour {_first_bad(light)} is not finite")
-        fits = (light >= 0.0) & (light <= 1.0 + _ROUNDING)
-        if not fits.all():
-            bad = int(np.argmin(fits.all(axis=1)))
-            raise ModelError(
-                f"{name}: colour {bad} is not from 0 to 1, as linear light is; give sRGB codes as uint8 or "
-                "uint16"
-            )
-        self.colors = locked(np.minimum(light, np.float32(1.0)))
+        self.colors = locked(linear_colors(colors, len(self.points), f"{name}: colors"))
         self.normals = None
         if normals is not None:
             facing = _rows(normals, f"{name}: normals")

@@ -8,11 +8,17 @@ import numpy.typing as npt
 from octex.arrays import Float32s, Float64s, Floats
 from octex.channels import decode, srgb_to_linear
 from octex.checks import as_array
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, ModelError
+
+#: Colours may exceed 1 by this much; they are clipped to 1.
+_ROUNDING = 1e-5
 
 
 def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
-    """Convert integers (sRGB) or floats (linear light) (rows, 3 or 4) to linear light and alpha (rows, 4)."""
+    """Convert integers (sRGB) or floats (linear light) (rows, 3 or 4) to linear light and alpha (rows, 4).
+
+    Raises ModelError for colours that are not finite or not in 0 … 1.
+    """
     array = as_array(colors)
     if array.ndim != 2 or array.shape[0] != rows or array.shape[1] not in (3, 4):
         raise ArgumentError(f"{name} must have shape ({rows}, 3) or ({rows}, 4), not {array.shape}")
@@ -21,11 +27,25 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
         linear[:, :3] = decode(array[:, :3], "srgb")
         linear[:, 3 : array.shape[1]] = decode(array[:, 3:], "data")
     elif array.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # callers refuse infinite colours
+        with np.errstate(over="ignore"):
             linear[:, : array.shape[1]] = array
+        _check_light(linear, name)
     else:
         raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
-    return linear
+    return np.minimum(linear, np.float32(1.0))
+
+
+def _check_light(light: Float32s, name: str) -> None:
+    """Refuse colours (n, 4) that are not finite or not in 0 … 1."""
+    finite = np.isfinite(light).all(axis=1)
+    fits = ((light >= 0.0) & (light <= 1.0 + _ROUNDING)).all(axis=1)
+    if not finite.all():
+        raise ModelError(f"{name}: colour {int(np.argmin(finite))} is not finite")
+    if not fits.all():
+        bad = int(np.argmin(fits))
+        raise ModelError(
+            f"{name}: colour {bad} is not from 0 to 1, as linear light is; give sRGB codes as uint8 or uint16"
+        )
 
 
 def guessed_colors(values: Float64s) -> Float32s:

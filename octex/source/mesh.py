@@ -31,6 +31,9 @@ class SurfaceSamples(NamedTuple):
     barycentric: Float64s  # (n, 3)
     rest_normals: Float64s  # (n, 3)   of the triangles at rest; zeros without area
 
+    def __repr__(self) -> str:
+        return f"<SurfaceSamples of {len(self.points):,} points>"
+
 
 class Mesh:
     """Triangles at posed and at rest positions.
@@ -266,7 +269,8 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
     """Return triangles (m, 3) of ``vertices`` vertices, or raise ModelError."""
     triangles = as_array(array_like)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {triangles.shape}")
+        kind = f"{triangles.dtype} {triangles.shape}"
+        raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {kind}")
     if len(triangles) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
     low, high = int(triangles.min()), int(triangles.max())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from types import NoneType
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import PIL.Image
 from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, ModelWarning
 from octex.source.base import Combined, Joined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons, frames_of, unit
@@ -366,11 +367,18 @@ class Surface(Mesh):
         return self._separated(separation)
 
     def placed_on(self, texture: OctreeTexture) -> Surface:
-        """Return the surface ``placed_in`` a texture, or raise ArgumentError if they share no point."""
+        """Return the surface ``placed_in`` a texture, or raise ArgumentError if they share no point.
+
+        Warns with ModelWarning if less than half of the surface lies in the texture.
+        """
         placed = self.placed_in(texture)
         coarse = texture.level(_COARSE)  # of a remote texture little is read
-        if not coarse.contains(placed.scatter(10_000, seed=0).rest).any():
+        share = coarse.contains(placed.scatter(10_000, seed=0).rest).mean()
+        if share == 0:
             raise ArgumentError(f"{self.name} has no point in the texture; is it of another model?")
+        if share < 0.5:
+            outside = f"{1 - share:.0%} of {self.name} lies outside of the texture"
+            warnings.warn(f"{outside}; is it of another model?", ModelWarning, stacklevel=3)
         return placed
 
     def rest_positions(self, texture: OctreeTexture) -> Float64s:

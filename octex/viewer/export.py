@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from octex.errors import ArgumentError
-from octex.files import replacing
+from octex.files import bytes_text, replacing
 from octex.parallel import Progress, silent
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, packed_page, parts_of
@@ -47,6 +47,8 @@ WEB_ENDING, WEB_MAGIC, WEB_VERSION = ".octw", b"octexweb", 1
 _SMALLEST = 9
 #: What part of a page's size animations may take, and images likewise, before base64.
 _SHARE = 0.25 * 3 / 4
+#: With this times the bytes of a page without levels there is room for its images.
+_ROOMY = 1.2
 
 
 def page_text(name: str) -> str:
@@ -97,7 +99,8 @@ def write_page(
         level = _level_within(packed, len(page) - max_size)
         if level < 0:
             raise ArgumentError(
-                f"the page takes {len(page):,} bytes even without any level; allow more than {max_size:,}"
+                f"the page takes {bytes_text(len(page))} even without any level; allow "
+                f"{bytes_text(int(_ROOMY * len(page)))}"
             )
     with replacing(path) as file:
         file.write(page)

@@ -947,3 +947,6 @@ def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surfa
     if bake is octex.bake:
         with pytest.raises(ArgumentError, match="has no point in the texture"):
             bake(texture, surface, source=other)
+    shifted = Surface.from_arrays(surface.vertices + [0.7, 0, 0], surface.triangles, name="b")
+    with pytest.warns(ModelWarning, match=r"\d+% of b lies outside of the texture; is it of another model"):
+        bake(texture, shifted)

@@ -88,6 +88,14 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
             "--depth is an option of octex convert, octex view, octex edit, not of octex diff",
         ),
         ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
+        (
+            "bake a.glb b.octex c.glb",
+            "b.octex is no file for its place: write octex bake [TEXTURE] MODEL OUTPUT",
+        ),
+        (
+            "view a.octex b.html c.glb",
+            "c.glb is no file for its place: write octex view [TEXTURE] [MODEL] [PAGE]",
+        ),
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
     ],
 )

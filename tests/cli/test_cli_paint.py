@@ -426,12 +426,29 @@ def test_pictures_without_a_frame_are_refused(
     (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
     assert complaint(capsys, *arguments, tmp_path / "other.png", scene.blue) == (
         f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
-        "there are: 'square.png', 'blue.png'"
+        "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
     )
     message = complaint(capsys, *scene.shot, scene.blue, OUT, out)
     assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
-    message = complaint(capsys, *arguments)
-    assert message == f"{scene.cameras}: does not name the pictures of its cameras; give IMAGEs"
+    alone = tmp_path / "alone" / "cameras.json"
+    alone.parent.mkdir()
+    alone.write_bytes(scene.cameras.read_bytes())
+    message = complaint(capsys, scene.texture, scene.model, "--camera", alone, OUT, out)
+    assert message.startswith(
+        f"{alone}: none of the 2 pictures that it names exists: 'square.png', 'blue.png'"
+    )
+    unnamed = tmp_path / "cameras.npz"
+    np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])
+    message = complaint(capsys, scene.texture, scene.model, "--camera", unnamed, OUT, out)
+    assert message == f"{unnamed}: does not name the pictures of its cameras; give IMAGEs"
+
+
+def test_pictures_that_lie_beside_their_cameras_need_not_be_named(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, tmp_path / "out.octex"]
+    made = json.loads(result(capsys, *arguments, "--json", "--quiet"))
+    assert made["painted"] == ["square.png", "blue.png"]
 
 
 @needs_jit
