@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType, SimpleNamespace, TracebackType
@@ -309,7 +309,7 @@ def check_outputs(
         known = list(endings)
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"
-            raise InputError(f"{path}: {word} has {ending}; octex writes {' and '.join(known)} here")
+            raise InputError(f"{path}: {word} has {ending}; octex writes {listed(known)} here")
         if not path.parent.is_dir():
             raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
         other = taken.setdefault(identity(path), word)
@@ -319,6 +319,11 @@ def check_outputs(
             raise OutputError(f"{path}: exists already; --force overwrites it")
         if not os.access(path.parent, os.W_OK):
             raise OutputError(f"{path}: the folder {path.parent} cannot be written")
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words with commas and an "and"."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def identity(path: Path) -> tuple[int, int] | Path:

@@ -12,7 +12,7 @@ from importlib import import_module
 import octex
 from octex.cli.common import limited, run, say
 from octex.cli.options import COMMANDS
-from octex.cli.parser import Parser
+from octex.cli.parser import Command, Parser
 from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
@@ -41,8 +41,18 @@ def _run(name: str, rest: Sequence[str], program: str) -> int:
     options.began = began
     module = import_module(f"octex.cli.{_MODULES.get(name, name)}")
     with limited(getattr(options, "threads", None)):
-        code: int = getattr(module, name.replace("-", "_"))(options, program)
+        try:
+            code: int = getattr(module, name.replace("-", "_"))(options, program)
+        except ArgumentError as error:
+            raise ArgumentError(_by_option(str(error), COMMANDS[name])) from error
     return code
+
+
+def _by_option(message: str, command: Command) -> str:
+    """Name the option that a message calls by the parameter of the library."""
+    name, space, rest = message.partition(" ")
+    word = f"--{name.replace('_', '-')}"
+    return f"{word}{space}{rest}" if command.has(word) else message
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:

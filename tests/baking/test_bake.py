@@ -921,6 +921,16 @@ def test_the_command_bakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert json.loads(capsys.readouterr().out)["texture_size"] == 64
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--max-edge", "auto", "--json", "-q"]) == 2
     assert "-q is not an option" in capsys.readouterr().err
+    assert cli.main(["bake", *given[:2], str(tmp_path / "b.glb"), "--texture-size", "1"]) == 2
+    assert "error: --texture-size must be a whole number from" in capsys.readouterr().err
+    obj = str(tmp_path / "b.obj")
+    assert cli.main(["bake", *given[:2], obj, "--vertex-error", "4"]) == 2
+    assert "--vertex-error is for vertex colours; add --vertex-colors" in capsys.readouterr().err
+    words = "--vertex-colors", "--max-edge", "0.5", "--vertex-error", "4"
+    assert cli.main(["bake", *given[:2], obj, *words]) == 2
+    assert "--vertex-error needs --max-edge auto" in capsys.readouterr().err
+    assert cli.main(["bake", *given[:2], obj, "--vertex-colors", "--vertex-error", "4", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["vertices"] > 8
     assert cli.main(["bake", *given[:2], str(tmp_path / "b.ply"), "--max-edge", "auto", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["vertices"] > 8
     assert cli.main(["bake", *given[:2], str(tmp_path / "c.ply"), "--uv", "keep"]) == 2
@@ -947,6 +957,6 @@ def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surfa
     if bake is octex.bake:
         with pytest.raises(ArgumentError, match="has no point in the texture"):
             bake(texture, surface, source=other)
-    shifted = Surface.from_arrays(surface.vertices + [0.7, 0, 0], surface.triangles, name="b")
+    shifted = Surface.from_arrays(surface.vertices + np.array([0.7, 0, 0]), surface.triangles, name="b")
     with pytest.warns(ModelWarning, match=r"\d+% of b lies outside of the texture; is it of another model"):
         bake(texture, shifted)
