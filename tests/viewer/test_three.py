@@ -29,7 +29,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script type="module">
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
-import { OctreeTextureLoader } from "octex-three";
+import { GLTFOctreeTexture, OctreeTextureLoader } from "octex-three";
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
 renderer.setSize(64, 64);
@@ -50,7 +50,7 @@ const unlit = ({ textures: [texture], group }) => {
   group.children[0].material = texture.applyTo(new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
   return new THREE.Scene().add(group);
 };
-globalThis.told = { THREE, GLTFLoader, OctreeTextureLoader, pictured, read, unlit, camera };
+globalThis.told = { THREE, GLTFLoader, GLTFOctreeTexture, pictured, read, unlit, camera };
 </script>"""
 
 
@@ -150,6 +150,48 @@ def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -
     assert (own > 0).any(axis=2).mean() > 0.4
     assert np.percentile(np.abs(own - other), 99) <= 2
     np.testing.assert_array_less(np.abs(many[:, :32] - many[:, 32:]), 2)
+
+
+@pytest.mark.parametrize("ending", [".glb", ".gltf"])
+def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, ending: str) -> None:
+    """With the extension pixels are samples; without it, the vertices' colours. Poses change nothing."""
+    surface = square()
+    texture = octex.convert(surface, depth=5)
+    path = (tmp_path / "square").with_suffix(ending)
+    octex.write_model(octex.bake_vertices(texture, surface), path, octree=texture)
+    moved = surface.vertices @ np.diag([0.5, 0.5, 1.0]) + [0.25, 0.25, 0.0]
+    posed = Surface.from_arrays(moved, surface.triangles).with_rest(surface.vertices)
+    octex.write_model(octex.bake_vertices(texture, posed), tmp_path / "posed.glb", octree=texture)
+    page.evaluate(
+        """() => {
+          const { THREE, GLTFLoader, GLTFOctreeTexture, pictured } = told;
+          told.seen = async (name, knows) => {
+            const loader = new GLTFLoader();
+            if (knows) loader.register((parser) => new GLTFOctreeTexture(parser));
+            const gltf = await loader.loadAsync(name);
+            for (const { texture, complete } of gltf.octrees ?? []) {
+              await complete;
+              texture.footprints = false;
+            }
+            gltf.scene.traverse((mesh) => {
+              if (mesh.isMesh) mesh.material.side = THREE.DoubleSide;
+            });
+            const light = new THREE.AmbientLight(0xffffff, Math.PI);
+            return pictured(new THREE.Scene().add(gltf.scene, light));
+          };
+        }""",
+    )
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2)
+    for knows, model in ((True, path), (False, path), (True, tmp_path / "posed.glb")):
+        found = codes(page.evaluate("given => told.seen(...given)", [f"/{model.name}", knows]))
+        own = points if model == path else (points - [0.25, 0.25, 0.0]) * [2.0, 2.0, 1.0]
+        inside = ((own > 0) & (own < 1)).all(axis=2)
+        wanted = 255 * linear_to_srgb(texture.sample(own[inside]))
+        difference = np.abs(found[inside] - wanted)
+        # Lit materials reflect a little less than their colour.
+        assert difference.max() <= 3.0 if knows else difference.mean() > 12, model.name
 
 
 def test_mirrored_sheets_show_the_side_that_is_seen(page: Any, tmp_path: Path) -> None:
