@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -50,18 +50,37 @@ const unlit = ({ textures: [texture], group }) => {
   group.children[0].material = texture.applyTo(new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
   return new THREE.Scene().add(group);
 };
-globalThis.told = { THREE, GLTFLoader, GLTFOctreeTexture, pictured, read, unlit, camera };
+const own = { OctreeTextureLoader, GLTFOctreeTexture, renderer };
+globalThis.told = { THREE, GLTFLoader, ...own, pictured, read, unlit, camera };
 </script>"""
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
     folder = Path()
+    asked: ClassVar[list[int]]
+    gate: ClassVar[threading.Event]
     extensions_map = {**http.server.SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}  # noqa: RUF012
 
     def translate_path(self, path: str) -> str:
         _, first, *rest = path.split("?")[0].split("/")
         root = {"three": Path(THREE), "viewer": VIEWER}.get(first, self.folder / (first or "index.html"))
         return str(root.joinpath(*rest))
+
+    def do_GET(self) -> None:
+        """Answer range requests for files in the folder ranged/: what lies behind the first when it may come."""
+        found, given = Path(self.translate_path(self.path)), self.headers.get("Range")
+        if found.parent.name != "ranged" or given is None:
+            return super().do_GET()
+        begin, end = map(int, given.removeprefix("bytes=").split("-"))
+        self.asked.append(begin)
+        if begin:
+            self.gate.wait(60)
+        content = found.read_bytes()
+        self.send_response(206)
+        self.send_header("Content-Length", str(len(content[begin : end + 1])))
+        self.end_headers()
+        self.wfile.write(content[begin : end + 1])
+        return None
 
     def log_message(self, *_: object) -> None:
         """Tests have no use for lines of requests."""
@@ -70,11 +89,11 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 @pytest.fixture
 def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
     (tmp_path / "index.html").write_text(PAGE)
-    kind = type("Own", (Handler,), {"folder": tmp_path})
+    kind = type("Own", (Handler,), {"folder": tmp_path, "asked": [], "gate": threading.Event()})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         page = browser.new_page(viewport={"width": SIZE, "height": SIZE})
-        page.complaints = []
+        page.complaints, page.server = [], kind
         page.on("pageerror", lambda error: page.complaints.append(str(error)))
         page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
         page.goto(f"http://127.0.0.1:{server.server_port}/")
@@ -242,6 +261,103 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
         }"""
     )
     np.testing.assert_allclose(seen, wanted, atol=4)
+
+
+def noise(points: Any) -> Any:
+    """Colours that take many bytes."""
+    return np.random.default_rng(1).random((len(points), 3))
+
+
+def test_the_first_bytes_show_a_picture(page: Any, tmp_path: Path) -> None:
+    """Coarse levels, while all that lies behind the first 100,000 bytes has not come; then the others."""
+    surface = square().with_sources({"base_color": lambda p: 0.7 * waves(p) + 0.3 * noise(p)})
+    texture = octex.convert(surface, depth=8)
+    (tmp_path / "ranged").mkdir()
+    path = tmp_path / "ranged" / "square.octw"
+    write_page(texture, path, surface)
+    assert path.stat().st_size > 150_000
+    page.evaluate(
+        """async () => {
+          told.own = await new told.OctreeTextureLoader().loadAsync("/ranged/square.octw");
+          told.own.textures[0].footprints = false;
+          told.scene = told.unlit(told.own);
+        }"""
+    )
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+    page.wait_for_function("told.own.textures[0].octree.depth >= 4")
+    while len(page.server.asked) < 2:
+        page.wait_for_timeout(20)  # ms
+    reached = page.evaluate("told.own.textures[0].octree.depth")
+    assert 4 <= reached < 8
+    for level in (reached, 8):
+        if level == 8:
+            page.server.gate.set()
+            page.evaluate("told.own.complete")
+        found = codes(page.evaluate("told.pictured(told.scene)"))
+        wanted = texture.level(level).sample(points).reshape(SIZE, SIZE, 3)
+        assert np.abs(found - 255 * linear_to_srgb(wanted)).max() <= 1.0
+    assert len(page.server.asked) <= 4  # the start, and a request for each stream beyond it
+
+
+def test_pages_without_workers_read_files_themselves(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=4), tmp_path / "square.octw", surface)
+    seen = page.evaluate(
+        """async () => {
+          const seen = [], own = Worker;
+          for (const kind of [own, undefined, class { constructor() { setTimeout(() => this.onerror()); } postMessage() {} terminate() {} }]) {
+            globalThis.Worker = kind;
+            seen.push(told.pictured(told.unlit(await told.read("/square.octw"))));
+          }
+          globalThis.Worker = own;
+          return seen;
+        }"""
+    )
+    assert len(seen) == 3 and seen[0] == seen[1] == seen[2]
+    assert np.ptp(codes(seen[0])) > 100
+
+
+def test_a_lost_context_comes_back_with_its_picture(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=5, max_error=20.0), tmp_path / "square.octw", surface)
+    before, lost, after = page.evaluate(
+        """async () => {
+          const scene = told.unlit(await told.read("/square.octw")), pictures = [told.pictured(scene)];
+          const canvas = told.renderer.domElement, lose = told.renderer.getContext().getExtension("WEBGL_lose_context");
+          const turns = (name) => new Promise((resolve) => canvas.addEventListener(name, () => setTimeout(resolve), { once: true }));
+          for (const [name, act] of [["webglcontextlost", () => lose.loseContext()], ["webglcontextrestored", () => lose.restoreContext()]]) {
+            const turned = turns(name);
+            act();
+            await turned;
+            pictures.push(told.pictured(scene));
+          }
+          return pictures;
+        }"""
+    )
+    assert before == after
+    assert np.ptp(codes(before)) > 100 and lost != before
+    page.complaints[:] = [each for each in page.complaints if "ontext" not in each]
+
+
+def test_a_gpu_whose_textures_are_too_small_is_told(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=3), tmp_path / "square.octw", surface)
+    said = page.evaluate(
+        """async () => {
+          const scene = told.unlit(await told.read("/square.octw")), { capabilities } = told.renderer;
+          capabilities.maxTextureSize = 2048;
+          try {
+            told.pictured(scene);
+          } catch ({ message }) {
+            return message;
+          }
+        }"""
+    )
+    assert said == (
+        "this GPU has textures of 2048, and the octree needs 4096: write the file with a --max-size"
+    )
 
 
 def test_files_that_cannot_be_read_are_refused_in_words(page: Any, tmp_path: Path) -> None:

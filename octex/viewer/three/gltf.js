@@ -1,7 +1,6 @@
 // EXT_octree_texture for GLTFLoader: models that carry their octree.
 
 import { BufferAttribute, BufferGeometry, LoaderUtils } from "three";
-import { WebFile } from "./file.js";
 import { OctreeTextureLoader } from "./loader.js";
 
 const NAME = "EXT_octree_texture";
@@ -33,8 +32,8 @@ export class GLTFOctreeTexture {
     const { options } = this.parser, loader = new OctreeTextureLoader(options.manager);
     const headers = options.requestHeader, credentials = options.crossOrigin === "use-credentials" ? "include" : "same-origin";
     const held = uri ? null : await this.parser.getDependency("bufferView", bufferView);
-    const file = held ? new WebFile(NAME, (begin, end) => held.slice(begin, end)) : WebFile.fetched(LoaderUtils.resolveURL(uri, options.path), { headers, credentials });
-    const { textures: [texture], complete } = await loader.parse(file);
+    const url = uri && LoaderUtils.resolveURL(uri, options.path), given = held ? { name: NAME, buffer: held } : { name: url, url: new URL(url, location.href).href, options: { headers, credentials } };
+    const { textures: [texture], complete } = await loader.parse(given);
     return { texture, complete };
   }
 
