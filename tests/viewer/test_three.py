@@ -67,7 +67,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         return str(root.joinpath(*rest))
 
     def do_GET(self) -> None:
-        """Answer range requests for files in the folder ranged/: what lies behind the first when it may come."""
+        """Answer range requests for files in the folder ranged/; what lies behind the first bytes waits."""
         found, given = Path(self.translate_path(self.path)), self.headers.get("Range")
         if found.parent.name != "ranged" or given is None:
             return super().do_GET()
@@ -307,7 +307,12 @@ def test_pages_without_workers_read_files_themselves(page: Any, tmp_path: Path) 
     seen = page.evaluate(
         """async () => {
           const seen = [], own = Worker;
-          for (const kind of [own, undefined, class { constructor() { setTimeout(() => this.onerror()); } postMessage() {} terminate() {} }]) {
+          class Broken {
+            constructor() { setTimeout(() => this.onerror()); }
+            postMessage() {}
+            terminate() {}
+          }
+          for (const kind of [own, undefined, Broken]) {
             globalThis.Worker = kind;
             seen.push(told.pictured(told.unlit(await told.read("/square.octw"))));
           }
@@ -325,11 +330,14 @@ def test_a_lost_context_comes_back_with_its_picture(page: Any, tmp_path: Path) -
     before, lost, after = page.evaluate(
         """async () => {
           const scene = told.unlit(await told.read("/square.octw")), pictures = [told.pictured(scene)];
-          const canvas = told.renderer.domElement, lose = told.renderer.getContext().getExtension("WEBGL_lose_context");
-          const turns = (name) => new Promise((resolve) => canvas.addEventListener(name, () => setTimeout(resolve), { once: true }));
-          for (const [name, act] of [["webglcontextlost", () => lose.loseContext()], ["webglcontextrestored", () => lose.restoreContext()]]) {
-            const turned = turns(name);
-            act();
+          const canvas = told.renderer.domElement, gl = told.renderer.getContext();
+          const lose = gl.getExtension("WEBGL_lose_context");
+          const turns = (name) => new Promise((resolve) => {
+            canvas.addEventListener(name, () => setTimeout(resolve), { once: true });
+          });
+          for (const [name, act] of [["lost", "loseContext"], ["restored", "restoreContext"]]) {
+            const turned = turns(`webglcontext${name}`);
+            lose[act]();
             await turned;
             pictures.push(told.pictured(scene));
           }
