@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import json
+import re
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +18,8 @@ from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.oracles.web_file import WebFile
+
+VIEWER = Path(octex.__file__).parent / "viewer"
 
 
 @needs_jit
@@ -47,3 +53,23 @@ def test_the_command_writes_it_with_and_without_a_model(tmp_path: Path) -> None:
     assert WebFile(tmp_path / "ball.octw").header["mesh"]["triangles"] == len(surface.triangles)
     assert main(["view", given[0], given[2], "--force", "--quiet"]) == 0
     assert "mesh" not in WebFile(tmp_path / "ball.octw").header
+
+
+def test_the_package_has_all_that_it_imports_and_is_small() -> None:
+    """As npm packs it: gzip of a tar archive of its files, at most 60 kB."""
+    package = json.loads((VIEWER / "package.json").read_text())
+    paths = [VIEWER / "package.json"]
+    for name in package["files"]:
+        paths += sorted((VIEWER / name).iterdir()) if (VIEWER / name).is_dir() else [VIEWER / name]
+    for path in paths:
+        if path.suffix != ".js":
+            continue
+        text = path.read_text()
+        named = re.findall(r'from "([^"]+)"|new URL\("([^"]+)", import', text)
+        for name in filter(None, (one or other for one, other in named)):
+            assert name == "three" or (path.parent / name).resolve() in paths, f"{path.name}: {name}"
+    with io.BytesIO() as file:
+        with tarfile.open(fileobj=file, mode="w:gz") as archive:
+            for path in paths:
+                archive.add(path)
+        assert len(file.getvalue()) <= 60_000
