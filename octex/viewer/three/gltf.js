@@ -31,8 +31,10 @@ export class GLTFOctreeTexture {
   async read({ uri, bufferView }) {
     const { options } = this.parser, loader = new OctreeTextureLoader(options.manager);
     const headers = options.requestHeader, credentials = options.crossOrigin === "use-credentials" ? "include" : "same-origin";
-    const held = uri ? null : await this.parser.getDependency("bufferView", bufferView);
-    const url = uri && LoaderUtils.resolveURL(uri, options.path), given = held ? { name: NAME, buffer: held } : { name: url, url: new URL(url, location.href).href, options: { headers, credentials } };
+    const url = uri && LoaderUtils.resolveURL(uri, options.path);
+    const given = uri
+      ? { name: url, url: new URL(url, location.href).href, options: { headers, credentials } }
+      : { name: NAME, buffer: await this.parser.getDependency("bufferView", bufferView) };
     const { textures: [texture], complete } = await loader.parse(given);
     return { texture, complete };
   }
