@@ -8,4 +8,5 @@ values      of channels, from their parents' and from what came before; rows, fr
 blocks      the streams of a block, in order: the same for noting and decoding
 write       a file; blocks of a level in parallel
 read        a file, whole or in part
+web         web files read, ``.octw``
 """

@@ -20,6 +20,8 @@ from octex.tree.octree import no_kept, no_split
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT_VERSION = 1
+#: How web files begin, and glTF models of one file.
+WEB_MAGIC, GLB_MAGIC = b"octexweb", b"glTF"
 #: Nodes of a block, a multiple of eight: blocks share no group.
 BLOCK = 1 << 14
 #: Bytes of a piece of another tensor.

@@ -22,6 +22,7 @@ _OF_IMAGES = (
 )
 _OF_VERTICES = "--max-edge", "--vertex-error"
 _ALWAYS_VERTICES = ".ply", ".3mf"
+_GLTF = ".glb", ".gltf"
 _WITH_UNIT = *USD_ENDINGS, ".3mf"
 #: How images are stored, and the bits of a number in their maps.
 _IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
@@ -50,8 +51,10 @@ def bake(options: Options, program: str) -> int:
         refuse(options, _OF_VERTICES, "is for vertex colours; add --vertex-colors")
     if ending not in _WITH_UNIT:
         refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
+    if ending not in _GLTF:
+        refuse(options, ["--octree"], f"has no effect on {options.OUTPUT}: only .glb and .gltf carry it")
     images, bits = _IMAGES[options.image_format or "png"]
-    if images == "exr" and ending in (".glb", ".gltf"):
+    if images == "exr" and ending in _GLTF:
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     if options.triangles is not None:
         refuse(options, ["--original", "--displace"], "cannot be used with --triangles")
@@ -105,7 +108,10 @@ def bake(options: Options, program: str) -> int:
                 progress=progress,
             )
         with progress.stage("write"):
-            written = octex.write_model(baked, options.OUTPUT, images=images, unit=options.unit or "meter")
+            octree = texture if options.octree else None
+            written = octex.write_model(
+                baked, options.OUTPUT, images=images, unit=options.unit or "meter", octree=octree
+            )
     materials = materials_of(baked).materials
     read = [each.texture for material in materials for each in material.inputs.values()]
     size = max((each.texels.shape[1] for each in read if each is not None), default=0)

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.cli.parser import Options
-from octex.cli.values import PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName, Near, function_name
+from octex.cli.values import (
+    PTEX_ENDING,
+    TEXTURE_ENDINGS,
+    WEB_ENDING,
+    Address,
+    FunctionName,
+    Near,
+    function_name,
+)
 from octex.errors import ArgumentError, CameraError, InputError
 
 if TYPE_CHECKING:
@@ -47,15 +55,18 @@ def kind_of(path: Path | Address) -> str:
 
 
 def check_texture(path: Path | Address) -> None:
-    """Refuse a file whose ending is no texture's."""
-    if not is_texture(path):
+    """Refuse a file whose ending is none of those that hold textures."""
+    if not is_texture(path) and path.suffix.lower() not in (WEB_ENDING, ".glb", ".gltf"):
         raise ArgumentError(
             f"{path}: is not a {TEXTURE_ENDINGS[0]} file; octex convert makes one from a model"
         )
 
 
 def open_texture(path: Path | Address) -> OctreeTexture:
-    """Open a texture and validate it; errors name the file and what is broken."""
+    """Open a texture, also that of a web file or a glTF model, and validate it.
+
+    Errors name the file and what is broken.
+    """
     check_texture(path)
     texture = octex.open(str(path))
     texture.validate()

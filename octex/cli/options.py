@@ -101,6 +101,7 @@ _TABLE = """
                       --vertex-error): until --vertex-error holds; else they stay
 --vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
 --displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
+--octree              let a .glb or .gltf carry the texture too, for octex-three (EXT_octree_texture)
 --unit UNIT           a length of 1 in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
 
 --part NAME           show only this part of a folder
@@ -229,7 +230,7 @@ bake  Write a model with images, or vertex colours, of a texture, for other prog
   OUTPUT   NAME.glb, .gltf, .obj, .usdz, .usd, .usda, .usdc, .3mf, .ply or .ptx
   --uv --texture-size --padding --channels --image-format --supersample --triangles --original
   --max-distance
-  --vertex-colors --max-edge --vertex-error --displace --unit SHAPE --repair RUNNING
+  --vertex-colors --max-edge --vertex-error --displace --octree --unit SHAPE --repair RUNNING
 
 edit  Make a texture from a texture. Options are applied in the order listed here.
   > droid.octex coarse.octex --depth 7

@@ -17,10 +17,13 @@ from octex.errors import ModelError
 from octex.files import replacing
 from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
 from octex.formats.models import Target, Written, materials_of, origin_of
+from octex.formats.web import texture_file
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
+from octex.source.models.gltf import OCTREE
 from octex.source.surface import Surface
 from octex.source.welding import distinct_rows
+from octex.texture import OctreeTexture
 
 _FLOAT, _UINT = 5126, 5125
 _ARRAYS, _ELEMENTS = 34962, 34963
@@ -36,13 +39,16 @@ def write(surface: Surface, target: Target) -> Written:
 
     A model far from the origin is moved by a translation of its node. Without ``frames``, viewers shade flat.
     """
-    path, images, _ = target
+    path, images = target.path, target.images
     if images == "exr":
         raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
-    content = _Content(images)
+    content = _Content(images, target.octree)
     content.add(surface, materials_of(surface))
+    octree = None if target.octree is None else texture_file(target.octree, Path(surface.name).stem)
     image_bytes = sum(len(data) for data, _ in content.images)
     if path.suffix.lower() == ".glb":
+        if octree is not None:
+            content.carry({"bufferView": content.view(octree)})
         words = content.finish({}, content.embed)
         words += b" " * (-len(words) % 4)
         size = sum(map(len, content.arrays))
@@ -56,19 +62,22 @@ def write(surface: Surface, target: Target) -> Written:
             file.writelines(content.arrays)
         return Written([path], image_bytes)
     names, arrays = content.names(path.stem), path.with_name(f"{path.stem}.bin")
-    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
     parts = [(path.with_name(name), [data]) for name, (data, _) in zip(names, content.images, strict=True)]
+    if octree is not None:
+        parts.append((path.with_suffix(".octw"), [octree]))
+        content.carry(_named(parts[-1][0].name))
+    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
     for place, blocks in [*parts, (arrays, content.arrays), (path, [words])]:
         with replacing(place) as file:
             file.writelines(blocks)
-    return Written([path, arrays, *map(path.with_name, names)], image_bytes)
+    return Written([path, arrays, *(place for place, _ in parts)], image_bytes)
 
 
 class _Content:
     """What a file says, and the bytes that it refers to."""
 
-    def __init__(self, images: ImageFormat) -> None:
-        self._format = images
+    def __init__(self, images: ImageFormat, octree: OctreeTexture | None) -> None:
+        self._format, self._octree = images, octree
         self.json: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "octex"},
             "scene": 0,
@@ -120,16 +129,33 @@ class _Content:
         attributes = {"POSITION": self._floats(positions, limits=True)}
         for number, (name, each) in enumerate(bound.items(), 1):
             attributes[name] = self._floats(each.values[distinct[:, number]])
+        at_rest = self._at_rest(surface, distinct[:, 0])
         accessor = {
-            "bufferView": self._view(indices.astype("<u4").tobytes(), _ELEMENTS),
+            "bufferView": self.view(indices.astype("<u4").tobytes(), _ELEMENTS),
             "componentType": _UINT, "count": int(indices.size), "type": "SCALAR",
         }  # fmt: skip
-        return {"attributes": attributes, "indices": self._accessor(accessor)}
+        return {"attributes": attributes, "indices": self._accessor(accessor), **at_rest}
+
+    def _at_rest(self, surface: Surface, vertices: Integers) -> dict[str, Any]:
+        """Return the extension that says where vertices rest in the octree's root cell, if there is one."""
+        if self._octree is None:
+            return {}
+        origin, size = self._octree.placement
+        found: dict[str, Any] = {"octree": 0, "scale": 1.0 / size}
+        found["offset"] = ((self._origin - origin) / size).tolist()
+        if surface.rest is not surface.vertices:
+            found["rest"] = self._floats(surface.rest[vertices] - self._origin)
+        return {"extensions": {OCTREE: found}}
+
+    def carry(self, file: Mapping[str, Any]) -> None:
+        """Refer to the octree's web file."""
+        self.json["extensions"] = {OCTREE: {"octrees": [file]}}
+        self.json["extensionsUsed"] = sorted({*self._extensions, OCTREE})
 
     def _floats(self, values: Floats, *, limits: bool = False) -> int:
         values = values.astype("<f4")
         accessor: dict[str, Any] = {
-            "bufferView": self._view(values.tobytes(), _ARRAYS), "componentType": _FLOAT,
+            "bufferView": self.view(values.tobytes(), _ARRAYS), "componentType": _FLOAT,
             "count": len(values), "type": f"VEC{values.shape[1]}",
         }  # fmt: skip
         if limits:
@@ -140,7 +166,8 @@ class _Content:
         self.json.setdefault("accessors", []).append(accessor)
         return len(self.json["accessors"]) - 1
 
-    def _view(self, data: bytes, target: int | None = None) -> int:
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Add bytes, and return the number of their buffer view."""
         view: dict[str, Any] = {
             "buffer": 0,
             "byteOffset": sum(map(len, self.arrays)),
@@ -246,7 +273,7 @@ class _Content:
     def embed(self, number: int) -> dict[str, Any]:
         """Put an image into the buffer, and return what names it."""
         data, ending = self.images[number]
-        return {"bufferView": self._view(data), "mimeType": f"image/{ending}"}
+        return {"bufferView": self.view(data), "mimeType": f"image/{ending}"}
 
 
 def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input | None:

@@ -17,6 +17,7 @@ from octex.errors import ArgumentError, MissingExtraError, ModelError
 from octex.formats.images import IMAGE_FORMATS, ImageFormat
 from octex.source.materials import MaterialSource
 from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
 
 Unit = Literal["meter", "centimeter", "millimeter", "inch", "foot"]
 #: Units of length that files can state, in metres.
@@ -50,6 +51,7 @@ class Target(NamedTuple):
     path: Path
     images: ImageFormat
     unit: Unit  # the length that 1 stands for
+    octree: OctreeTexture | None = None  # what the model carries
 
 
 class Written(NamedTuple):
@@ -108,7 +110,12 @@ def check_extra(path: Path) -> None:
 
 
 def write_model(
-    surface: Surface, path: str | os.PathLike[str], *, images: ImageFormat = "png", unit: Unit = "meter"
+    surface: Surface,
+    path: str | os.PathLike[str],
+    *,
+    images: ImageFormat = "png",
+    unit: Unit = "meter",
+    octree: OctreeTexture | None = None,
 ) -> Written:
     """Write a surface with images from ``bake``, or with vertex colours from ``bake_vertices``.
 
@@ -118,13 +125,17 @@ def write_model(
     images  format of the images: "png"; "webp", smaller, not in USD; "jpeg", lossy for colours without alpha;
             "jpeg-all", lossy for all maps without alpha; "exr" for maps of floats, not in glTF
     unit    what a length of 1 means in .3mf and USD
+    octree  the texture itself, which a .glb or .gltf then carries with 8 bits, by EXT_octree_texture. Viewers
+            that know the extension show it, and ``octex.open`` reads it; others show the images or vertex
+            colours. A .gltf has it in NAME.octw beside it
 
     Positions are the posed ones, normals the surface's ``frames``. Images of UDIM tiles are named
     NAME-base_color.1001.png.
 
     Returns ``files``, the written paths, and ``image_bytes``, the size of the images. Each file is replaced
-    completely or not at all. Raises ArgumentError for another ending, ModelError for values that the format
-    cannot hold, MissingExtraError, and OutputError if a file cannot be written.
+    completely or not at all. Raises ArgumentError for another ending, for an ``octree`` in another format and
+    for one of another surface; ModelError for values that the format cannot hold; MissingExtraError; and
+    OutputError if a file cannot be written.
     """
     as_surface(surface)
     path = as_path(path, "path")
@@ -135,6 +146,11 @@ def write_model(
         raise ArgumentError(
             f"{path.name} must end in {', '.join(WRITTEN_ENDINGS[:-1])} or {WRITTEN_ENDINGS[-1]}"
         )
+    if octree is not None:
+        if writer != "gltf":
+            raise ArgumentError(f"{path.name} cannot carry an octree; write a .glb or .gltf")
+        surface = surface.placed_on(as_texture(octree))
     check_extra(path)
-    written: Written = import_module(f"octex.formats.{writer}").write(surface, Target(path, images, unit))
+    target = Target(path, images, unit, octree)
+    written: Written = import_module(f"octex.formats.{writer}").write(surface, target)
     return written

@@ -31,7 +31,7 @@ _MAPS = {
 
 def write(surface: Surface, target: Target) -> Written:
     """Write a surface with images as OBJ and .mtl; refuse values above 1, and several sets of coordinates."""
-    path, images, _ = target
+    path, images, _ = target[:3]
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
     names = _names({number: source.materials[number] for number in used})

@@ -48,7 +48,7 @@ def write(surface: Surface, target: Target) -> Written:
     ``displayColor`` and ``displayOpacity``. UsdPreviewSurface has either metals or specular colours: these
     are written where nothing is metallic. Raises ModelError for values that it cannot hold.
     """
-    path, images, unit = target
+    path, images, unit = target[:3]
     if images == "webp":
         raise ModelError(f"{path.name}: USD holds no webp images; write png, jpeg or exr")
     source = materials_of(surface)

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from octex import container
-from octex.archive.layout import MAGIC
+from octex.archive.layout import GLB_MAGIC, MAGIC, WEB_MAGIC
 from octex.checks import as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import is_address, open_file
 from octex.texture.file import Source
 from octex.texture.texture import OctreeTexture, opened
 
+if TYPE_CHECKING:
+    from octex.archive.read import Contents
+
 
 def open_texture(
     path: str | os.PathLike[str], *, cache: str | os.PathLike[str] | None = None
 ) -> OctreeTexture:
-    """Open an ``.octex`` or ``.octz`` file, on disk or at a URL; the content decides, not the name.
+    """Open a texture's file, on disk or at a URL; the content decides, not the name.
 
-    path    a file, which is memory-mapped (``.octex``) or decoded (``.octz``; into a temporary file from 256
-            MB on); or a URL, ``https://…`` or any that fsspec supports (``pip install 'octex[remote]'``;
-            for ``s3://…`` also install s3fs)
+    path    a file: ``.octex``, which is memory-mapped; ``.octz``, decoded, into a temporary file from 256 MB
+            on; ``.octw``, or a glTF model with EXT_octree_texture, of 8 bits, with estimated areas. Or a URL
+            of an ``.octex`` or ``.octz``, ``https://…`` or any that fsspec supports (``pip install
+            'octex[remote]'``; for ``s3://…`` also install s3fs)
     cache   for a URL: a folder that caches what was fetched, also for later processes, until the file
             changes. Default: a temporary file
 
@@ -45,9 +51,8 @@ def open_texture(
     path = as_path(path)
     if os.path.isdir(path):  # noqa: PTH112  # a name too long is none, and no error
         raise TextureFileError(f"{path}: is a folder; octex.TextureSet.open opens a texture set")
-    if _is_archive(path):
-        from octex.archive.read import read
-
+    read = _decoder(path)
+    if read is not None:
         archived = read(path)
         source = Source(str(path), None, dict(archived.tensors), dict(archived.metadata), archived.sizes)
     else:
@@ -56,8 +61,17 @@ def open_texture(
     return opened(source)
 
 
-def _is_archive(path: Path) -> bool:
-    """Say whether a file begins as an archive does."""
+def _decoder(path: Path) -> Callable[[Path], Contents] | None:
+    """Return what decodes a file that begins as an archive, a web file or a glTF model does."""
+    head = b""
     with suppress(OSError), open_file(path) as file:
-        return file.read(len(MAGIC)) == MAGIC
-    return False
+        head = file.read(len(MAGIC))
+    if head == MAGIC:
+        from octex.archive.read import read
+
+        return read
+    if head == WEB_MAGIC or head.startswith(GLB_MAGIC) or path.suffix.lower() == ".gltf":
+        from octex.archive.web import read as read_web
+
+        return read_web
+    return None

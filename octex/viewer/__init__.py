@@ -1,6 +1,5 @@
 """Textures in a browser: the octree itself on the GPU, walked by a shader from rest positions.
 
-streams     whole numbers as bytes, deflated
 moves       what a page is sent of animations
 maps        what it is sent of the model's own images
 pack        what it is sent of all: levels one after another, the mesh, how that moves; of a set part by part

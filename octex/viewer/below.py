@@ -6,10 +6,10 @@ import json
 
 from octex.checks import as_whole
 from octex.errors import ArgumentError
+from octex.formats.streams import deflated
 from octex.painting.beneath import beneath
 from octex.session.painting import Session
 from octex.viewer.pack import pack, packed_mesh
-from octex.viewer.streams import deflated
 
 #: Deflate's level: it stays on this machine.
 _QUICK = 1

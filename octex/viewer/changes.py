@@ -18,12 +18,12 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.editing.draft import Change, places_in
+from octex.formats.streams import planes
 from octex.texture import OctreeTexture
 from octex.tree.children import masks_of, node_cells
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
-from octex.viewer.streams import planes
 
 #: What of a part's header stays while a page is shown: where its values stand, and what they mean.
 _STAYS = "origin", "size", "channels", "area", "flags", "planes"

@@ -9,14 +9,13 @@ import re
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from octex.errors import ArgumentError
 from octex.files import bytes_text, replacing
+from octex.formats.streams import deflated
+from octex.formats.web import web_file
 from octex.parallel import Progress, silent
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, packed_page, parts_of
-from octex.viewer.streams import deflated
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,8 +40,8 @@ PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
-#: How web files end, and begin.
-WEB_ENDING, WEB_MAGIC, WEB_VERSION = ".octw", b"octexweb", 1
+#: How web files end.
+WEB_ENDING = ".octw"
 #: Deflate's level for files, which are packed once.
 _SMALLEST = 9
 #: What part of a page's size animations may take, and images likewise, before base64.
@@ -93,7 +92,7 @@ def write_page(
         if level < deepest:
             note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"
             packed.header["parts"][0]["notes"].insert(0, note)
-        page = _inlined(packed).encode() if is_page else _web_file(packed)
+        page = _inlined(packed).encode() if is_page else _bare_file(packed)
         if max_size is None or len(page) <= max_size:
             break
         level = _level_within(packed, len(page) - max_size)
@@ -123,18 +122,10 @@ def _level_within(packed: Packed, excess: int) -> int:
     return min(level, deepest - 1)
 
 
-def _web_file(packed: Packed) -> bytes:
-    """Return a web file, as formats/FORMAT.md says: a header, then meshes, then levels, coarse ones first."""
-    names = [name for name in packed.streams if name != "studio"]
-    names.sort(key=lambda name: (not name.endswith("mesh"), *map(int, re.findall(r"\d+", name)[::-1])))
-    ends = np.cumsum([0, *(len(packed.streams[name]) for name in names)]).tolist()
-    streams = {
-        name: [first, end - first] for name, first, end in zip(names, ends[:-1], ends[1:], strict=True)
-    }
-    parts = packed.header["parts"]
-    header = json.dumps({"title": packed.header["title"], "parts": parts, "streams": streams}).encode()
-    head = WEB_MAGIC + np.array([WEB_VERSION, len(header)], "<u4").tobytes()
-    return b"".join([head, header, *(packed.streams[name] for name in names)])
+def _bare_file(packed: Packed) -> bytes:
+    """Return a web file of the parts and their meshes."""
+    streams = {name: stream for name, stream in packed.streams.items() if name != "studio"}
+    return web_file(packed.header["title"], packed.header["parts"], streams)
 
 
 def _inlined(packed: Packed) -> str:

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float64s
+from octex.formats.streams import deflated, planes, zigzag
 from octex.source.motion import Animation, Motion
 from octex.source.surface import Surface
-from octex.viewer.streams import deflated, planes, zigzag
 
 _BITS, _SHARE_BITS, _MOST_BITS = 18, 16, 30
 #: Every how many frames are left out, one after the other, until a motion is small enough.

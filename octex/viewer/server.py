@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.editing.draft import joined_change
 from octex.errors import OctexError, OutputError
+from octex.formats.streams import deflated
+from octex.formats.web import Prepared, prepared
 from octex.viewer.answers import ADDRESS, Handler, Server
 from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_channels_of
 from octex.viewer.maps import maps_of
-from octex.viewer.pack import Packed, Part, Prepared, packed_page, parts_of, prepared
-from octex.viewer.streams import deflated
+from octex.viewer.pack import Packed, Part, packed_page, parts_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -58,7 +58,7 @@ def test_each_commands_help_is_a_screen_with_every_option(
     assert max(map(len, text.splitlines())) <= 100
     command = COMMANDS[name]
     assert all(f"\n  {each.word}" in text for each in (*command.files, *command.options))
-    assert len(command.options) <= {"convert": 26, "paint": 28, "diff": 8}.get(name, 22)
+    assert len(command.options) <= {"convert": 26, "paint": 28, "bake": 23, "diff": 8}.get(name, 22)
 
 
 def test_every_exit_code_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,8 +116,8 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.
     assert refused(capsys, "help", "printing") == (
         "octex: error: there is no page on 'printing'; do you mean 'print'? octex help lists all"
     )
-    message = "octex edit: error: a.glb: is not a .octex file; octex convert makes one from a model"
-    assert refused(capsys, "edit", "a.glb", "b.octex") == message
+    message = "octex edit: error: a.obj: is not a .octex file; octex convert makes one from a model"
+    assert refused(capsys, "edit", "a.obj", "b.octex") == message
 
 
 def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:

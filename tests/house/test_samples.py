@@ -316,6 +316,9 @@ def says(words: str) -> Check:
     return check
 
 
+CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", ".octw", ".png")]
+
+
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize(
@@ -349,6 +352,7 @@ def says(words: str) -> Check:
         ("26_photographs.py", ["photographs.glb", "photographs.png"], is_painted_robustly),
         ("27_remote.py", ["droid.octex"], is_fetched_in_parts),
         ("28_light.py", ["light.png"], shows_different_panels("light.png", 1, 3)),
+        ("29_gltf.py", CARRIED, shows_different_panels("octree.png", 2)),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(

@@ -7,13 +7,13 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 import octex
-from octex.channels import linear_to_srgb
+from octex.channels import linear_to_srgb, srgb_to_linear
 from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
@@ -29,7 +29,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script type="module">
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
-import { OctreeTextureLoader } from "octex-three";
+import { GLTFOctreeTexture, OctreeTextureLoader } from "octex-three";
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
 renderer.setSize(64, 64);
@@ -50,18 +50,37 @@ const unlit = ({ textures: [texture], group }) => {
   group.children[0].material = texture.applyTo(new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
   return new THREE.Scene().add(group);
 };
-globalThis.told = { THREE, GLTFLoader, OctreeTextureLoader, pictured, read, unlit, camera };
+const own = { OctreeTextureLoader, GLTFOctreeTexture, renderer };
+globalThis.told = { THREE, GLTFLoader, ...own, pictured, read, unlit, camera };
 </script>"""
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
     folder = Path()
+    asked: ClassVar[list[int]]
+    gate: ClassVar[threading.Event]
     extensions_map = {**http.server.SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}  # noqa: RUF012
 
     def translate_path(self, path: str) -> str:
         _, first, *rest = path.split("?")[0].split("/")
         root = {"three": Path(THREE), "viewer": VIEWER}.get(first, self.folder / (first or "index.html"))
         return str(root.joinpath(*rest))
+
+    def do_GET(self) -> None:
+        """Answer range requests for files in the folder ranged/; what lies behind the first bytes waits."""
+        found, given = Path(self.translate_path(self.path)), self.headers.get("Range")
+        if found.parent.name != "ranged" or given is None:
+            return super().do_GET()
+        begin, end = map(int, given.removeprefix("bytes=").split("-"))
+        self.asked.append(begin)
+        if begin:
+            self.gate.wait(60)
+        content = found.read_bytes()
+        self.send_response(206)
+        self.send_header("Content-Length", str(len(content[begin : end + 1])))
+        self.end_headers()
+        self.wfile.write(content[begin : end + 1])
+        return None
 
     def log_message(self, *_: object) -> None:
         """Tests have no use for lines of requests."""
@@ -70,11 +89,11 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 @pytest.fixture
 def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
     (tmp_path / "index.html").write_text(PAGE)
-    kind = type("Own", (Handler,), {"folder": tmp_path})
+    kind = type("Own", (Handler,), {"folder": tmp_path, "asked": [], "gate": threading.Event()})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         page = browser.new_page(viewport={"width": SIZE, "height": SIZE})
-        page.complaints = []
+        page.complaints, page.server = [], kind
         page.on("pageerror", lambda error: page.complaints.append(str(error)))
         page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
         page.goto(f"http://127.0.0.1:{server.server_port}/")
@@ -152,6 +171,48 @@ def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -
     np.testing.assert_array_less(np.abs(many[:, :32] - many[:, 32:]), 2)
 
 
+@pytest.mark.parametrize("ending", [".glb", ".gltf"])
+def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, ending: str) -> None:
+    """With the extension pixels are samples; without it, the vertices' colours. Poses change nothing."""
+    surface = square()
+    texture = octex.convert(surface, depth=5)
+    path = (tmp_path / "square").with_suffix(ending)
+    octex.write_model(octex.bake_vertices(texture, surface), path, octree=texture)
+    moved = surface.vertices @ np.diag([0.5, 0.5, 1.0]) + [0.25, 0.25, 0.0]
+    posed = Surface.from_arrays(moved, surface.triangles).with_rest(surface.vertices)
+    octex.write_model(octex.bake_vertices(texture, posed), tmp_path / "posed.glb", octree=texture)
+    page.evaluate(
+        """() => {
+          const { THREE, GLTFLoader, GLTFOctreeTexture, pictured } = told;
+          told.seen = async (name, knows) => {
+            const loader = new GLTFLoader();
+            if (knows) loader.register((parser) => new GLTFOctreeTexture(parser));
+            const gltf = await loader.loadAsync(name);
+            for (const { texture, complete } of gltf.octrees ?? []) {
+              await complete;
+              texture.footprints = false;
+            }
+            gltf.scene.traverse((mesh) => {
+              if (mesh.isMesh) mesh.material.side = THREE.DoubleSide;
+            });
+            const light = new THREE.AmbientLight(0xffffff, Math.PI);
+            return pictured(new THREE.Scene().add(gltf.scene, light));
+          };
+        }""",
+    )
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2)
+    for knows, model in ((True, path), (False, path), (True, tmp_path / "posed.glb")):
+        found = codes(page.evaluate("given => told.seen(...given)", [f"/{model.name}", knows]))
+        own = points if model == path else (points - [0.25, 0.25, 0.0]) * [2.0, 2.0, 1.0]
+        inside = ((own > 0) & (own < 1)).all(axis=2)
+        wanted = 255 * linear_to_srgb(texture.sample(own[inside]))
+        difference = np.abs(found[inside] - wanted)
+        # Lit materials reflect a little less than their colour.
+        assert difference.max() <= 3.0 if knows else difference.mean() > 12, model.name
+
+
 def test_mirrored_sheets_show_the_side_that_is_seen(page: Any, tmp_path: Path) -> None:
     corners, faces = (
         np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float),
@@ -200,6 +261,168 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
         }"""
     )
     np.testing.assert_allclose(seen, wanted, atol=4)
+
+
+def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: Path) -> None:
+    """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
+    values = {"base_color": linear([200, 100, 50]), "roughness": 102 / 255, "metallic": 51 / 255}
+    surface = ball(24).with_sources(values)
+    write_page(octex.convert(surface, depth=4), tmp_path / "ball.octw", surface)
+    own, other, still = page.evaluate(
+        """async () => {
+          const { THREE, read, renderer, pictured } = told;
+          const { group, textures: [texture] } = await read("/ball.octw"), { geometry } = group.children[0];
+          renderer.shadowMap.enabled = true;
+          const count = geometry.attributes.position.count, weights = new Float32Array(4 * count);
+          for (let n = 0; n < count; n++) {
+            const share = THREE.MathUtils.smoothstep(geometry.attributes.position.getY(n), -0.5, 0.5);
+            weights.set([1 - share, share, 0, 0], 4 * n);
+          }
+          const joints = new Uint16Array(4 * count).map((_, n) => (n % 4 === 1 ? 1 : 0));
+          geometry.setAttribute("skinIndex", new THREE.BufferAttribute(joints, 4));
+          geometry.setAttribute("skinWeight", new THREE.BufferAttribute(weights, 4));
+          const drawn = (material, isBent) => {
+            const scene = new THREE.Scene(), bones = [new THREE.Bone(), new THREE.Bone()];
+            const skinned = new THREE.SkinnedMesh(geometry, material);
+            bones[0].add(bones[1]);
+            skinned.add(bones[0]).bind(new THREE.Skeleton(bones));
+            if (isBent) bones[1].position.x = 0.6;
+            const many = new THREE.InstancedMesh(geometry, material, 2), at = new THREE.Matrix4();
+            many.setMatrixAt(0, at.makeScale(0.3, 0.3, 0.3).setPosition(-1, 0.9, 0.4));
+            many.setMatrixAt(1, at.makeScale(-0.3, 0.3, 0.3).setPosition(1, 0.9, 0.4));
+            const floor = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.MeshStandardMaterial());
+            floor.position.z = -1.2;
+            const sun = new THREE.DirectionalLight(0xffffff, 2);
+            sun.position.set(1.5, 2, 3);
+            for (const each of [skinned, many, sun]) each.castShadow = true;
+            for (const each of [skinned, many, floor]) each.receiveShadow = true;
+            scene.add(skinned, many, floor, sun, new THREE.HemisphereLight(0xaabbff, 0x443322, 1));
+            scene.fog = new THREE.Fog(0x8899aa, 2, 9);
+            const camera = new THREE.PerspectiveCamera(45, 1, 0.1, 20);
+            camera.position.set(0.3, 0.4, 4);
+            camera.lookAt(0, 0, 0);
+            return pictured(scene, camera);
+          };
+          const plain = new THREE.MeshStandardMaterial({ color: 0xc86432 });
+          Object.assign(plain, { roughness: 102 / 255, metalness: 51 / 255 });
+          const material = texture.applyTo(new THREE.MeshStandardMaterial());
+          return [drawn(material, true), drawn(plain, true), drawn(material, false)];
+        }"""
+    )
+    found, wanted = codes(own), codes(other)
+    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
+    assert np.abs(found - wanted).max() <= 2.0
+    assert (np.abs(found - codes(still)).max(axis=2) > 20).mean() > 0.02
+
+
+def linear(srgb: list[int]) -> Any:
+    color = srgb_to_linear(np.array(srgb) / 255)
+    return lambda points: np.tile(color, (len(points), 1))
+
+
+def noise(points: Any) -> Any:
+    """Colours that take many bytes."""
+    return np.random.default_rng(1).random((len(points), 3))
+
+
+def test_the_first_bytes_show_a_picture(page: Any, tmp_path: Path) -> None:
+    """Coarse levels, while all that lies behind the first 100,000 bytes has not come; then the others."""
+    surface = square().with_sources({"base_color": lambda p: 0.7 * waves(p) + 0.3 * noise(p)})
+    texture = octex.convert(surface, depth=8)
+    (tmp_path / "ranged").mkdir()
+    path = tmp_path / "ranged" / "square.octw"
+    write_page(texture, path, surface)
+    assert path.stat().st_size > 150_000
+    page.evaluate(
+        """async () => {
+          told.own = await new told.OctreeTextureLoader().loadAsync("/ranged/square.octw");
+          told.own.textures[0].footprints = false;
+          told.scene = told.unlit(told.own);
+        }"""
+    )
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+    page.wait_for_function("told.own.textures[0].octree.depth >= 4")
+    while len(page.server.asked) < 2:
+        page.wait_for_timeout(20)  # ms
+    reached = page.evaluate("told.own.textures[0].octree.depth")
+    assert 4 <= reached < 8
+    for level in (reached, 8):
+        if level == 8:
+            page.server.gate.set()
+            page.evaluate("told.own.complete")
+        found = codes(page.evaluate("told.pictured(told.scene)"))
+        wanted = texture.level(level).sample(points).reshape(SIZE, SIZE, 3)
+        assert np.abs(found - 255 * linear_to_srgb(wanted)).max() <= 1.0
+    assert len(page.server.asked) <= 4  # the start, and a request for each stream beyond it
+
+
+def test_pages_without_workers_read_files_themselves(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=4), tmp_path / "square.octw", surface)
+    seen = page.evaluate(
+        """async () => {
+          const seen = [], own = Worker;
+          class Broken {
+            constructor() { setTimeout(() => this.onerror()); }
+            postMessage() {}
+            terminate() {}
+          }
+          for (const kind of [own, undefined, Broken]) {
+            globalThis.Worker = kind;
+            seen.push(told.pictured(told.unlit(await told.read("/square.octw"))));
+          }
+          globalThis.Worker = own;
+          return seen;
+        }"""
+    )
+    assert len(seen) == 3 and seen[0] == seen[1] == seen[2]
+    assert np.ptp(codes(seen[0])) > 100
+
+
+def test_a_lost_context_comes_back_with_its_picture(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=5, max_error=20.0), tmp_path / "square.octw", surface)
+    before, lost, after = page.evaluate(
+        """async () => {
+          const scene = told.unlit(await told.read("/square.octw")), pictures = [told.pictured(scene)];
+          const canvas = told.renderer.domElement, gl = told.renderer.getContext();
+          const lose = gl.getExtension("WEBGL_lose_context");
+          const turns = (name) => new Promise((resolve) => {
+            canvas.addEventListener(name, () => setTimeout(resolve), { once: true });
+          });
+          for (const [name, act] of [["lost", "loseContext"], ["restored", "restoreContext"]]) {
+            const turned = turns(`webglcontext${name}`);
+            lose[act]();
+            await turned;
+            pictures.push(told.pictured(scene));
+          }
+          return pictures;
+        }"""
+    )
+    assert before == after
+    assert np.ptp(codes(before)) > 100 and lost != before
+    page.complaints[:] = [each for each in page.complaints if "ontext" not in each]
+
+
+def test_a_gpu_whose_textures_are_too_small_is_told(page: Any, tmp_path: Path) -> None:
+    surface = square()
+    write_page(octex.convert(surface, depth=3), tmp_path / "square.octw", surface)
+    said = page.evaluate(
+        """async () => {
+          const scene = told.unlit(await told.read("/square.octw")), { capabilities } = told.renderer;
+          capabilities.maxTextureSize = 2048;
+          try {
+            told.pictured(scene);
+          } catch ({ message }) {
+            return message;
+          }
+        }"""
+    )
+    assert said == (
+        "this GPU has textures of 2048, and the octree needs 4096: write the file with a --max-size"
+    )
 
 
 def test_files_that_cannot_be_read_are_refused_in_words(page: Any, tmp_path: Path) -> None:

@@ -18,11 +18,12 @@ import pytest
 import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
+from octex.formats.web import prepared
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
-from octex.viewer.pack import pack, prepared
+from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, file_url, opened
 from tests.make.command import refusal, result

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import io
+import json
+import re
+import shutil
+import subprocess
+import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import octex
+from octex.arrays import bit_counts
 from octex.cli.main import main
+from octex.tree.children import masks_of
 from octex.tree.layout import FACING_FLAGS
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.painted import ball
+from tests.make.small_surfaces import sheet
 from tests.oracles.web_file import WebFile
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+VIEWER = Path(octex.__file__).parent / "viewer"
 
 
 @needs_jit
@@ -47,3 +59,80 @@ def test_the_command_writes_it_with_and_without_a_model(tmp_path: Path) -> None:
     assert WebFile(tmp_path / "ball.octw").header["mesh"]["triangles"] == len(surface.triangles)
     assert main(["view", given[0], given[2], "--force", "--quiet"]) == 0
     assert "mesh" not in WebFile(tmp_path / "ball.octw").header
+
+
+#: Prints what octex-three reads of a file: of its one part the octree, and the mesh.
+READ = """
+const [, module, path] = process.argv, { contents } = await import(module);
+const { readFileSync } = await import("node:fs"), whole = readFileSync(path);
+const buffer = whole.buffer.slice(whole.byteOffset, whole.byteOffset + whole.length);
+const found = { planes: [], words: [], entries: [] };
+for await (const { header, mesh, rows } of contents({ name: path, buffer })) {
+  if (header) found.header = header;
+  if (mesh) found.mesh = [mesh.positions, mesh.normals, mesh.triangles].map((each) => Array.from(each));
+  if (!rows) continue;
+  found.words.push(...rows.words);
+  found.entries.push(...rows.found);
+  rows.planes.forEach((plane, n) => (found.planes[n] ??= []).push(...plane));
+}
+console.log(JSON.stringify(found));
+"""
+
+
+def test_the_readers_agree_on_the_file_of_version_1() -> None:
+    """In Python and in JavaScript: levels, tables of kept nodes and split cells, and a mesh."""
+    wanted, path = octex.open(GOLDEN / "web.octex"), GOLDEN / "web.octw"
+    tree, channel = wanted.tree, wanted.channels["base_color"]
+    assert tree.kept.cells.size > 50 and tree.split.cells.size > 50
+    back = octex.open(path)
+    for one, other in zip(
+        [*back.tree.arrays[:4], *back.tree.split[:2], *back.tree.kept, *back.channels["base_color"][1:]],
+        [*tree.arrays[:4], *tree.split[:2], *tree.kept, *channel[1:]],
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
+    if shutil.which("node") is None:
+        pytest.skip("no node")
+    module = (VIEWER / "three" / "contents.js").as_uri()
+    command = ["node", "--input-type=module", "-e", READ, module, str(path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+    found = json.loads(said)
+    header = found["header"]["parts"][0]
+    [plane, slot] = header["channels"][0]["at"]
+    rows = np.array(found["planes"][plane], np.uint8).reshape(-1, 4)[:, slot : slot + 3]
+    np.testing.assert_array_equal(rows, np.concatenate([channel[1], channel[3], channel[2]]))
+    words = np.array(found["words"], np.uint32).reshape(-1, 2) & 255
+    masks = [masks_of(tree.arrays.groups, word)[: len(words)] for word in range(2)]
+    np.testing.assert_array_equal(words, np.stack(masks, axis=1))
+    entries = np.array(found["entries"]).reshape(-1, 2)
+    np.testing.assert_array_equal(entries[:, 0], [*tree.kept.cells, *tree.split.cells])
+    counts = bit_counts(tree.split.facings)
+    firsts = [*range(tree.kept.cells.size), *(np.cumsum(counts) - counts)]
+    np.testing.assert_array_equal(entries[:, 1], firsts)
+    surface = sheet(np.eye(3), 0.01)
+    positions, normals, triangles = (np.array(each).reshape(-1, 3) for each in found["mesh"])
+    corners = surface.vertices[surface.triangles]
+    np.testing.assert_allclose(positions[triangles], corners, atol=header["size"] * 2.0**-20)
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sides /= np.linalg.norm(sides, axis=1)[:, None]
+    assert (np.einsum("ni,ni->n", normals[triangles[:, 0]], sides) > 0.6).all()
+
+
+def test_the_package_has_all_that_it_imports_and_is_small() -> None:
+    """As npm packs it: gzip of a tar archive of its files, at most 60 kB."""
+    package = json.loads((VIEWER / "package.json").read_text())
+    paths = [VIEWER / "package.json"]
+    for name in package["files"]:
+        paths += sorted((VIEWER / name).iterdir()) if (VIEWER / name).is_dir() else [VIEWER / name]
+    for path in paths:
+        if path.suffix != ".js":
+            continue
+        text = path.read_text()
+        named = re.findall(r'from "([^"]+)"|new URL\("([^"]+)", import', text)
+        for name in filter(None, (one or other for one, other in named)):
+            assert name == "three" or (path.parent / name).resolve() in paths, f"{path.name}: {name}"
+    with io.BytesIO() as file:
+        with tarfile.open(fileobj=file, mode="w:gz") as archive:
+            for path in paths:
+                archive.add(path)
+        assert len(file.getvalue()) <= 60_000

@@ -235,9 +235,9 @@ def _bake(surfaces: list[octex.Surface], folder: Path) -> None:
         octex.convert(translucent, 3), translucent, uv="atlas", texture_size=64, padding=2, supersample=2
     )
     barycentric_at(np.zeros((1, 3, 2)), np.zeros(1, np.int32), np.zeros((1, 2)))
-    octex.write_model(
-        octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2), folder / "baked.glb"
-    )
+    baked = octex.bake(texture, surface, uv="atlas", texture_size=64, padding=2)
+    octex.write_model(baked, folder / "baked.glb", octree=texture)
+    octex.open(folder / "baked.glb")
     octex.bake_vertices(texture, surface, subdivide="auto")
     octex.displace(texture, surface, "base_color", 0.01)
 

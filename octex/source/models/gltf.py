@@ -42,6 +42,9 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
+#: The extension of models that carry an octree texture: primitives may say where their vertices rest.
+OCTREE = "EXT_octree_texture"
+_REST = f"{OCTREE}:REST"
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
 # Extensions that a file may require: those that are read, and those that change nothing octex reads.
 _KNOWN_EXTENSIONS = {
@@ -55,8 +58,9 @@ _FARTHEST = 1e18
 def load_gltf(path: Path, options: Options) -> Surface:
     """Read the scene of a .gltf or .glb file.
 
-    Rest positions are the mesh as it is modelled, without morph targets and skins; ``options.pose`` moves the
-    positions, as ``gltf_motion`` says. ``uv`` is TEXCOORD_0, where all primitives with textures have it.
+    Rest positions are the mesh as it is modelled, without morph targets and skins, or what EXT_octree_texture
+    says; ``options.pose`` moves the positions, as ``gltf_motion`` says. ``uv`` is TEXCOORD_0, where all
+    primitives with textures have it.
     """
     document = Document(path)
     shown = _shown(document, options)
@@ -71,14 +75,19 @@ def load_gltf(path: Path, options: Options) -> Surface:
     for primitive in (each.primitive for each in shown):
         if primitive.name not in parts:
             number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
-            part = Part(primitive.positions, primitive.triangles, number)
-            if options.materials:
-                part = _bound(part, primitive, known[primitive.material], has_frames)
+            rest = primitive.attribute(_REST, (3,))
+            part = Part(primitive.positions if rest is None else rest, primitive.triangles, number)
+            if options.materials:  # a posed primitive's normals are not those at rest
+                smooth = has_frames and (rest is None or is_mapped)
+                part = _bound(part, primitive, known[primitive.material], smooth)
             parts[primitive.name] = part
     posed = None
     if options.pose is not None:
         pose = pose_of(document, options.pose)
         posed = np.concatenate([pose.positions(each) for each in shown])
+    elif any(_REST in each.primitive.attributes for each in shown):
+        placed = [(each.primitive.positions, each.matrix) for each in shown]
+        posed = np.concatenate([rows @ matrix[:3, :3].T + matrix[:3, 3] for rows, matrix in placed])
     asset = document.json["asset"]
     origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
     if isinstance(extras := asset.get("extras"), dict):
@@ -147,6 +156,8 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
     primitives = []
     for name, entry in entries.items():
         mode, attributes = entry.get("mode", _TRIANGLES), entry["attributes"]
+        if "rest" in (octree := entry.get("extensions", {}).get(OCTREE, {})):
+            attributes = {**attributes, _REST: octree["rest"]}
         if mode not in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN) or "POSITION" not in attributes:
             continue
         triangles, decoded = document.draco(entry, name) or (None, {})

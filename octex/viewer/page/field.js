@@ -22,7 +22,9 @@ export function sumOf(channel) {
 export function planeLines({ channels, flags: [plane, slot], planes: all }, planes) {
   const lines = [`#define PLANES ${planes}`];
   for (let n = 0; n < planes; n++) lines.push(`#define PLANE${n}(at) ${readPlane({ planes: all }, n)}`);
-  if (plane < planes) lines.push(`#define FLAGS_AT(at) uint(PLANE${plane}(at).${LANES[slot]} * 255.0 + 0.5)`);
+  for (const [name, from] of [["FLAGS_AT(at)", `PLANE${plane}(at)`], ["FLAGS", `value${plane}`]]) {
+    if (plane < planes) lines.push(`#define ${name} uint(${from}.${LANES[slot]} * 255.0 + 0.5)`);
+  }
   const alpha = channels.find(({ name, components }) => name === "alpha" && components === 1);
   if (alpha && alpha.at[0] < planes) lines.push(`#define ALPHA value${alpha.at[0]}.${lanesOf(alpha)}`);
   return lines;

@@ -111,6 +111,22 @@ export class Octree {
     return { nodes: [0, 0], cells: [nCells, nCells + nRows], entries: [0, count] };
   }
 
+  // What `take` or `takeTables` has filled in, for another octree of the same header.
+  rows({ nodes, cells, entries = [0, 0] }) {
+    const { depth, tables } = this;
+    return {
+      nodes, cells, entries, depth, tables, words: this.words.slice(2 * nodes[0], 2 * nodes[1]),
+      planes: this.planes.map((plane) => plane.slice(4 * cells[0], 4 * cells[1])), found: this.entries.slice(2 * entries[0], 2 * entries[1]),
+    };
+  }
+
+  takeRows({ nodes, cells, entries, depth, tables, words, planes, found }) {
+    this.words.set(words, 2 * nodes[0]);
+    this.planes.forEach((plane, n) => plane.set(planes[n], 4 * cells[0]));
+    this.entries.set(found, 2 * entries[0]);
+    Object.assign(this, { depth, tables });
+  }
+
   takeLevel(level, reader) {
     const first = this.cells[level], count = this.cells[level + 1] - first;
     const parents = new Uint32Array(count), isNode = new Uint8Array(count);

@@ -2,7 +2,7 @@
 
 import { inflated } from "../page/octree.js";
 
-const MAGIC = "octexweb", VERSION = 1, HEAD = 16;
+const MAGIC = "octexweb", VERSION = 1, HEAD = 16, START = 100_000;
 
 export class WebFile {
   // `read` takes the bytes from one place up to another, or up to the end.
@@ -10,15 +10,24 @@ export class WebFile {
     Object.assign(this, { name, read });
   }
 
-  static fetched(url, options = {}) {
-    let whole = null; // of a server that knows no ranges
-    return new WebFile(url, async (begin, end) => {
-      if (whole) return (await whole).slice(begin, end);
+  static of({ name, url, options, buffer }) {
+    return buffer ? new WebFile(name, (begin, end) => buffer.slice(begin, end)) : WebFile.fetched(name, url, options);
+  }
+
+  // The first bytes, which show a picture, are one request; each later stream is another.
+  static fetched(name, url, options) {
+    let start = null, whole = null; // of a server that knows no ranges
+    const ask = async (begin, end) => {
       const response = await fetch(url, { ...options, headers: { ...options.headers, Range: `bytes=${begin}-${end - 1}` } });
-      if (!response.ok) throw new Error(`${url}: ${response.status} ${response.statusText}`);
-      if (response.status === 206) return response.arrayBuffer();
-      whole = response.arrayBuffer();
-      return (await whole).slice(begin, end);
+      if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
+      if (response.status !== 206) whole = response.arrayBuffer();
+      return whole ? (await whole).slice(begin, end) : response.arrayBuffer();
+    };
+    return new WebFile(name, async (begin, end) => {
+      start ??= ask(0, START);
+      const first = await start;
+      if (end <= first.byteLength) return first.slice(begin, end);
+      return whole ? (await whole).slice(begin, end) : ask(begin, end);
     });
   }
 

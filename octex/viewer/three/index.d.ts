@@ -35,3 +35,18 @@ export class OctreeTextureLoader extends Loader<Loaded> {
   /** Take a web file that is in memory. */
   parseBuffer(buffer: ArrayBuffer, name?: string): Promise<Loaded>;
 }
+
+/** EXT_octree_texture for GLTFLoader: `loader.register((parser) => new GLTFOctreeTexture(parser))`. */
+export class GLTFOctreeTexture {
+  readonly name: "EXT_octree_texture";
+  constructor(parser: object);
+  /** Textures the primitives that have the extension; gives the glTF `octrees`. */
+  afterRoot(gltf: object): Promise<void>;
+}
+
+/** An entry of `octrees` of a glTF that was read so. */
+export interface GLTFOctree {
+  texture: OctreeTexture;
+  /** Resolves when the finest levels are there. */
+  complete: Promise<void>;
+}

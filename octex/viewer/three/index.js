@@ -2,3 +2,4 @@
 
 export { OctreeTexture } from "./texture.js";
 export { OctreeTextureLoader } from "./loader.js";
+export { GLTFOctreeTexture } from "./gltf.js";

@@ -1,7 +1,7 @@
 // Reads web files: textures, and their meshes if they have any.
 
 import { Group, Loader } from "three";
-import { WebFile } from "./file.js";
+import { contentsElsewhere } from "./contents.js";
 import { Shaders, OctreeTexture } from "./texture.js";
 
 export class OctreeTextureLoader extends Loader {
@@ -15,7 +15,7 @@ export class OctreeTextureLoader extends Loader {
     const path = this.manager.resolveURL(this.path + url), options = { headers: this.requestHeader, credentials: this.withCredentials ? "include" : "same-origin" };
     this.manager.itemStart(url);
     try {
-      const loaded = await this.parse(WebFile.fetched(path, options), onProgress);
+      const loaded = await this.parse({ name: path, url: new URL(path, location.href).href, options }, onProgress);
       const end = () => this.manager.itemEnd(url);
       loaded.complete.then(end, () => (this.manager.itemError(url), end()));
       return loaded;
@@ -28,34 +28,28 @@ export class OctreeTextureLoader extends Loader {
 
   // Take a web file that is in memory.
   parseBuffer(buffer, name = "the web file") {
-    return this.parse(new WebFile(name, (begin, end) => buffer.slice(begin, end)));
+    return this.parse({ name, buffer });
   }
 
-  async parse(file, onProgress = () => {}) {
-    const [header, shaders] = await Promise.all([file.header(), Shaders.read()]), { parts } = header;
-    const textures = parts.map((part) => new OctreeTexture(part, shaders));
+  // Read a file: its name, and its url and fetch's options, or its buffer.
+  async parse(given, onProgress = () => {}) {
+    const arriving = contentsElsewhere(given), [{ value: { header } }, shaders] = await Promise.all([arriving.next(), Shaders.read()]);
+    const { parts } = header, textures = parts.map((part) => new OctreeTexture(part, shaders));
     const total = parts.flatMap((part) => [...part.chunks, part.mesh]).reduce((sum, each) => sum + (each?.bytes ?? 0), 0);
-    let loaded = 0;
-    const progress = (bytes) => onProgress({ loaded: (loaded += bytes), total, lengthComputable: true });
-    for (const [number, texture] of textures.entries()) {
-      if (!parts[number].mesh) continue;
-      const bytes = await file.stream(`${number}-mesh`);
-      file.checked(`${number}-mesh`, () => texture.takeMesh(bytes));
-      progress(parts[number].mesh.bytes);
-    }
-    const takeChunk = async (n) => {
-      for (const [number, texture] of textures.entries()) {
-        const chunk = parts[number].chunks[n];
-        if (!chunk) continue;
-        const name = `${number}-levels-${n}`, bytes = await file.stream(name);
-        file.checked(name, () => texture.take(chunk, bytes));
-        progress(chunk.bytes);
-      }
+    let loaded = 0, hasLevels = 0;
+    const takeNext = async () => {
+      const { value, done } = await arriving.next();
+      if (done) return false;
+      const { part, mesh, rows, bytes } = value;
+      if (mesh) textures[part].takeMesh(mesh);
+      else textures[part].take(rows);
+      hasLevels += rows ? 1 : 0;
+      onProgress({ loaded: (loaded += bytes), total, lengthComputable: true });
+      return true;
     };
-    const most = Math.max(...parts.map(({ chunks }) => chunks.length));
-    await takeChunk(0);
+    while (hasLevels < parts.length && (await takeNext()));
     const rest = async () => {
-      for (let n = 1; n < most; n++) await takeChunk(n);
+      while (await takeNext());
     };
     const meshes = textures.map((texture) => texture.mesh).filter(Boolean);
     const group = meshes.length ? new Group().add(...meshes) : null;

@@ -5,7 +5,6 @@ import {
   NearestFilter, NoColorSpace, RGBAFormat, RGIntegerFormat, SRGBColorSpace, UnsignedByteType, UnsignedIntType, Vector3,
 } from "three";
 import { FILTERS, planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
-import { unpackedMesh } from "../page/mesh.js";
 import { Octree, ROW } from "../page/octree.js";
 
 // Where materials of three.js take what is looked up: after which chunk, and what then is done.
@@ -99,10 +98,9 @@ export class OctreeTexture {
     return this.header.channels.find((channel) => channel.name === name);
   }
 
-  // Take a chunk of levels, or the rows of kept nodes and split cells.
-  take(chunk, bytes) {
-    if (chunk.levels) this.octree.take(chunk, bytes);
-    else this.octree.takeTables(bytes);
+  // Take rows of levels, or those of kept nodes and split cells.
+  take(rows) {
+    this.octree.takeRows(rows);
     for (const [name, read, format] of this.stores) {
       const arrays = read();
       if (!arrays.length) continue;
@@ -233,8 +231,8 @@ export class OctreeTexture {
     geometry.setAttribute("octexNormal", new BufferAttribute(sides, 3));
   }
 
-  takeMesh(bytes) {
-    const mesh = unpackedMesh(this.header.mesh, bytes, this.header.source), geometry = new BufferGeometry();
+  takeMesh(mesh) {
+    const geometry = new BufferGeometry();
     const attributes = { position: mesh.positions, normal: mesh.normals, octexRest: mesh.rest, octexNormal: mesh.upright ?? mesh.normals };
     for (const [name, array] of Object.entries(attributes)) geometry.setAttribute(name, new BufferAttribute(array, 3));
     geometry.setIndex(new BufferAttribute(mesh.triangles, 1));

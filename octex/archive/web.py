@@ -1,0 +1,316 @@
+"""Web files, .octw, read back as the tensors of a render file; also those that a glTF model carries.
+
+octex.formats.web writes them. Areas of leaves and of split cells' rows are not stored: they share evenly what
+their node's area leaves them.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import struct
+import urllib.parse
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from octex.archive.layout import (
+    GLB_MAGIC,
+    KEPT_NAME,
+    SPLIT_NAMES,
+    TREE_NAMES,
+    WEB_MAGIC,
+    DamagedError,
+    channel_names,
+)
+from octex.archive.read import Contents, naming
+from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
+from octex.channels import decode
+from octex.files import open_file, read_bytes, referred
+from octex.tree.areas import AREAS, area_codes, shared_codes
+from octex.tree.children import groups_of
+from octex.tree.layout import FACING_FLAGS, KEPT, MAX_CELLS, MAX_DEPTH, SPLIT
+
+VERSION = 1
+#: The glTF extension by which a model carries its octree.
+EXTENSION = "EXT_octree_texture"
+_HEAD = 16
+_AGAIN = "write it again"
+_FAULTS = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
+
+
+def read(path: str | os.PathLike[str]) -> Contents:
+    """Read a web file, or that of a .glb or .gltf file with the extension EXT_octree_texture.
+
+    Raises TextureFileError for a file that is missing, damaged, of another version or without an octree.
+    """
+    with naming(path), open_file(path) as file:
+        content = file.read()
+        if not content.startswith(WEB_MAGIC):
+            content = _carried(Path(path), content)
+        return _read(content)
+
+
+def _carried(path: Path, content: bytes) -> bytes:
+    """Return the web file that a glTF model carries."""
+    try:
+        text, binary = content, b""
+        if content.startswith(GLB_MAGIC):
+            length = struct.unpack_from("<I", content, 12)[0]
+            text, binary = content[20 : 20 + length], content[28 + length :]
+        document = json.loads(text)
+        entry = document.get("extensions", {}).get(EXTENSION)
+        if entry is None:
+            raise DamagedError(f"is a model without {EXTENSION}; octex convert makes a texture of it")
+        octree = entry["octrees"][0]
+        if "uri" in octree:
+            return _resource(path, octree["uri"])
+        view = document["bufferViews"][octree["bufferView"]]
+        buffer = document["buffers"][view["buffer"]]
+        held = _resource(path, buffer["uri"]) if "uri" in buffer else binary
+        begin = view.get("byteOffset", 0)
+        return held[begin : begin + view["byteLength"]]
+    except (*_FAULTS, struct.error):
+        raise DamagedError(f"its {EXTENSION} is damaged; {_AGAIN}") from None
+
+
+def _resource(path: Path, uri: str) -> bytes:
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2], validate=True)
+    return read_bytes(referred(path.parent, os.fsdecode(urllib.parse.unquote_to_bytes(uri))))
+
+
+class _Levels(NamedTuple):
+    """How many cells and nodes come before each level, and all of them."""
+
+    cells: Int64s
+    nodes: Int64s
+
+    @classmethod
+    def of(cls, part: dict[str, Any]) -> _Levels:
+        """Return those of a header; raises ValueError for such as no tree has."""
+        depth = part["depth"]
+        found = cls(*(np.array(part[name], np.int64) for name in ("levelCells", "levelNodes")))
+        if not 0 <= depth <= MAX_DEPTH or any(counts.shape != (depth + 2,) for counts in found):
+            raise ValueError
+        if any(counts[0] != 0 or (np.diff(counts) < 0).any() for counts in found):
+            raise ValueError
+        if found.cells[-1] > MAX_CELLS or (np.diff(found.cells) < np.maximum(np.diff(found.nodes), 1)).any():
+            raise ValueError
+        return found
+
+
+class _Stream:
+    """A stream of bytes, taken from the front."""
+
+    def __init__(self, name: str, packed: bytes, size: int) -> None:
+        self.name, self._at = name, 0
+        try:
+            whole = zlib.decompressobj(-15).decompress(packed, size + 1)
+        except zlib.error:
+            raise self.damaged() from None
+        if len(whole) != size:
+            raise self.damaged()
+        self._bytes: Uint8s = np.frombuffer(whole, np.uint8)
+
+    def take(self, count: int) -> Uint8s:
+        """Return the next bytes."""
+        found = self._bytes[self._at : self._at + count]
+        self._at += count
+        return found
+
+    def damaged(self) -> DamagedError:
+        """Return the error for a stream that is not what was written."""
+        return DamagedError(f"is damaged, in {self.name}; {_AGAIN}")
+
+
+class _Tree:
+    """What has been read of a part."""
+
+    def __init__(self, part: dict[str, Any]) -> None:
+        self.levels = _Levels.of(part)
+        self.kept, (self.split, self.rows) = int(part["kept"]), map(int, part["split"])
+        self.channels: dict[str, int] = {each["name"]: each["components"] for each in part["channels"]}
+        cells, nodes = int(self.levels.cells[-1]), int(self.levels.nodes[-1])
+        if not all(1 <= width <= 4 for width in self.channels.values()):
+            raise ValueError
+        if not (0 <= self.kept <= nodes and 0 <= self.split <= min(cells, self.rows) <= 6 * cells):
+            raise ValueError
+        self.masks = np.zeros((2, -(-nodes // 8) * 8), np.uint8)
+        self.flags, self.areas = np.zeros((2, cells), np.uint8)
+        self.values = {name: np.zeros((cells, width), np.uint8) for name, width in self.channels.items()}
+        self.above = np.zeros(1, np.int64)  # the cells that are nodes of the level above
+        self.tables: dict[str, Array] = {}
+        self.row_values: dict[str, Array] = {}
+
+    def size(self, levels: list[int] | None) -> int:
+        """Return how many bytes the stream of some levels has, or that of the tables."""
+        width = sum(self.channels.values())
+        if levels is None:
+            return 4 * self.kept + 5 * self.split + width * (self.kept + self.rows)
+        cells, nodes = (np.diff(counts)[slice(*levels)].sum() for counts in self.levels)
+        above = np.diff(self.levels.nodes)[max(levels[0] - 1, 0) : levels[1] - 1].sum()
+        return int(2 * above + nodes + (1 + width) * cells)
+
+    def take_level(self, level: int, stream: _Stream) -> None:
+        """Take the cells of a level."""
+        levels = self.levels
+        first, end = levels.cells[level : level + 2].tolist()
+        parents, is_node = np.zeros(1, np.int64), np.array([levels.nodes[-1] > 0])
+        known = np.uint8(level > 0)
+        if level:
+            rows = slice(*levels.nodes[level - 1 : level + 1].tolist())
+            count = rows.stop - rows.start
+            nodes, leaves = self.masks[:, rows] = stream.take(2 * count).reshape(2, count)
+            is_there = _bits(nodes | leaves)
+            is_node = _bits(nodes)[is_there]
+            parents = np.repeat(self.above, bit_counts(nodes | leaves))
+        if parents.size != end - first or is_node.sum() != np.diff(levels.nodes)[level]:
+            raise stream.damaged()
+        above = parents[is_node]
+        self.above = first + np.flatnonzero(is_node)
+        self.areas[self.above] = stream.take(above.size) + known * self.areas[above]
+        if level:
+            self._share_areas(first, parents, is_node)
+        self.flags[first:end] = stream.take(end - first) ^ known * self.flags[parents]
+        for values in self.values.values():
+            there = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
+            values[first:end] = _together(there + known * _apart(values[parents]))
+
+    def _share_areas(self, first: int, parents: Int64s, is_node: Bools) -> None:
+        """Give the leaves of a level what the nodes among their siblings leave of their parent's area."""
+        below = slice(int(parents[0]), int(parents[-1]) + 1)
+        owners, size = parents - below.start, below.stop - below.start
+        taken = np.bincount(owners[is_node], AREAS[self.areas[first:][: owners.size][is_node]], size)
+        count = np.maximum(np.bincount(owners[~is_node], minlength=size), 1)
+        # A child's face is a quarter of its node's.
+        shares = np.maximum(4.0 * AREAS[self.areas[below]] - taken, 0.0) / count
+        self.areas[first + np.flatnonzero(~is_node)] = area_codes(shares)[owners[~is_node]]
+
+    def take_tables(self, stream: _Stream) -> None:
+        """Take the rows of kept nodes and of split cells."""
+        steps = stream.take(4 * (self.kept + self.split)).reshape(4, -1).T
+        steps = np.ascontiguousarray(steps).view("<u4")[:, 0].astype(np.int64)
+        kept, split = np.cumsum(steps[: self.kept]), np.cumsum(steps[self.kept :])
+        facings = stream.take(self.split)
+        counts = bit_counts(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
+        owners = np.concatenate([kept, np.repeat(split, counts)])
+        if owners.size != self.kept + self.rows or (owners >= self.flags.size).any():
+            raise stream.damaged()
+        areas = np.repeat(shared_codes(self.areas[split], counts), counts)
+        self.tables = dict(zip(SPLIT_NAMES, (split.astype(np.uint32), facings, areas), strict=True))
+        self.tables[KEPT_NAME] = kept.astype(np.uint32)
+        for name, values in self.values.items():
+            rows = stream.take(values.shape[1] * owners.size).reshape(values.shape[1], -1).T
+            self.row_values[name] = np.ascontiguousarray(rows + values[owners])
+
+
+def _bits(masks: Uint8s) -> Bools:
+    """Return the bits (n, 8) of masks (n,), the lowest first."""
+    return np.unpackbits(masks[:, None], axis=1, bitorder="little").view(np.bool_)
+
+
+def _apart(values: Uint8s) -> Uint8s:
+    """Return colours (n, 3) with red and blue less green; others as they are."""
+    if values.shape[1] != 3:
+        return values
+    return np.stack([values[:, 0] - values[:, 1], values[:, 1], values[:, 2] - values[:, 1]], axis=1)
+
+
+def _together(values: Uint8s) -> Uint8s:
+    """Return what ``_apart`` was given."""
+    if values.shape[1] != 3:
+        return values
+    return np.stack([values[:, 0] + values[:, 1], values[:, 1], values[:, 2] + values[:, 1]], axis=1)
+
+
+def _read(content: bytes) -> Contents:
+    if len(content) < _HEAD or not content.startswith(WEB_MAGIC):
+        raise DamagedError(f"is damaged: no octex web file; {_AGAIN}")
+    version, length = struct.unpack_from("<II", content, len(WEB_MAGIC))
+    if version != VERSION:
+        raise DamagedError(f"has version {version} of web files, and octex reads {VERSION}; update octex")
+    first = _HEAD + length
+    try:
+        return _contents(json.loads(content[_HEAD:first]), content, first)
+    except _FAULTS:
+        raise DamagedError(f"is damaged, in header; {_AGAIN}") from None
+
+
+def _contents(header: dict[str, Any], content: bytes, first: int) -> Contents:
+    """Return what a file holds whose streams begin at a byte; raises one of ``_FAULTS`` for a bad header."""
+    parts = header["parts"]
+    if len(parts) != 1:
+        raise DamagedError(f"has {len(parts)} parts; write a file of one part's texture")
+    part = parts[0]
+    tree = _Tree(part)
+    corner, size = [float(x) for x in part["origin"]], float(part["size"])
+    bounds = part.get("bounds", [corner, [x + size for x in corner]])
+    forms = {each["name"]: (each["space"], *map(float, each["range"])) for each in part["channels"]}
+    chunks = [chunk["levels"] for chunk in part["chunks"]]
+    if [k for levels in chunks if levels for k in range(*levels)] != list(range(part["depth"] + 1)):
+        raise ValueError
+    for number, levels in enumerate(chunks):
+        name = f"0-levels-{number}"
+        begin, length = map(int, header["streams"][name])
+        packed = content[first + begin :][:length]
+        if begin < 0 or len(packed) < length:
+            raise DamagedError(
+                f"ends too early: {first + begin + length:,} bytes are expected; copy it again"
+            )
+        stream = _Stream(name, packed, tree.size(levels))
+        if levels is None:
+            tree.take_tables(stream)
+        else:
+            for level in range(*levels):
+                tree.take_level(level, stream)
+    placement = {"origin": corner, "size": size}
+    return Contents(_tensors(tree, forms), _metadata(forms, placement, bounds), {})
+
+
+def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
+    arrays = groups_of(tree.masks), tree.levels.cells, tree.levels.nodes, tree.flags, tree.areas
+    tensors: dict[str, Array] = dict(zip(TREE_NAMES, arrays, strict=True))
+    flagged = tree.flags & np.uint8(SPLIT | KEPT)
+    if flagged.any() != bool(tree.tables):
+        raise DamagedError(f"is damaged: its tables are not those of its flags; {_AGAIN}")
+    has_split, has_kept = tree.split > 0, tree.kept > 0
+    tensors |= {name: tree.tables[name] for name in SPLIT_NAMES if has_split}
+    if has_kept:
+        tensors[KEPT_NAME] = tree.tables[KEPT_NAME]
+    for name, values in tree.values.items():
+        rows = tree.row_values.get(name, values[:0])
+        of_all = values, rows[tree.kept :], rows[: tree.kept]
+        are_there = True, has_split, has_kept
+        for key, own, is_there in zip(channel_names(name), of_all, are_there, strict=True):
+            if is_there:
+                tensors[key] = _decoded(own, *forms[name])
+    return tensors
+
+
+def _decoded(codes: Uint8s, space: str, low: float, high: float) -> Array:
+    """Return codes as they are, or of channels that exceed 0 … 1 what they stand for."""
+    if (low, high) == (0.0, 1.0):
+        return codes
+    light = decode(codes, space)  # type: ignore[arg-type]
+    return (low + (high - low) * light).astype(np.float32)
+
+
+def _metadata(
+    forms: dict[str, tuple[str, float, float]], placement: dict[str, Any], bounds: Any
+) -> dict[str, str]:
+    spaces = {
+        name: space if (low, high) == (0.0, 1.0) or space != "srgb" else "linear"
+        for name, (space, low, high) in forms.items()
+    }
+    return {
+        "format": "octex",
+        "format_version": "1",
+        "placement": json.dumps(placement),
+        "bounds": json.dumps(bounds),
+        "channels": json.dumps(spaces),
+        "provenance": "{}",
+    }
