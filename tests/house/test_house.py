@@ -84,7 +84,7 @@ Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Paint
 Projection Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast
 combine convert convert_set crop curves difference displace fill finish levels load_surface merge mix paint
 project read_cameras refine_cameras render repair resize separate simplify subdivide unwrap write_cameras
-write_model write_preview write_ptex
+write_model write_osl write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]

@@ -5,7 +5,7 @@ octex works on the object's own mesh at rest: without modifiers, at the first sh
 Its rest positions have glTF's axes (y up), as in the model that the painting page shows.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,7 @@ def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
 # To octex
 
 
-def _rotated(positions: np.ndarray) -> np.ndarray:
+def rotated(positions: np.ndarray) -> np.ndarray:
     """Return positions or directions (n, 3) in glTF's axes."""
     return positions[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
 
@@ -81,10 +81,10 @@ def mesh_arrays(chosen: bpy.types.Object) -> dict[str, np.ndarray]:
     at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
     corners = _read(mesh.loop_triangles, "loops", 3, np.int32)
     return {
-        "rest": _rotated(_read(at_rest, "co", 3).astype(np.float64)),
+        "rest": rotated(_read(at_rest, "co", 3).astype(np.float64)),
         "triangles": _read(mesh.loop_triangles, "vertices", 3, np.int32),
         "corners": corners,
-        "normals": _rotated(_read(mesh.corner_normals, "vector", 3).astype(np.float64))[corners],
+        "normals": rotated(_read(mesh.corner_normals, "vector", 3).astype(np.float64))[corners],
     }
 
 
@@ -241,22 +241,44 @@ def set_uv(chosen: bpy.types.Object, corners: np.ndarray, uv: np.ndarray) -> Non
     chosen.data.update()
 
 
-def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:
-    """Show an object by baked materials (name, maps, values), or by its colour attribute without any.
+def set_rest(chosen: bpy.types.Object, place: str, normal: str) -> None:
+    """Store where the mesh rests, and its normals there, as attributes of these names, in its own axes."""
+    mesh = chosen.data
+    at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
+    for name, domain, values in (
+        (place, "POINT", _read(at_rest, "co", 3)),
+        (normal, "CORNER", _read(mesh.corner_normals, "vector", 3)),
+    ):
+        stored = mesh.attributes.get(name)
+        if stored is not None and (stored.domain, stored.data_type) != (domain, "FLOAT_VECTOR"):
+            mesh.attributes.remove(stored)
+            stored = None
+        stored = stored or mesh.attributes.new(name, "FLOAT_VECTOR", domain)
+        stored.data.foreach_set("vector", values.reshape(-1))
 
-    The materials of its mesh stay: the object's slots show new ones instead.
-    """
+
+def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:
+    """Show an object by baked materials (name, maps, values), or by its colour attribute without any."""
+
+    def shown(own: bpy.types.Material | None) -> bpy.types.Material:
+        same = [each for each in baked if own is not None and each["name"] == own.name] or baked[:1]
+        return _material(chosen, same[0]) if same else _colored(chosen)
+
+    put(chosen, shown)
+
+
+def put(chosen: bpy.types.Object, shown: Callable[[bpy.types.Material | None], bpy.types.Material]) -> None:
+    """Have an object's slots show other materials in the place of its mesh's, which stay."""
     if not chosen.material_slots:
         chosen.data.materials.append(None)
     for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
-        same = [each for each in baked if own is not None and each["name"] == own.name] or baked[:1]
         slot.link = "OBJECT"
-        slot.material = _material(chosen, same[0]) if same else _colored(chosen)
+        slot.material = shown(own)
 
 
 def _colored(chosen: bpy.types.Object) -> bpy.types.Material:
     """Return a material that shows the colour attribute."""
-    material, shader = _emptied(f"{chosen.name} octree")
+    material, shader = emptied(f"{chosen.name} octree")
     node = material.node_tree.nodes.new("ShaderNodeVertexColor")
     node.layer_name, node.location = NAME, (-300, 0)
     for output, socket in (("Color", "Base Color"), ("Alpha", "Alpha")):
@@ -266,7 +288,7 @@ def _colored(chosen: bpy.types.Object) -> bpy.types.Material:
 
 def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Material:
     """Return a material of images and values of channels; without a name, at the new UV map."""
-    material, shader = _emptied(" ".join([chosen.name, baked["name"], "octree"]))
+    material, shader = emptied(" ".join([chosen.name, baked["name"], "octree"]))
     nodes, links = material.node_tree.nodes, material.node_tree.links
     for channel, value in baked["values"].items():
         socket = shader.inputs[SOCKETS[channel]]
@@ -293,7 +315,7 @@ def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Mate
     return material
 
 
-def _emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
+def emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
     """Return one of the extension's materials, with a Principled shader alone."""
     material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
     material[MARK] = True

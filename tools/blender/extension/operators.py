@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands: each starts work in another process and takes over what comes of it."""
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from . import objects, watching
+from . import exact, objects, watching
 from .jobs import Job, JobError
 
 #: Seconds between looks at a job: the window never waits longer.
@@ -179,6 +180,24 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
         return f"Wrote {count} images to {objects.texture_path(chosen).parent}"
 
 
+class OCTEX_OT_exact(Working, bpy.types.Operator):
+    """Have Cycles look the texture up at each point, by an OSL node: nothing is baked"""
+
+    bl_idname = "octex.exact"
+    bl_label = "Exact in Cycles"
+
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        exact.check_osl(context)
+        texture = objects.texture_path(chosen)
+        return Job("exact", texture=str(texture), output=str(texture.with_suffix(".osl")))
+
+    def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        exact.show(context, self.chosen(), Path(answer["shader"]), answer["outputs"])
+        if context.scene.render.engine != "CYCLES":
+            self.report({"WARNING"}, "Choose Cycles as the render engine: no other has the OSL node")
+        return f"Cycles reads {Path(answer['shader']).name}.tif"
+
+
 class OCTEX_OT_photographs(Working, bpy.types.Operator):
     """Project the background images of all cameras onto the object, into its texture or a new one"""
 
@@ -235,7 +254,14 @@ def take_colors(chosen: bpy.types.Object, job: Job) -> None:
     objects.set_colors(chosen, np.load(job.folder / "colors.npy"))
 
 
-_CLASSES = (OCTEX_OT_make, OCTEX_OT_colors, OCTEX_OT_images, OCTEX_OT_photographs, OCTEX_OT_paint)
+_CLASSES = (
+    OCTEX_OT_make,
+    OCTEX_OT_colors,
+    OCTEX_OT_images,
+    OCTEX_OT_exact,
+    OCTEX_OT_photographs,
+    OCTEX_OT_paint,
+)
 
 
 def register() -> None:

@@ -36,6 +36,7 @@ class OCTEX_PT_main(bpy.types.Panel):
         box.prop(settings, "layout", expand=True)
         box.prop(settings, "texture_size")
         box.operator("octex.images", icon="IMAGE_DATA")
+        layout.operator("octex.exact", icon="NODE_MATERIAL")
 
 
 def register() -> None:

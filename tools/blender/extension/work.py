@@ -107,6 +107,18 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     return {"materials": made}
 
 
+def exact(job: dict[str, Any]) -> dict[str, Any]:
+    """Write a shader of the texture, and the image that it reads."""
+    texture = octex.open(job["texture"])
+    octex.write_osl(texture, job["output"])
+    forms = [each.format for each in texture.channels.values() if each.format.components <= 3]
+    kinds = [0 if form.space == "direction" else 1 if form.components == 1 else 3 for form in forms]
+    return {
+        "shader": job["output"],
+        "outputs": [(re.sub(r"\W", "_", form.name), kind) for form, kind in zip(forms, kinds, strict=True)],
+    }
+
+
 def photographs(job: dict[str, Any]) -> dict[str, Any]:
     """Project photographs onto the mesh, into its texture or a new one."""
     surface, _ = surface_of(job)
@@ -130,7 +142,7 @@ def photographs(job: dict[str, Any]) -> dict[str, Any]:
     return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
 
 
-TASKS = {each.__name__: each for each in (make, colors, images, photographs)}
+TASKS = {each.__name__: each for each in (make, colors, images, exact, photographs)}
 
 
 def main() -> int:
