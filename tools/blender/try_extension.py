@@ -67,6 +67,20 @@ def gradient(name: str) -> bpy.types.Image:
     return image
 
 
+def own_material(chosen: bpy.types.Object, image: bpy.types.Image) -> bpy.types.ShaderNode:
+    """Give an object a material of an image, and return the image's node."""
+    own = bpy.data.materials.new("own")
+    if own.node_tree is None:  # as before Blender 5
+        own.use_nodes = True
+    node = own.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    own.node_tree.links.new(
+        node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    )
+    chosen.data.materials.append(own)
+    return node
+
+
 def colors(chosen: bpy.types.Object) -> np.ndarray:
     """Return the colour attribute (corners, 4) as Blender's image pixels have it: codes / 255."""
     found = np.empty(4 * len(chosen.data.loops), np.float32)
@@ -123,15 +137,7 @@ def material(folder: Path) -> dict[str, Any]:
     image = gradient("gradient")
     image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
     image.save()
-    own = bpy.data.materials.new("own")
-    if own.node_tree is None:
-        own.use_nodes = True
-    node = own.node_tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    own.node_tree.links.new(
-        node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
-    )
-    chosen.data.materials.append(own)
+    own_material(chosen, image)
     chosen.octex.depth = 8
     bpy.ops.octex.make()
     bpy.ops.octex.colors()

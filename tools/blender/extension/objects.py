@@ -15,6 +15,8 @@ import numpy as np
 
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
+#: The property of cameras that names the view which they drew, before it was painted on.
+VIEW = "octex view"
 #: Modifiers that move vertices but make none.
 _DEFORMING = {
     "ARMATURE", "CAST", "CLOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LATTICE", "MESH_DEFORM",
@@ -40,6 +42,16 @@ def mesh_object(context: bpy.types.Context) -> bpy.types.Object:
     if not len(chosen.data.polygons):
         raise ObjectError(f"{chosen.name} has no faces; octree textures colour surfaces")
     return chosen
+
+
+def check_editable(chosen: bpy.types.Object) -> None:
+    """Raise ObjectError for an object or a mesh that another file owns: it can show no bake."""
+    for each in (chosen, chosen.data):
+        if each.library is not None:
+            raise ObjectError(
+                f"{each.name} is linked from {Path(each.library.filepath).name}: make it local first "
+                "(Object, Relations, Make Local, Selected Objects and Data)"
+            )
 
 
 def making_modifiers(chosen: bpy.types.Object) -> list[str]:
@@ -103,9 +115,11 @@ def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path) -> None:
-    """Write an object with its materials as .glb, at rest, in its own axes; raises ObjectError."""
-    with _alone(chosen) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+def write_model(
+    context: bpy.types.Context, chosen: bpy.types.Object, path: Path, shown: bool = False
+) -> None:
+    """Write an object as .glb, at rest, in its own axes, with its mesh's materials or those ``shown``."""
+    with _alone(chosen, shown) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         bpy.ops.export_scene.gltf(
             filepath=str(path), export_format="GLB", use_active_scene=True, export_apply=False,
             export_animations=False, export_skins=False, export_morph=False, export_yup=True,
@@ -114,7 +128,7 @@ def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path
 
 
 @contextmanager
-def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
+def _alone(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Scene]:
     """Lend a scene with a copy of an object, bare of transforms and modifiers."""
     scene = bpy.data.scenes.new("octex")
     copy = chosen.copy()
@@ -125,7 +139,7 @@ def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
         copy.modifiers.clear()
         copy.matrix_world = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
         for slot in copy.material_slots:
-            if slot.material is not None and MARK in slot.material:
+            if not shown and slot.material is not None and MARK in slot.material:
                 slot.link = "DATA"  # what the texture is made of, not how it is shown
         scene.collection.objects.link(copy)
         yield scene
@@ -134,12 +148,17 @@ def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
         bpy.data.scenes.remove(scene)
 
 
-def check_images(chosen: bpy.types.Object) -> list[str]:
-    """Return what octex will not see of an object's materials; raises ObjectError for images without data."""
+def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
+    """Return what octex will not see of an object's materials, as `write_model` writes them.
+
+    Raises ObjectError for images without data.
+    """
     complaints = []
-    for slot in chosen.material_slots:
+    for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
         material = slot.material
-        if material is None or material.node_tree is None or MARK in material:
+        if not shown and material is not None and MARK in material:
+            material = own  # what the texture is made of, not how it is shown
+        if material is None or material.node_tree is None:
             continue
         for node in material.node_tree.nodes:
             if node.type == "TEX_IMAGE" and node.image is not None:
@@ -157,8 +176,11 @@ def check_images(chosen: bpy.types.Object) -> list[str]:
     return complaints
 
 
-def photographs(context: bpy.types.Context, folder: Path) -> list[dict]:
-    """Return the picture, size, lens and pose of each camera object with a background image."""
+def photographs(context: bpy.types.Context, folder: Path, required: bool) -> list[dict]:
+    """Return the picture, size, lens and pose of each camera object with a background image.
+
+    Raises ObjectError if one cannot be used, or if one is ``required`` and there is none.
+    """
     made = []
     for camera in context.scene.objects:
         if camera.type != "CAMERA":
@@ -166,34 +188,69 @@ def photographs(context: bpy.types.Context, folder: Path) -> list[dict]:
         images = [each.image for each in camera.data.background_images if each.image is not None]
         if images:
             made.append(_photograph(camera, images[0], folder))
-    if not made:
+    if required and not made:
         raise ObjectError("No camera has a background image; give each camera its photograph there")
     return made
 
 
 def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) -> dict:
-    data, (width, height) = camera.data, image.size
-    if data.type != "PERSP":
-        raise ObjectError(f"{camera.name} is no perspective camera")
+    width, height = image.size
     if not width or not height:
         raise ObjectError(f"{camera.name}: its background image {image.name} is missing")
-    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
-    side = width if fit == "HORIZONTAL" else height
-    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     path = Path(bpy.path.abspath(image.filepath))
     if image.packed_file is not None or image.is_dirty or not path.is_file():
         path = folder / f"{bpy.path.clean_name(camera.name)}.png"
         image.save(filepath=str(path))
+    return {"image": str(path), "since": camera.get(VIEW, ""), **lens_and_pose(camera, width, height)}
+
+
+def lens_and_pose(camera: bpy.types.Object, width: int, height: int) -> dict:
+    """Return how a camera sees a picture of so many pixels; raises ObjectError."""
+    data = camera.data
+    if data.type != "PERSP":
+        raise ObjectError(f"{camera.name} is no perspective camera")
+    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
+    side = width if fit == "HORIZONTAL" else height
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     location, rotation, _ = camera.matrix_world.decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(rotation.to_matrix()), location
     return {
-        "image": str(path),
         "size": [width, height],
         "focal": data.lens / sensor * side,
         "center": [width / 2 - data.shift_x * side, height / 2 + data.shift_y * side],
         "pose": pose.tolist(),
     }
+
+
+def view_camera(context: bpy.types.Context) -> bpy.types.Object:
+    """Return a new camera that sees what the 3D view does, or the scene's own where there is none."""
+    seen = getattr(context, "region_data", None)
+    if seen is None or seen.view_perspective == "CAMERA":
+        if context.scene.camera is None:
+            raise ObjectError("The scene has no camera; add one, or press the button in a 3D view")
+        return context.scene.camera
+    if seen.view_perspective == "ORTHO":
+        raise ObjectError("Switch the 3D view to perspective first (numpad 5)")
+    camera = bpy.data.objects.new("octex view", bpy.data.cameras.new("octex view"))
+    context.scene.collection.objects.link(camera)
+    camera.matrix_world = seen.view_matrix.inverted()
+    camera.data.lens = context.space_data.lens / 2  # a view shows 72 mm where a camera has 36
+    context.view_layer.update()
+    return camera
+
+
+def set_view(camera: bpy.types.Object, path: Path) -> None:
+    """Give a camera the picture that was drawn from it, to paint on, and keep the unedited one next to it."""
+    before = path.with_name(f"{path.stem}-before.png")
+    before.write_bytes(path.read_bytes())
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.reload()
+    backgrounds = camera.data.background_images
+    background = next((each for each in backgrounds if each.image in (None, image)), None)
+    (background or backgrounds.new()).image = image
+    camera.data.show_background_images = True
+    camera[VIEW] = str(before)
 
 
 # From octex

@@ -157,6 +157,7 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
     bl_label = "Bake to Images"
 
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        objects.check_editable(chosen)
         settings, texture = chosen.octex, objects.texture_path(chosen)
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
@@ -188,8 +189,12 @@ class OCTEX_OT_exact(Working, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         exact.check_osl(context)
+        objects.check_editable(chosen)
         texture = objects.texture_path(chosen)
-        return Job("exact", texture=str(texture), output=str(texture.with_suffix(".osl")))
+        arrays = objects.mesh_arrays(chosen)
+        return Job(
+            "exact", arrays, name=chosen.name, texture=str(texture), output=str(texture.with_suffix(".osl"))
+        )
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
         exact.show(context, self.chosen(), Path(answer["shader"]), answer["outputs"])
@@ -199,7 +204,7 @@ class OCTEX_OT_exact(Working, bpy.types.Operator):
 
 
 class OCTEX_OT_photographs(Working, bpy.types.Operator):
-    """Project the background images of all cameras onto the object, into its texture or a new one"""
+    """Project the cameras' background images, and a COLMAP folder's, into the texture or a new one"""
 
     bl_idname = "octex.photographs"
     bl_label = "Project Photographs"
@@ -212,10 +217,65 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
             texture=str(output) if output.exists() else "",
         )  # fmt: skip
         mirrored = chosen.matrix_world.determinant() < 0  # its front then faces inwards
-        return job.given(photographs=objects.photographs(context, job.folder), mirrored=mirrored)
+        cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
+        return job.given(
+            photographs=objects.photographs(context, job.folder, not cameras), cameras=cameras,
+            mirrored=mirrored,
+        )  # fmt: skip
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name}: {answer['cells']:,} cells"
+
+
+class OCTEX_OT_view(Working, bpy.types.Operator):
+    """Draw the texture as the 3D view or the scene's camera sees it, to be painted on and projected"""
+
+    bl_idname = "octex.view"
+    bl_label = "Draw View to Paint"
+
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        texture = objects.texture_path(chosen)
+        camera = objects.view_camera(context)
+        self.camera = camera.name
+        render = context.scene.render
+        size = [
+            max(each * render.resolution_percentage // 100, 1)
+            for each in (render.resolution_x, render.resolution_y)
+        ]
+        arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
+        output = texture.with_name(f"{texture.stem}-{bpy.path.clean_name(camera.name)}.png")
+        return Job(
+            "view", arrays, name=chosen.name, texture=str(texture), output=str(output),
+            camera=objects.lens_and_pose(camera, *size),
+        )  # fmt: skip
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        camera, output = bpy.data.objects.get(self.camera), Path(answer["output"])
+        if camera is None or not answer["pixels"]:
+            raise objects.ObjectError(f"{self.camera} does not see {self.target}")
+        objects.set_view(camera, output)
+        return f"Paint on {output.name}, then project photographs"
+
+
+class OCTEX_OT_strokes(Working, bpy.types.Operator):
+    """Take over what was painted on the baked images, as in Texture Paint, into the octree texture"""
+
+    bl_idname = "octex.strokes"
+    bl_label = "Take Over Image Paint"
+
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        texture = objects.texture_path(chosen)
+        if not any(
+            each.material is not None and objects.MARK in each.material for each in chosen.material_slots
+        ):
+            raise objects.ObjectError(f"{chosen.name} shows no baked images: bake to images first")
+        objects.check_images(chosen, shown=True)
+        job = Job("strokes", name=chosen.name, texture=str(texture))
+        objects.write_model(context, chosen, job.folder / "model.glb", shown=True)
+        return job.given(model=str(job.folder / "model.glb"))
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        return f"{objects.texture_path(self.chosen()).name} has {answer['texels']:,} painted texels"
 
 
 class OCTEX_OT_paint(bpy.types.Operator):
@@ -245,6 +305,7 @@ def _image(path: str, channel: str) -> bpy.types.Image:
 
 def colors_job(chosen: bpy.types.Object) -> Job:
     """Return the job that looks up an object's colours; raises ObjectError."""
+    objects.check_editable(chosen)
     texture = objects.texture_path(chosen)
     return Job("colors", objects.mesh_arrays(chosen), name=chosen.name, texture=str(texture))
 
@@ -260,6 +321,8 @@ _CLASSES = (
     OCTEX_OT_images,
     OCTEX_OT_exact,
     OCTEX_OT_photographs,
+    OCTEX_OT_view,
+    OCTEX_OT_strokes,
     OCTEX_OT_paint,
 )
 
