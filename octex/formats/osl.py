@@ -34,6 +34,15 @@ _WIDTH = 4096
 _MOST_CELLS = 1 << 24
 #: Part of the root's edge by which positions below a plane of cells count as on it: float32 is no finer.
 _ROUNDED = 2.0**-22
+#: Words that OSL keeps to itself (OSL 1.12, 3.2), its variables and the shader's inputs.
+_RESERVED = """
+and break closure color continue do else emit float for if illuminance illuminate int matrix normal
+not or output point public return string struct vector void while bool case catch char class const
+delete default double enum extern false friend goto inline long new operator private protected short
+signed sizeof static switch template this throw true try typedef uniform union unsigned varying
+virtual volatile P I N Ng u v Position Normal Filter ZUp File
+"""
+_WORDS = _RESERVED.split()
 #: Rows of the image that are packed together.
 _ROWS = 64
 
@@ -52,8 +61,8 @@ def write_osl(
 
     channels  names of the channels that the shader has outputs for (default: all with at most 3 components)
 
-    The shader's outputs are named as the channels. A colour is linear light; a direction is a normal in the
-    renderer's world. Its inputs:
+    The shader's outputs are named as the channels, that of ``normal`` is ``normal_``. A colour is linear
+    light; a direction is a normal in the renderer's world. Its inputs:
 
     Position  where the point rests, in the object's axes (default: where it is rendered)
     Normal    the shading normal there (default: as rendered); surface that faces away has no weight
@@ -210,24 +219,26 @@ def _shader(
     """Return the shader itself, whose outputs are the channels."""
     outputs, lines = [], []
     for number, plane in enumerate(planes):
-        lines.append(f"  color values{number};")
-        call = f"blend(File, {number}, cells, weights, count, facing, values{number}, alpha);"
+        lines.append(f"  color o_values{number};")
+        call = f"blend(File, {number}, o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha);"
         lines.append(f"  {call}")
         for lane, channel in enumerate(plane.channels):
             form, (low, high) = texture.channels[channel].format, ranges[channel]
             scale = f"{low!r} + {high - low!r} * "
-            output = re.sub(r"\W", "_", channel)
+            output = output_name(channel)
             if form.components == 1:
-                found = "alpha" if channel == ALPHA.name else f"{scale}values{number}[{lane}]"
+                found = "o_alpha" if channel == ALPHA.name else f"{scale}o_values{number}[{lane}]"
                 outputs.append(f"  output float {output} = 0,")
                 lines.append(f"  {output} = {found};")
             elif form.space == "direction" and form.components == 3:
                 outputs.append(f"  output normal {output} = N,")
-                lines.append(f"  vector rest{number} = tilted((vector)({scale}values{number}), ZUp);")
-                lines.append(f'  {output} = normalize(transform("object", "common", (normal)rest{number}));')
+                lines.append(f"  vector o_rest{number} = tilted((vector)({scale}o_values{number}), ZUp);")
+                lines.append(
+                    f'  {output} = normalize(transform("object", "common", (normal)o_rest{number}));'
+                )
             else:
                 outputs.append(f"  output color {output} = 0,")
-                lines.append(f"  {output} = {scale}values{number};")
+                lines.append(f"  {output} = {scale}o_values{number};")
     outputs[-1] = outputs[-1].removesuffix(",")
     shader = re.sub(r"\W", "_", f"octex_{name}")
     quoted = image.replace("\\", "\\\\").replace('"', '\\"')
@@ -239,14 +250,20 @@ def _shader(
         f'  string File = "{quoted}",',
     ]
     begin = [
-        "  int cells[27];",
-        "  float weights[27], alpha;",
-        "  int count = taps(File, placed(Position, ZUp), Filter, cells, weights);",
-        '  vector facing = transform("object", backfacing() ? -N : N);',
-        "  if (Normal != vector(0)) facing = Normal;",
-        "  facing = upright(facing, ZUp);",
+        "  int o_cells[27];",
+        "  float o_weights[27], o_alpha;",
+        "  int o_count = taps(File, placed(Position, ZUp), Filter, o_cells, o_weights);",
+        '  vector o_facing = transform("object", backfacing() ? -N : N);',
+        "  if (Normal != vector(0)) o_facing = Normal;",
+        "  o_facing = upright(o_facing, ZUp);",
     ]
     return "\n".join([f"shader {shader}(", *inputs, *outputs, ")", "{", *begin, *lines, "}", ""])
+
+
+def output_name(channel: str) -> str:
+    """Return the name of the shader's output for a channel: OSL's own words, like "normal", get a "_"."""
+    name = re.sub(r"\W", "_", channel)
+    return f"{name}_" if name in _WORDS else name
 
 
 def _tiff_file(texels: Array) -> bytes:

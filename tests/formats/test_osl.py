@@ -190,3 +190,13 @@ def test_convert_and_edit_write_it(tmp_path: Path) -> None:
     assert "#define DEPTH 4" in (tmp_path / "a.osl").read_text()
     assert "#define DEPTH 3" in (tmp_path / "b.osl").read_text()
     assert (tmp_path / "b.osl.tif").exists()
+
+
+def test_outputs_have_names_that_osl_does_not_keep_to_itself(tmp_path: Path) -> None:
+    made = surface(normal=lambda points: 0.5 * points, alpha=0.5)
+    shader = Written(octex.convert(made, 3), tmp_path).shader
+    assert "output normal normal_ = N" in shader
+    assert "output float alpha = 0" in shader
+    assert [osl.output_name(each) for each in ("base_color", "my glaze", "color", "P")] == [
+        "base_color", "my_glaze", "color_", "P_",
+    ]  # fmt: skip

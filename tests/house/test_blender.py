@@ -56,12 +56,14 @@ def test_images_at_new_uvs_show_the_same_colours(used: dict[str, Any]) -> None:
     assert used["atlas"]["median"] <= 2
 
 
-@pytest.mark.parametrize("name", ["exact", "exact plate"])
+@pytest.mark.parametrize("name", ["exact", "exact plate", "exact channels"])
 def test_cycles_looks_the_octree_up_as_octex_does(used: dict[str, Any], name: str) -> None:
     assert used[name]["pixels"] > 2000
     for filter in ("nearest", "linear", "quadratic"):
         assert used[name][filter] <= 1
     assert used["exact plate"]["split"] > 100  # another colour on each side
+    for channel in ("alpha", "roughness", "metallic", "normal"):
+        assert used["exact channels"][channel] <= 1
 
 
 def test_a_photograph_lands_where_the_camera_sees_it(used: dict[str, Any]) -> None:

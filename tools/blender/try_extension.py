@@ -38,6 +38,8 @@ def main() -> int:
     told["exact"] = exact("painted", folder)
     plate()
     told["exact plate"] = exact("plate", folder)
+    channels()
+    told["exact channels"] = exact("channels", folder)
     extension.unregister()
     print(json.dumps(told))
     return 0
@@ -241,6 +243,21 @@ def plate() -> None:
     bpy.ops.octex.make()
 
 
+def channels() -> None:
+    """Add a ball with a texture of several channels, partly transparent."""
+    made = ball("channels")
+    mesh = objects.mesh_arrays(made)
+    surface = octex.Surface.from_arrays(mesh["rest"], mesh["triangles"], normals=mesh["normals"])
+    sources = {
+        "base_color": lambda points: 0.5 + 0.5 * np.sin(9 * points),
+        "alpha": lambda points: np.clip(0.5 + 2 * points[:, 1], 0, 1),
+        "roughness": lambda points: 0.5 + 0.5 * points[:, 0],
+        "metallic": 0.25,
+        "normal": lambda points: 0.7 * points + (0, 0.2, 0),
+    }
+    octex.convert(surface.with_sources(sources), 6).save(objects.texture_path(made, exists=False))
+
+
 def exact(name: str, folder: Path) -> dict[str, Any]:
     """Have Cycles draw an object by the OSL node; return how far each filter is from octex's own lookups."""
     chosen, scene = bpy.data.objects[name], bpy.context.scene
@@ -271,8 +288,19 @@ def exact(name: str, folder: Path) -> dict[str, Any]:
         shown = linear_to_srgb(draw(node.outputs["base_color"])[inside, :3])
         off = np.abs(shown - linear_to_srgb(texture.sample(rest, filter=filter, normals=normals)))
         told[filter] = float(np.quantile(off.max(axis=1) * 255, 0.999))
+    for channel in {"alpha", "roughness", "metallic"} & set(texture.channels):
+        shown = draw(node.outputs[channel])[inside, 0]
+        told[channel] = worst(shown - texture.sample(rest, channel, normals=normals)[:, 0])
+    if "normal" in texture.channels:
+        matrix = np.linalg.inv(np.array(chosen.matrix_world)[:3, :3])
+        expected = texture.sample(rest, "normal", normals=normals)[:, [0, 2, 1]] * (1, -1, 1) @ matrix
+        told["normal"] = worst(draw(node.outputs["normal_"])[inside, :3] - normalized(expected))
     draw.close()
     return told
+
+
+def normalized(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 class Drawing:

@@ -59,7 +59,7 @@ def bake(job: dict) -> dict:
     told = baked(scene, job["texture_size"])
     for each in scene.objects:
         if each.type == "MESH":
-            exact.show(bpy.context, each, Path(job["shader"]), [("base_color", 3)])
+            exact.show(bpy.context, each, Path(job["shader"]), [("base_color", 3, "base_color")])
             glow(each.material_slots[0].material)
     return told | {"baked": spent, "exact": drawn(scene, job["exact"])}
 

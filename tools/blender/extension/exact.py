@@ -11,7 +11,8 @@ from . import objects
 
 #: Attributes of a deformed mesh: where it rests, and its normals there.
 _REST, _NORMAL = "octex rest", "octex normal"
-#: The sockets of outputs: a colour, a number or a direction.
+#: Sockets of the shader: its inputs; and its outputs, a colour, a number or a direction.
+_INPUTS = {"Position": "Vector", "Normal": "Vector", "Filter": "Int", "ZUp": "Int", "File": "String"}
 _SOCKETS = {3: "NodeSocketColor", 1: "NodeSocketFloat", 0: "NodeSocketVector"}
 
 
@@ -26,14 +27,18 @@ def check_osl(context: bpy.types.Context) -> None:
 
 
 def show(
-    context: bpy.types.Context, chosen: bpy.types.Object, shader: Path, channels: Sequence[tuple[str, int]]
+    context: bpy.types.Context,
+    chosen: bpy.types.Object,
+    shader: Path,
+    outputs: Sequence[tuple[str, int, str]],
 ) -> None:
-    """Show an object by a shader file whose outputs are channels: names, and 3, 1 or 0 for a direction.
+    """Show an object by a shader file with outputs: names, 3, 1 or 0 for a direction, and their channels.
 
     Raises ObjectError if it does not compile.
     """
     code = compiled(shader)
-    if chosen.modifiers or chosen.data.shape_keys:
+    is_deformed = bool(chosen.modifiers or chosen.data.shape_keys)
+    if is_deformed:
         objects.set_rest(chosen, _REST, _NORMAL)
     context.scene.cycles.shading_system = True
     material, principled = objects.emptied(f"{chosen.name} octree exact")
@@ -41,13 +46,12 @@ def show(
     node = nodes.new("ShaderNodeScript")
     node.mode, node.location = "INTERNAL", (-350, 0)
     node.bytecode, node.bytecode_hash = code, hashlib.md5(code.encode(), usedforsecurity=False).hexdigest()
-    for name, kind in (("Position", "Vector"), ("Normal", "Vector"), ("Filter", "Int"), ("ZUp", "Int"),
-                       ("File", "String")):  # fmt: skip
+    for name, kind in _INPUTS.items():
         if name not in node.inputs:
             node.inputs.new(f"NodeSocket{kind}", name)
     node.inputs["Filter"].default_value, node.inputs["ZUp"].default_value = 2, 1
     node.inputs["File"].default_value = str(shader.with_name(f"{shader.name}.tif"))
-    if chosen.modifiers or chosen.data.shape_keys:
+    if is_deformed:
         for name, socket in ((_REST, "Position"), (_NORMAL, "Normal")):
             stored = nodes.new("ShaderNodeAttribute")
             stored.attribute_name = name
@@ -57,11 +61,11 @@ def show(
         place = nodes.new("ShaderNodeTexCoord")
         place.location = (-600, 0)
         links.new(place.outputs["Object"], node.inputs["Position"])
-    for name, components in channels:
+    for name, components, channel in outputs:
         output = node.outputs.get(name) or node.outputs.new(_SOCKETS[components], name)
-        if name in objects.SOCKETS:
-            links.new(output, principled.inputs[objects.SOCKETS[name]])
-    if any(name == "emissive" for name, _ in channels):
+        if channel in objects.SOCKETS:
+            links.new(output, principled.inputs[objects.SOCKETS[channel]])
+    if any(channel == "emissive" for _, _, channel in outputs):
         principled.inputs["Emission Strength"].default_value = 1.0
     objects.put(chosen, lambda _: material)
 

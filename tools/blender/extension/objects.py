@@ -5,6 +5,8 @@ octex works on the object's own mesh at rest: without modifiers, at the first sh
 Its rest positions have glTF's axes (y up), as in the model that the painting page shows.
 """
 
+import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -71,6 +73,33 @@ def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
 
 
 # To octex
+
+
+def hand_over(chosen: bpy.types.Object, folder: Path, form: str) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Write an object to a folder, for a Blender of its own, which takes its time to make of it a form.
+
+    That is its "arrays", or a "model" with the mesh's materials, or with those that are "shown". Returns the
+    command that makes it, and what must be stored before: the pixels of images that are not saved.
+    """
+    pixels: dict[str, np.ndarray] = {}
+    files = {}
+    for image in [] if form == "arrays" else {node.image for _, node in image_nodes(chosen, form == "shown")}:
+        if image.is_dirty:
+            files[image.name] = f"pixels-{len(files)}"
+            pixels[files[image.name]] = values = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(values)
+    if chosen.library is None:
+        blend = str(folder / "object.blend")
+        bpy.data.libraries.write(blend, {chosen}, path_remap="ABSOLUTE")
+    else:
+        blend = bpy.path.abspath(chosen.library.filepath)
+    job = {"folder": str(folder), "blend": blend, "object": chosen.name, "form": form, "pixels": files}
+    (folder / "export.json").write_text(json.dumps(job), encoding="utf-8")
+    script, given = str(Path(__file__).with_name("export.py")), str(folder / "export.json")
+    if not bpy.app.binary_path:  # Blender is a module
+        return [sys.executable, script, given], pixels
+    call = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1"]
+    return [*call, "--python", script, "--", given], pixels
 
 
 def rotated(positions: np.ndarray) -> np.ndarray:
@@ -148,25 +177,40 @@ def _alone(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Scene]:
         bpy.data.scenes.remove(scene)
 
 
+def image_nodes(
+    chosen: bpy.types.Object, shown: bool = False
+) -> Iterator[tuple[bpy.types.Material, bpy.types.ShaderNode]]:
+    """Yield the nodes with images of an object's materials, as `write_model` writes them."""
+    for material in _materials(chosen, shown):
+        for node in material.node_tree.nodes:
+            if node.type == "TEX_IMAGE" and node.image is not None:
+                yield material, node
+
+
+def _materials(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Material]:
+    """Yield an object's materials that have nodes: its mesh's, or those that it shows."""
+    for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
+        material = slot.material
+        if not shown and material is not None and MARK in material:
+            material = own  # what the texture is made of, not how it is shown
+        if material is not None and material.node_tree is not None:
+            yield material
+
+
 def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
     """Return what octex will not see of an object's materials, as `write_model` writes them.
 
     Raises ObjectError for images without data.
     """
+    for _, node in image_nodes(chosen, shown):
+        if node.image.source == "TILED":
+            raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
+        if not node.image.has_data and not node.image.size[0]:
+            raise ObjectError(f"{node.image.name} is missing: find or remove it first")
     complaints = []
-    for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
-        material = slot.material
-        if not shown and material is not None and MARK in material:
-            material = own  # what the texture is made of, not how it is shown
-        if material is None or material.node_tree is None:
-            continue
+    for material in _materials(chosen, shown):
         for node in material.node_tree.nodes:
-            if node.type == "TEX_IMAGE" and node.image is not None:
-                if node.image.source == "TILED":
-                    raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
-                if not node.image.has_data and not node.image.size[0]:
-                    raise ObjectError(f"{node.image.name} is missing: find or remove it first")
-            elif node.type == "BSDF_PRINCIPLED" and node.inputs["Base Color"].is_linked:
+            if node.type == "BSDF_PRINCIPLED" and node.inputs["Base Color"].is_linked:
                 source = node.inputs["Base Color"].links[0].from_node
                 if source.type.startswith("TEX_") and source.type != "TEX_IMAGE":
                     name = source.bl_label
@@ -261,11 +305,11 @@ def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     _check_same(chosen, len(colors))
     attributes = chosen.data.color_attributes
     attribute = attributes.get(NAME)
-    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "BYTE_COLOR"):
+    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "FLOAT_COLOR"):
         attributes.remove(attribute)
         attribute = None
     if attribute is None:
-        attribute = attributes.new(NAME, "BYTE_COLOR", "CORNER")
+        attribute = attributes.new(NAME, "FLOAT_COLOR", "CORNER")  # bytes take 40 times as long
     attribute.data.foreach_set("color", np.ascontiguousarray(colors, np.float32).reshape(-1))
     attributes.active_color = attribute
     attributes.render_color_index = attributes.active_color_index
@@ -278,23 +322,14 @@ def _check_same(chosen: bpy.types.Object, corners: int) -> None:
         raise ObjectError(f"{chosen.name} was edited meanwhile; bake it again in Object Mode")
 
 
-def set_uv(chosen: bpy.types.Object, corners: np.ndarray, uv: np.ndarray) -> None:
-    """Store texture coordinates of triangles' corners (m, 3, 2) as a UV map.
-
-    Raises ObjectError if a polygon's triangles lie apart in it.
-    """
-    _check_same(chosen, int(corners.max()) + 1)
-    values = np.full((len(chosen.data.loops), 2), np.nan, np.float32)
-    values[corners.reshape(-1)] = uv.reshape(-1, 2)
-    if (np.abs(values[corners] - uv) > 1e-6).any():
-        raise ObjectError(
-            "The new UV map cuts faces with more than three corners; triangulate the object first"
-        )
+def set_uv(chosen: bpy.types.Object, values: np.ndarray) -> None:
+    """Store texture coordinates of corners (corners, 2) as a UV map; raises ObjectError."""
+    _check_same(chosen, len(values))
     layers = chosen.data.uv_layers
     layer = layers.get(UV_MAP) or layers.new(name=UV_MAP)
     if layer is None:
         raise ObjectError(f"{chosen.name} has no room for another UV map; remove one")
-    layer.uv.foreach_set("vector", np.nan_to_num(values).reshape(-1))
+    layer.uv.foreach_set("vector", np.ascontiguousarray(values, np.float32).reshape(-1))
     chosen.data.update()
 
 

@@ -116,19 +116,22 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
     bl_idname = "octex.make"
     bl_label = "Make Octree Texture"
 
-    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
         settings = chosen.octex
         for name in objects.making_modifiers(chosen):
             self.report({"WARNING"}, f"{name} makes geometry that the texture does not know; apply it first")
+        given = {
+            "name": chosen.name,
+            "depth": settings.depth,
+            "origin": settings.origin,
+            "output": str(output),
+        }
         if settings.origin == "GREY":
-            arrays = objects.mesh_arrays(chosen)
-            return Job("make", arrays, name=chosen.name, depth=settings.depth, output=str(output))
+            return job_of("make", chosen, **given)
         for complaint in objects.check_images(chosen):
             self.report({"WARNING"}, complaint)
-        job = Job("make", name=chosen.name, depth=settings.depth, output=str(output))
-        objects.write_model(context, chosen, job.folder / "model.glb")
-        return job.given(model=str(job.folder / "model.glb"))
+        return job_of("make", chosen, "model", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         channels = ", ".join(answer["channels"])
@@ -156,24 +159,22 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
     bl_idname = "octex.images"
     bl_label = "Bake to Images"
 
-    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         objects.check_editable(chosen)
         settings, texture = chosen.octex, objects.texture_path(chosen)
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
+        given["layout"] = settings.layout
         if settings.layout == "ATLAS":
-            self.arrays = objects.mesh_arrays(chosen)
-            return Job("images", self.arrays, **given)
+            return job_of("images", chosen, **given)
         if not chosen.data.uv_layers:
             raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
-        job = Job("images", **given)
-        objects.write_model(context, chosen, job.folder / "model.glb")
-        return job.given(model=str(job.folder / "model.glb"))
+        return job_of("images", chosen, "model", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen = self.chosen()
         if chosen.octex.layout == "ATLAS":
-            objects.set_uv(chosen, self.arrays["corners"], np.load(self.job.folder / "uv.npy"))
+            objects.set_uv(chosen, np.load(self.job.folder / "uv.npy"))
         for each in answer["materials"]:
             each["maps"] = {name: _image(path, name) for name, path in each["maps"].items()}
         objects.show(chosen, answer["materials"])
@@ -191,9 +192,8 @@ class OCTEX_OT_exact(Working, bpy.types.Operator):
         exact.check_osl(context)
         objects.check_editable(chosen)
         texture = objects.texture_path(chosen)
-        arrays = objects.mesh_arrays(chosen)
-        return Job(
-            "exact", arrays, name=chosen.name, texture=str(texture), output=str(texture.with_suffix(".osl"))
+        return job_of(
+            "exact", chosen, name=chosen.name, texture=str(texture), output=str(texture.with_suffix(".osl"))
         )
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
@@ -211,10 +211,9 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
-        arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
-        job = Job(
-            "photographs", arrays, name=chosen.name, depth=chosen.octex.depth, output=str(output),
-            texture=str(output) if output.exists() else "",
+        job = job_of(
+            "photographs", chosen, name=chosen.name, depth=chosen.octex.depth, output=str(output),
+            texture=str(output) if output.exists() else "", posed=objects.posed_positions(context, chosen),
         )  # fmt: skip
         mirrored = chosen.matrix_world.determinant() < 0  # its front then faces inwards
         cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
@@ -242,11 +241,10 @@ class OCTEX_OT_view(Working, bpy.types.Operator):
             max(each * render.resolution_percentage // 100, 1)
             for each in (render.resolution_x, render.resolution_y)
         ]
-        arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
         output = texture.with_name(f"{texture.stem}-{bpy.path.clean_name(camera.name)}.png")
-        return Job(
-            "view", arrays, name=chosen.name, texture=str(texture), output=str(output),
-            camera=objects.lens_and_pose(camera, *size),
+        return job_of(
+            "view", chosen, name=chosen.name, texture=str(texture), output=str(output),
+            camera=objects.lens_and_pose(camera, *size), posed=objects.posed_positions(context, chosen),
         )  # fmt: skip
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
@@ -263,16 +261,14 @@ class OCTEX_OT_strokes(Working, bpy.types.Operator):
     bl_idname = "octex.strokes"
     bl_label = "Take Over Image Paint"
 
-    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         texture = objects.texture_path(chosen)
         if not any(
             each.material is not None and objects.MARK in each.material for each in chosen.material_slots
         ):
             raise objects.ObjectError(f"{chosen.name} shows no baked images: bake to images first")
         objects.check_images(chosen, shown=True)
-        job = Job("strokes", name=chosen.name, texture=str(texture))
-        objects.write_model(context, chosen, job.folder / "model.glb", shown=True)
-        return job.given(model=str(job.folder / "model.glb"))
+        return job_of("strokes", chosen, "shown", name=chosen.name, texture=str(texture))
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name} has {answer['texels']:,} painted texels"
@@ -288,7 +284,7 @@ class OCTEX_OT_paint(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            output = watching.paint(context, objects.mesh_object(context))
+            output = watching.paint(objects.mesh_object(context))
         except objects.ObjectError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -303,11 +299,20 @@ def _image(path: str, channel: str) -> bpy.types.Image:
     return image
 
 
+def job_of(
+    task: str, chosen: bpy.types.Object, form: str = "arrays", posed: np.ndarray | None = None, **given: Any
+) -> Job:
+    """Return a job that begins with an object in a form, and where its vertices are seen: see `hand_over`."""
+    job = Job(task, **given)
+    call, arrays = objects.hand_over(chosen, job.folder, form)
+    return job.after(call, arrays if posed is None else arrays | {"posed": posed})
+
+
 def colors_job(chosen: bpy.types.Object) -> Job:
     """Return the job that looks up an object's colours; raises ObjectError."""
     objects.check_editable(chosen)
     texture = objects.texture_path(chosen)
-    return Job("colors", objects.mesh_arrays(chosen), name=chosen.name, texture=str(texture))
+    return job_of("colors", chosen, name=chosen.name, texture=str(texture))
 
 
 def take_colors(chosen: bpy.types.Object, job: Job) -> None:

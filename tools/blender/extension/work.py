@@ -17,6 +17,7 @@ import numpy as np
 import octex
 from octex.drawing.views import as_png, draw_paintable
 from octex.formats.images import image_file
+from octex.formats.osl import output_name
 from octex.source.images.decode import image_size
 from octex.source.materials import Input, MaterialSource
 
@@ -40,20 +41,31 @@ def surface_of(
     job: dict[str, Any], shaded: bool = False, **options: Any
 ) -> tuple[octex.Surface, dict[str, np.ndarray]]:
     """Return the mesh of a job, with its shading normals if asked for, and its arrays."""
-    with np.load(Path(job["folder"]) / "mesh.npz") as arrays:
+    folder = Path(job["folder"])
+    with np.load(folder / "mesh.npz") as arrays:
         mesh = dict(arrays)
+    posed = folder / "posed.npy"
     if shaded:
         options["normals"] = mesh["normals"]
     surface = octex.Surface.from_arrays(
-        mesh.get("posed", mesh["rest"]), mesh["triangles"], rest=mesh["rest"], name=job["name"], **options
+        np.load(posed) if posed.exists() else mesh["rest"],
+        mesh["triangles"],
+        rest=mesh["rest"],
+        name=job["name"],
+        **options,
     )
     return surface, mesh
 
 
+def model_of(job: dict[str, Any]) -> Path:
+    """Return the model that export.py has written."""
+    return Path(job["folder"]) / "model.glb"
+
+
 def make(job: dict[str, Any]) -> dict[str, Any]:
     """Make a texture of a model's materials, or of grey."""
-    if "model" in job:
-        surface = octex.load_surface(job["model"], normals=True)
+    if job["origin"] == "MATERIAL":
+        surface = octex.load_surface(model_of(job), normals=True)
         surface = surface.with_channels([each.name for each in surface.channels if each.name in _CHANNELS])
     else:
         surface, _ = surface_of(job, factor=(_GREY,) * 3)
@@ -87,17 +99,17 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     """Bake images of the texture: of each material at the mesh's own UVs, or one set at new ones."""
     texture = octex.open(job["texture"])
     folder, output = Path(job["folder"]), Path(job["output"])
-    if "model" in job:
-        surface, layout = octex.load_surface(job["model"], normals=True), "keep"
+    if job["layout"] == "KEEP":
+        surface, layout = octex.load_surface(model_of(job), normals=True), "keep"
     else:
-        (surface, _), layout = surface_of(job, shaded=True), "atlas"
+        (surface, mesh), layout = surface_of(job, shaded=True), "atlas"
     wanted = [name for name in _CHANNELS if name in texture.channels]
     baked = octex.bake(
         texture, surface, uv=layout, texture_size=job["texture_size"], channels=wanted, progress=progress
     )
     if layout == "atlas":
         uv = baked.source.coordinates[0]
-        np.save(folder / "uv.npy", uv.values[uv.rows] * (1, -1) + (0, 1))
+        np.save(folder / "uv.npy", at_corners(mesh["corners"], uv.values[uv.rows] * (1, -1) + (0, 1)))
     made: list[dict[str, Any]] = []
     for material in baked.source.materials:
         name = material.name if layout == "keep" else ""
@@ -113,6 +125,17 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     return {"materials": made}
 
 
+def at_corners(corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return texture coordinates of polygons' corners (n, 2) by those of triangles' (m, 3, 2)."""
+    values = np.zeros((int(corners.max()) + 1, 2), np.float32)
+    values[corners.reshape(-1)] = uv.reshape(-1, 2)
+    if (np.abs(values[corners] - uv) > 1e-6).any():
+        raise octex.OctexError(
+            "The new UV map cuts faces with more than three corners; triangulate the object first"
+        )
+    return values
+
+
 def exact(job: dict[str, Any]) -> dict[str, Any]:
     """Write a shader of the texture, and the image that it reads."""
     texture = octex.open(job["texture"])
@@ -122,14 +145,16 @@ def exact(job: dict[str, Any]) -> dict[str, Any]:
     kinds = [0 if form.space == "direction" else 1 if form.components == 1 else 3 for form in forms]
     return {
         "shader": job["output"],
-        "outputs": [(re.sub(r"\W", "_", form.name), kind) for form, kind in zip(forms, kinds, strict=True)],
+        "outputs": [
+            (output_name(form.name), kind, form.name) for form, kind in zip(forms, kinds, strict=True)
+        ],
     }
 
 
 def strokes(job: dict[str, Any]) -> dict[str, Any]:
     """Merge what was painted on baked images: their texels that differ from the texture's, baked anew."""
     texture = octex.open(job["texture"])
-    shown = octex.load_surface(job["model"], channels=["base_color"])
+    shown = octex.load_surface(model_of(job), channels=["base_color"])
     surface = shown.placed_on(texture)
     images = [each.inputs["base_color"].texture for each in shown.source.materials]
     sizes = {each.texels.shape[:2] for each in images if each is not None}
