@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from octex.drawing.views import render as render
     from octex.errors import OctexError as OctexError
     from octex.formats.models import write_model as write_model
+    from octex.formats.osl import write_osl as write_osl
     from octex.formats.ptex.export import write_ptex as write_ptex
     from octex.formats.ptex.source import Ptex as Ptex
     from octex.painting.layers import Layers as Layers
@@ -138,6 +139,7 @@ _EXPORTS = {
     "drawing.views": "render",
     "errors": "OctexError",
     "formats.models": "write_model",
+    "formats.osl": "write_osl",
     "formats.ptex.export": "write_ptex",
     "formats.ptex.source": "Ptex",
     "painting.layers": "Layers",

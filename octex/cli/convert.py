@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 INDEX = "set.json"  # as octex.texture.folder.INDEX
-OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz"
+OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
 _LINES = 10  # so many parts are listed
 _STORED = {"--channels", "--dtype", "--preview"}
 #: The options that a kind of INPUT takes; a model takes all.
@@ -151,6 +151,9 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
         from octex.formats.npz import write_arrays
 
         write_arrays(texture, path, progress)
+    elif ending == ".osl":
+        with progress.stage("write"):
+            octex.write_osl(texture, path)
     else:
         from octex.formats.ply import write_points
 

@@ -188,7 +188,7 @@ convert  Convert a textured model, points, voxels or a function to an octree tex
   > droid.glb droid.octex --depth 10 --preview droid.png
   > statue.stl statue.octex --source base_color=wood.png --project box
   INPUT    a model, points, voxels, a texture, or FILE.py:NAME, a function that is negative inside
-  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
+  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply, .npz; .osl: a shader
   --depth --cell --max-error --detail --channels --dtype --source --project --transfer --within
   --filter SHAPE --repair --also --grid --separate --parts --memory --no-fit --preview RUNNING
 
@@ -236,7 +236,7 @@ edit  Make a texture from a texture. Options are applied in the order listed her
   > droid.octex coarse.octex --depth 7
   > droid.octex worn.octex --levels 0.1,0.75,1.3 --blur 0.02
   TEXTURE  an .octex or .octz file, or its address
-  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply or .npz
+  OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply, .npz; .osl: a shader
   --crop --depth --combine --mix --blur --levels --channels --dtype --loss RUNNING
 
 info  Print what a texture holds and where its bytes go.

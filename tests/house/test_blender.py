@@ -15,14 +15,22 @@ PYTHON = os.environ.get("OCTEX_TEST_BLENDER", "")
 pytestmark = pytest.mark.skipif(not PYTHON, reason="OCTEX_TEST_BLENDER names no Python with bpy and octex")
 
 
-@pytest.fixture(scope="module")
-def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("blender")
-    call = [PYTHON, str(TOOLS / "try_extension.py"), str(folder)]
+def told_by(tool: str, folder: Path) -> dict[str, Any]:
+    call = [PYTHON, str(TOOLS / tool), str(folder)]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return told
+
+
+@pytest.fixture(scope="module")
+def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return told_by("try_extension.py", tmp_path_factory.mktemp("blender"))
+
+
+@pytest.fixture(scope="module")
+def kinds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return told_by("try_objects.py", tmp_path_factory.mktemp("objects"))
 
 
 def test_objects_that_cannot_be_used_are_refused_in_words(used: dict[str, Any]) -> None:
@@ -48,6 +56,16 @@ def test_images_at_new_uvs_show_the_same_colours(used: dict[str, Any]) -> None:
     assert used["atlas"]["median"] <= 2
 
 
+@pytest.mark.parametrize("name", ["exact", "exact plate", "exact channels"])
+def test_cycles_looks_the_octree_up_as_octex_does(used: dict[str, Any], name: str) -> None:
+    assert used[name]["pixels"] > 2000
+    for filter in ("nearest", "linear", "quadratic"):
+        assert used[name][filter] <= 1
+    assert used["exact plate"]["split"] > 100  # another colour on each side
+    for channel in ("alpha", "roughness", "metallic", "normal"):
+        assert used["exact channels"][channel] <= 1
+
+
 def test_a_photograph_lands_where_the_camera_sees_it(used: dict[str, Any]) -> None:
     assert used["photograph"]["corners"] > 500
     assert used["photograph"]["worst"] <= 2
@@ -57,3 +75,53 @@ def test_what_the_page_saves_is_shown(used: dict[str, Any]) -> None:
     assert used["painted"]["is_open"]
     assert used["painted"]["path"] == "//ball-2.octex"
     assert used["painted"]["worst"] <= 0.51
+
+
+def test_images_that_are_unsaved_or_packed_are_read_and_others_refused(kinds: dict[str, Any]) -> None:
+    images = kinds["images"]
+    assert max(images[kind] for kind in ("unsaved", "packed", "file")) <= 2
+    assert "is missing: find or remove it first" in images["missing"]
+    assert "has UDIM tiles: bake it to one image first" in images["tiles"]
+
+
+@pytest.mark.parametrize("layout", ["KEEP", "ATLAS"])
+def test_strokes_on_baked_images_are_taken_over(kinds: dict[str, Any], layout: str) -> None:
+    assert "bake to images first" in kinds["strokes"]["not baked"]
+    assert "nothing was painted" in kinds["strokes"]["not painted"]
+    assert kinds["strokes"][layout]["corners"] > 50
+    assert kinds["strokes"][layout]["red"] <= 2
+    assert kinds["strokes"][layout]["moved"] <= 1
+
+
+def test_what_is_painted_on_a_drawn_view_is_projected(kinds: dict[str, Any]) -> None:
+    view = kinds["view"]
+    assert "The scene has no camera" in view["no camera"]
+    assert view["name"] == "ball-camera.png"
+    assert view["drawn"] <= 0.5
+    assert "no view was painted on" in view["not painted"]
+    assert view["corners"] > 50
+    assert view["red"] <= 10  # at the border some grey is averaged in
+    assert view["grey"] <= 2
+
+
+def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds: dict[str, Any]) -> None:
+    assert "none of its 2 pictures is there" in kinds["colmap"]["missing"]
+    assert kinds["colmap"]["worst"] <= 2
+
+
+def test_objects_without_material_and_with_shape_keys_are_coloured(kinds: dict[str, Any]) -> None:
+    assert kinds["plain"] == {"spread": 0.0, "slots": 1}
+    assert kinds["shape_keys"]["worst"] <= 2
+
+
+def test_what_cannot_take_a_texture_says_what_to_do(kinds: dict[str, Any]) -> None:
+    assert "apply finer first" in kinds["modifiers"]["photographs"]
+    for said in kinds["linked"].values():
+        assert "ball is linked from library.blend: make it local first" in said
+    assert len(kinds["linked"]) == 3
+
+
+def test_the_texture_of_another_object_is_refused(kinds: dict[str, Any]) -> None:
+    assert len(kinds["another"]) == 5
+    for said in kinds["another"].values():
+        assert "another model" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import json
 import re
 import subprocess
 import sys
@@ -84,7 +85,7 @@ Box Camera Creases Environment Layers MappedImage OctexError OctreeTexture Paint
 Projection Ptex Run Sphere Surface TextureSet Transfer Voxels __version__ bake bake_vertices blur cast
 combine convert convert_set crop curves difference displace fill finish levels load_surface merge mix paint
 project read_cameras refine_cameras render repair resize separate simplify subdivide unwrap write_cameras
-write_model write_preview write_ptex
+write_model write_osl write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
 HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
@@ -158,6 +159,17 @@ def test_the_exported_names_are_these_and_each_exists() -> None:
     for name in [*EXPORTED, "map", "open"]:
         assert getattr(octex, name) is not None
         assert name in dir(octex)
+
+
+def test_there_is_one_version_and_the_changelog_has_it() -> None:
+    assert "version" in PROJECT["dynamic"]  # flit reads octex.__version__
+    package = json.loads((ROOT / "viewer" / "package.json").read_text(encoding="utf-8"))
+    manifest = tomllib.loads(
+        (ROOT.parent / "tools" / "blender" / "extension" / "blender_manifest.toml").read_text("utf-8")
+    )
+    assert package["version"] == manifest["version"] == octex.__version__
+    changes = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    assert re.search(rf"^## {re.escape(octex.__version__)}\b", changes, re.MULTILINE)
 
 
 def test_a_star_import_leaves_what_python_has() -> None:

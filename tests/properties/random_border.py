@@ -271,6 +271,7 @@ def calls() -> list[Call]:
         (octex.subdivide, {"mesh": w.surface, "levels": 1}),
         (octex.unwrap, {"surface": w.surface, "center": rows[0], "radius": 0.3, "size": 4}),
         (octex.write_ptex, {**painted, "path": at / "written.ptx"}),
+        (octex.write_osl, {**one, "path": at / "written.osl"}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.obj", "unit": "foot"}),
         (octex.write_model, {"surface": w.surface, "path": at / "written.glb", "octree": w.texture}),
         (octex.write_preview, {**painted, "path": at / "a.png", "size": (64, 64), "supersample": 1}),

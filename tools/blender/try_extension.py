@@ -20,6 +20,9 @@ from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-
 from extension import objects, watching
 from mathutils import Vector  # type: ignore[import-not-found]
 
+import octex
+from octex.channels import linear_to_srgb
+
 SIZE = 256
 
 
@@ -32,6 +35,11 @@ def main() -> int:
     told["atlas"] = atlas()
     told["photograph"] = photograph(folder)
     told["painted"] = painted()
+    told["exact"] = exact("painted", folder)
+    plate()
+    told["exact plate"] = exact("plate", folder)
+    channels()
+    told["exact channels"] = exact("channels", folder)
     extension.unregister()
     print(json.dumps(told))
     return 0
@@ -59,6 +67,20 @@ def gradient(name: str) -> bpy.types.Image:
     pixels[..., 0], pixels[..., 1], pixels[..., 2] = across, across[:, None], 0.25
     image.pixels.foreach_set(pixels.reshape(-1))
     return image
+
+
+def own_material(chosen: bpy.types.Object, image: bpy.types.Image) -> bpy.types.ShaderNode:
+    """Give an object a material of an image, and return the image's node."""
+    own = bpy.data.materials.new("own")
+    if own.node_tree is None:  # as before Blender 5
+        own.use_nodes = True
+    node = own.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    own.node_tree.links.new(
+        node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    )
+    chosen.data.materials.append(own)
+    return node
 
 
 def colors(chosen: bpy.types.Object) -> np.ndarray:
@@ -117,15 +139,7 @@ def material(folder: Path) -> dict[str, Any]:
     image = gradient("gradient")
     image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
     image.save()
-    own = bpy.data.materials.new("own")
-    if own.node_tree is None:
-        own.use_nodes = True
-    node = own.node_tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    own.node_tree.links.new(
-        node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
-    )
-    chosen.data.materials.append(own)
+    own_material(chosen, image)
     chosen.octex.depth = 8
     bpy.ops.octex.make()
     bpy.ops.octex.colors()
@@ -208,6 +222,121 @@ def painted() -> dict[str, Any]:
         time.sleep(0.05)
     is_open = watching._painted[chosen.name].process.poll() is None
     return {"worst": worst(colors(chosen)[:, :3] - 0.5), "path": chosen.octex.path, "is_open": is_open}
+
+
+def plate() -> None:
+    """Add a bent plate thinner than cells, another colour on each side, and a texture of it."""
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=12, y_subdivisions=12, size=2)
+    made = bpy.context.active_object
+    made.name, made.octex.depth, made.octex.origin = "plate", 6, "MATERIAL"
+    for name, color in (("over", (0.8, 0.1, 0.1, 1)), ("under", (0.1, 0.2, 0.9, 1))):
+        own = bpy.data.materials.new(name)
+        if own.node_tree is None:
+            own.use_nodes = True
+        own.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = color
+        made.data.materials.append(own)
+    thick = made.modifiers.new("thick", "SOLIDIFY")
+    thick.thickness, thick.material_offset, thick.material_offset_rim = 0.004, 1, 1
+    bpy.ops.object.modifier_apply(modifier=thick.name)
+    bend = made.modifiers.new("bend", "SIMPLE_DEFORM")
+    bend.deform_method, bend.angle = "BEND", 1.2
+    bpy.ops.octex.make()
+
+
+def channels() -> None:
+    """Add a ball with a texture of several channels, partly transparent."""
+    made = ball("channels")
+    mesh = objects.mesh_arrays(made)
+    surface = octex.Surface.from_arrays(mesh["rest"], mesh["triangles"], normals=mesh["normals"])
+    sources = {
+        "base_color": lambda points: 0.5 + 0.5 * np.sin(9 * points),
+        "alpha": lambda points: np.clip(0.5 + 2 * points[:, 1], 0, 1),
+        "roughness": lambda points: 0.5 + 0.5 * points[:, 0],
+        "metallic": 0.25,
+        "normal": lambda points: 0.7 * points + (0, 0.2, 0),
+    }
+    octex.convert(surface.with_sources(sources), 6).save(objects.texture_path(made, exists=False))
+
+
+def exact(name: str, folder: Path) -> dict[str, Any]:
+    """Have Cycles draw an object by the OSL node; return how far each filter is from octex's own lookups."""
+    chosen, scene = bpy.data.objects[name], bpy.context.scene
+    bpy.context.view_layer.objects.active = chosen
+    scene.render.engine = "CYCLES"
+    bpy.ops.octex.exact()
+    material = chosen.material_slots[0].material
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    node = next(each for each in nodes if each.type == "SCRIPT")
+    shader = nodes.new("ShaderNodeEmission")
+    links.new(shader.outputs[0], next(each for each in nodes if each.type == "OUTPUT_MATERIAL").inputs[0])
+    draw = Drawing(chosen, shader.inputs["Color"], folder)
+    place = node.inputs["Position"].links[0].from_socket
+    rest = draw(place)
+    if node.inputs["Normal"].is_linked:
+        normals = draw(node.inputs["Normal"].links[0].from_socket)
+    else:
+        turned = nodes.new("ShaderNodeVectorTransform")
+        turned.vector_type, turned.convert_from, turned.convert_to = "NORMAL", "WORLD", "OBJECT"
+        links.new(nodes.new("ShaderNodeNewGeometry").outputs["Normal"], turned.inputs[0])
+        normals = draw(turned.outputs[0])
+    inside = rest[:, 3] == 1
+    rest, normals = (objects.rotated(each[inside, :3].astype(np.float64)) for each in (rest, normals))
+    texture = octex.open(objects.texture_path(chosen))
+    told: dict[str, Any] = {"pixels": int(inside.sum()), "split": int(texture.tree.split.cells.size)}
+    for number, filter in enumerate(("nearest", "linear", "quadratic")):
+        node.inputs["Filter"].default_value = number
+        shown = linear_to_srgb(draw(node.outputs["base_color"])[inside, :3])
+        off = np.abs(shown - linear_to_srgb(texture.sample(rest, filter=filter, normals=normals)))
+        told[filter] = float(np.quantile(off.max(axis=1) * 255, 0.999))
+    for channel in {"alpha", "roughness", "metallic"} & set(texture.channels):
+        shown = draw(node.outputs[channel])[inside, 0]
+        told[channel] = worst(shown - texture.sample(rest, channel, normals=normals)[:, 0])
+    if "normal" in texture.channels:
+        matrix = np.linalg.inv(np.array(chosen.matrix_world)[:3, :3])
+        expected = texture.sample(rest, "normal", normals=normals)[:, [0, 2, 1]] * (1, -1, 1) @ matrix
+        told["normal"] = worst(draw(node.outputs["normal_"])[inside, :3] - normalized(expected))
+    draw.close()
+    return told
+
+
+def normalized(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+class Drawing:
+    """Draws an object from one side, a ray a pixel, as what a socket holds."""
+
+    def __init__(self, chosen: bpy.types.Object, shown: bpy.types.NodeSocket, folder: Path) -> None:
+        self._links, self._shown, self._path = shown.id_data.links, shown, folder / "drawn.exr"
+        self._scene = scene = bpy.data.scenes.new("drawing")
+        scene.collection.objects.link(chosen)
+        camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        scene.collection.objects.link(camera)
+        camera.location = chosen.location + Vector((1, -3, 2)) * 2
+        camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
+        scene.camera, scene.render.engine, scene.render.film_transparent = camera, "CYCLES", True
+        scene.render.resolution_x = scene.render.resolution_y = SIZE
+        scene.cycles.shading_system, scene.cycles.samples, scene.cycles.device = True, 1, "CPU"
+        scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
+        scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
+        scene.render.filepath = str(self._path)
+        settings = scene.render.image_settings
+        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGBA"
+
+    def __call__(self, socket: bpy.types.NodeSocket) -> np.ndarray:
+        """Return pixels (n, 4)."""
+        self._links.new(socket, self._shown)
+        bpy.ops.render.render(write_still=True, scene=self._scene.name)
+        image = bpy.data.images.load(str(self._path))
+        pixels = np.empty(4 * SIZE * SIZE, np.float32)
+        image.pixels.foreach_get(pixels)
+        bpy.data.images.remove(image)
+        return pixels.reshape(-1, 4)
+
+    def close(self) -> None:
+        """Remove the scene and its camera."""
+        bpy.data.objects.remove(self._scene.camera)
+        bpy.data.scenes.remove(self._scene)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from pathlib import Path
 import bpy  # type: ignore[import-not-found]
 import mathutils  # type: ignore[import-not-found]
 import numpy as np
+from extension import exact
 from mathutils import Vector  # type: ignore[import-not-found]
 
 #: Millimetres, as of a camera for films of 36 mm.
@@ -50,13 +51,27 @@ def new_camera(scene: bpy.types.Scene, lens: float, clip: tuple[float, float]) -
 
 
 def bake(job: dict) -> dict:
-    """Draw a model unlit, and bake it; return how long the bake takes."""
+    """Draw a model unlit, bake it, and draw it by an OSL node; return how long each takes."""
     scene = opened(job)
     for material in bpy.data.materials:
         glow(material)
-    for each in job["views"]:
+    spent = drawn(scene, job["baked"])
+    told = baked(scene, job["texture_size"])
+    for each in scene.objects:
+        if each.type == "MESH":
+            exact.show(bpy.context, each, Path(job["shader"]), [("base_color", 3, "base_color")])
+            glow(each.material_slots[0].material)
+    return told | {"baked": spent, "exact": drawn(scene, job["exact"])}
+
+
+def drawn(scene: bpy.types.Scene, views: list[dict]) -> list[float]:
+    """Draw the scene from cameras; return seconds of the processor that each takes."""
+    spent = []
+    for each in views:
+        began = time.process_time()
         draw(scene, each)
-    return baked(scene, job["texture_size"])
+        spent.append(time.process_time() - began)
+    return spent
 
 
 def glow(material: bpy.types.Material) -> None:

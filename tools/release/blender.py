@@ -43,8 +43,9 @@ bpy.ops.wm.save_as_mainfile(filepath=folder + "/cube.blend")
 bpy.context.active_object.octex.origin = "GREY"
 assert bpy.ops.octex.make() == {"FINISHED"}
 assert bpy.ops.octex.colors() == {"FINISHED"}
+assert bpy.ops.octex.exact() == {"FINISHED"}
 import octex
-print("octex lies at", octex.__file__)
+assert octex.__file__.startswith(folder), octex.__file__
 """
 
 
@@ -109,6 +110,7 @@ def check(path: Path, python: Path) -> None:
         subprocess.run(
             [python, "-c", _CHECK, path, folder],
             env=variables | {"BLENDER_USER_RESOURCES": folder},
+            cwd=folder,
             check=True,
         )
         shutil.rmtree(folder, ignore_errors=True)

@@ -34,7 +34,7 @@ API = {
     "Cameras": "Camera read_cameras write_cameras",
     "Processing": "levels curves map mix combine blur crop resize cast",
     "Pictures": "render write_preview difference Environment",
-    "Baking": "bake bake_vertices finish simplify displace write_model write_ptex",
+    "Baking": "bake bake_vertices finish simplify displace write_model write_ptex write_osl",
     "How to work": "Run",
     "Errors": "OctexError",
 }

@@ -250,6 +250,7 @@ def _ptex(folder: Path) -> None:
     for mesh in (surface, octex.Surface.from_arrays(surface.vertices, surface.triangles)):
         octex.write_ptex(texture, mesh, folder / "faces.ptx")
         octex.convert(mesh.with_sources(octex.Ptex(folder / "faces.ptx").sources), 3)
+    octex.write_osl(texture, folder / "walk.osl")
     patch = octex.unwrap(surface, (0.5, 0.5, 0), 0.4, size=8)
     octex.paint(texture, surface, octex.Projection(np.zeros((8, 8, 3), np.uint8), patch))
 

@@ -28,13 +28,17 @@ def environment() -> dict[str, str]:
 class Job:
     """A task of work.py: its progress, its end."""
 
-    def __init__(self, task: str, arrays: dict[str, np.ndarray] | None = None, **job: Any) -> None:
+    def __init__(self, task: str, **job: Any) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="octex-")
         self.folder = Path(self._folder.name)
         self.stage, self.share = "", 0.0
         self.warnings: list[str] = []
-        self._task, self._job, self._arrays = task, job, arrays
+        self._task, self._job = task, job
+        self._arrays: dict[str, np.ndarray] = {}
+        self._calls: list[tuple[list[str], dict[str, str] | None]] = []
         self._process: subprocess.Popen | None = None
+        self._reader: threading.Thread | None = None
+        self._is_closed = False
         self._lines: queue.SimpleQueue = queue.SimpleQueue()
         self._answer: dict[str, Any] | None = None
 
@@ -43,30 +47,50 @@ class Job:
         self._job.update(job)
         return self
 
+    def after(self, call: list[str], arrays: dict[str, np.ndarray]) -> "Job":
+        """Return this job to be done after a command, for which arrays are stored in its folder."""
+        self._calls.append((call, None))
+        self._arrays |= arrays
+        return self
+
     def start(self) -> None:
-        """Start the process."""
-        if self._arrays is not None:
-            np.savez(self.folder / "mesh.npz", **self._arrays)
+        """Begin, in a thread that waits for the processes."""
         job = {"task": self._task, "folder": str(self.folder), **self._job}
         (self.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        self._process = subprocess.Popen(
-            [sys.executable, str(_WORK), str(self.folder / "job.json")], env=environment(),
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            encoding="utf-8",
-        )  # fmt: skip
-        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._calls.append(([sys.executable, str(_WORK), str(self.folder / "job.json")], environment()))
+        self._reader = threading.Thread(target=self._run, daemon=True)
         self._reader.start()
 
-    def _read(self) -> None:
-        assert self._process is not None
+    def _run(self) -> None:
         errors: list[str] = []
-        drain = threading.Thread(target=lambda: errors.append(self._process.stderr.read()), daemon=True)
+        try:
+            for name, values in self._arrays.items():
+                np.save(self.folder / f"{name}.npy", values)
+            for call, variables in self._calls:
+                if not errors and not self._is_closed:
+                    errors = self._called(call, variables)
+        except OSError as error:
+            errors = [str(error)]
+        self._lines.put(errors[-1:])
+
+    def _called(self, call: list[str], variables: dict[str, str] | None) -> list[str]:
+        """Run a command, pass what it says on, and return its complaints if it fails."""
+        self._process = process = subprocess.Popen(
+            call, env=variables, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, encoding="utf-8",
+        )  # fmt: skip
+        if self._is_closed:
+            process.terminate()
+        errors: list[str] = []
+        drain = threading.Thread(target=lambda: errors.append(process.stderr.read()), daemon=True)
         drain.start()
-        for line in self._process.stdout:
-            self._lines.put(line)
+        for line in process.stdout:
+            if line.startswith("{"):  # others are Blender's
+                self._lines.put(line)
         drain.join()
-        self._process.wait()
-        self._lines.put("".join(errors).strip().splitlines()[-1:])
+        return (
+            ("".join(errors).strip().splitlines() or ["it ended without an answer"]) if process.wait() else []
+        )
 
     def poll(self) -> dict[str, Any] | None:
         """Take what has arrived; return the answer once there is one. Raises JobError."""
@@ -97,7 +121,9 @@ class Job:
 
     def close(self) -> None:
         """End the process if it works, and remove its files."""
+        self._is_closed = True
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
+        if self._reader is not None:
             self._reader.join()
         self._folder.cleanup()

@@ -5,7 +5,9 @@ octex works on the object's own mesh at rest: without modifiers, at the first sh
 Its rest positions have glTF's axes (y up), as in the model that the painting page shows.
 """
 
-from collections.abc import Iterator, Sequence
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ import numpy as np
 
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
+#: The property of cameras that names the view which they drew, before it was painted on.
+VIEW = "octex view"
 #: Modifiers that move vertices but make none.
 _DEFORMING = {
     "ARMATURE", "CAST", "CLOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LATTICE", "MESH_DEFORM",
@@ -42,6 +46,16 @@ def mesh_object(context: bpy.types.Context) -> bpy.types.Object:
     return chosen
 
 
+def check_editable(chosen: bpy.types.Object) -> None:
+    """Raise ObjectError for an object or a mesh that another file owns: it can show no bake."""
+    for each in (chosen, chosen.data):
+        if each.library is not None:
+            raise ObjectError(
+                f"{each.name} is linked from {Path(each.library.filepath).name}: make it local first "
+                "(Object, Relations, Make Local, Selected Objects and Data)"
+            )
+
+
 def making_modifiers(chosen: bpy.types.Object) -> list[str]:
     """Return the names of the modifiers that make geometry, which octex does not see."""
     return [each.name for each in chosen.modifiers if each.type not in _DEFORMING and each.show_viewport]
@@ -61,7 +75,34 @@ def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
 # To octex
 
 
-def _rotated(positions: np.ndarray) -> np.ndarray:
+def hand_over(chosen: bpy.types.Object, folder: Path, form: str) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Write an object to a folder, for a Blender of its own, which takes its time to make of it a form.
+
+    That is its "arrays", or a "model" with the mesh's materials, or with those that are "shown". Returns the
+    command that makes it, and what must be stored before: the pixels of images that are not saved.
+    """
+    pixels: dict[str, np.ndarray] = {}
+    files = {}
+    for image in [] if form == "arrays" else {node.image for _, node in image_nodes(chosen, form == "shown")}:
+        if image.is_dirty:
+            files[image.name] = f"pixels-{len(files)}"
+            pixels[files[image.name]] = values = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(values)
+    if chosen.library is None:
+        blend = str(folder / "object.blend")
+        bpy.data.libraries.write(blend, {chosen}, path_remap="ABSOLUTE")
+    else:
+        blend = bpy.path.abspath(chosen.library.filepath)
+    job = {"folder": str(folder), "blend": blend, "object": chosen.name, "form": form, "pixels": files}
+    (folder / "export.json").write_text(json.dumps(job), encoding="utf-8")
+    script, given = str(Path(__file__).with_name("export.py")), str(folder / "export.json")
+    if not bpy.app.binary_path:  # Blender is a module
+        return [sys.executable, script, given], pixels
+    call = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1"]
+    return [*call, "--python", script, "--", given], pixels
+
+
+def rotated(positions: np.ndarray) -> np.ndarray:
     """Return positions or directions (n, 3) in glTF's axes."""
     return positions[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
 
@@ -81,10 +122,10 @@ def mesh_arrays(chosen: bpy.types.Object) -> dict[str, np.ndarray]:
     at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
     corners = _read(mesh.loop_triangles, "loops", 3, np.int32)
     return {
-        "rest": _rotated(_read(at_rest, "co", 3).astype(np.float64)),
+        "rest": rotated(_read(at_rest, "co", 3).astype(np.float64)),
         "triangles": _read(mesh.loop_triangles, "vertices", 3, np.int32),
         "corners": corners,
-        "normals": _rotated(_read(mesh.corner_normals, "vector", 3).astype(np.float64))[corners],
+        "normals": rotated(_read(mesh.corner_normals, "vector", 3).astype(np.float64))[corners],
     }
 
 
@@ -103,9 +144,11 @@ def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path) -> None:
-    """Write an object with its materials as .glb, at rest, in its own axes; raises ObjectError."""
-    with _alone(chosen) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+def write_model(
+    context: bpy.types.Context, chosen: bpy.types.Object, path: Path, shown: bool = False
+) -> None:
+    """Write an object as .glb, at rest, in its own axes, with its mesh's materials or those ``shown``."""
+    with _alone(chosen, shown) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         bpy.ops.export_scene.gltf(
             filepath=str(path), export_format="GLB", use_active_scene=True, export_apply=False,
             export_animations=False, export_skins=False, export_morph=False, export_yup=True,
@@ -114,7 +157,7 @@ def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path
 
 
 @contextmanager
-def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
+def _alone(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Scene]:
     """Lend a scene with a copy of an object, bare of transforms and modifiers."""
     scene = bpy.data.scenes.new("octex")
     copy = chosen.copy()
@@ -125,7 +168,7 @@ def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
         copy.modifiers.clear()
         copy.matrix_world = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
         for slot in copy.material_slots:
-            if slot.material is not None and MARK in slot.material:
+            if not shown and slot.material is not None and MARK in slot.material:
                 slot.link = "DATA"  # what the texture is made of, not how it is shown
         scene.collection.objects.link(copy)
         yield scene
@@ -134,20 +177,40 @@ def _alone(chosen: bpy.types.Object) -> Iterator[bpy.types.Scene]:
         bpy.data.scenes.remove(scene)
 
 
-def check_images(chosen: bpy.types.Object) -> list[str]:
-    """Return what octex will not see of an object's materials; raises ObjectError for images without data."""
-    complaints = []
-    for slot in chosen.material_slots:
-        material = slot.material
-        if material is None or material.node_tree is None or MARK in material:
-            continue
+def image_nodes(
+    chosen: bpy.types.Object, shown: bool = False
+) -> Iterator[tuple[bpy.types.Material, bpy.types.ShaderNode]]:
+    """Yield the nodes with images of an object's materials, as `write_model` writes them."""
+    for material in _materials(chosen, shown):
         for node in material.node_tree.nodes:
             if node.type == "TEX_IMAGE" and node.image is not None:
-                if node.image.source == "TILED":
-                    raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
-                if not node.image.has_data and not node.image.size[0]:
-                    raise ObjectError(f"{node.image.name} is missing: find or remove it first")
-            elif node.type == "BSDF_PRINCIPLED" and node.inputs["Base Color"].is_linked:
+                yield material, node
+
+
+def _materials(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Material]:
+    """Yield an object's materials that have nodes: its mesh's, or those that it shows."""
+    for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
+        material = slot.material
+        if not shown and material is not None and MARK in material:
+            material = own  # what the texture is made of, not how it is shown
+        if material is not None and material.node_tree is not None:
+            yield material
+
+
+def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
+    """Return what octex will not see of an object's materials, as `write_model` writes them.
+
+    Raises ObjectError for images without data.
+    """
+    for _, node in image_nodes(chosen, shown):
+        if node.image.source == "TILED":
+            raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
+        if not node.image.has_data and not node.image.size[0]:
+            raise ObjectError(f"{node.image.name} is missing: find or remove it first")
+    complaints = []
+    for material in _materials(chosen, shown):
+        for node in material.node_tree.nodes:
+            if node.type == "BSDF_PRINCIPLED" and node.inputs["Base Color"].is_linked:
                 source = node.inputs["Base Color"].links[0].from_node
                 if source.type.startswith("TEX_") and source.type != "TEX_IMAGE":
                     name = source.bl_label
@@ -157,8 +220,11 @@ def check_images(chosen: bpy.types.Object) -> list[str]:
     return complaints
 
 
-def photographs(context: bpy.types.Context, folder: Path) -> list[dict]:
-    """Return the picture, size, lens and pose of each camera object with a background image."""
+def photographs(context: bpy.types.Context, folder: Path, required: bool) -> list[dict]:
+    """Return the picture, size, lens and pose of each camera object with a background image.
+
+    Raises ObjectError if one cannot be used, or if one is ``required`` and there is none.
+    """
     made = []
     for camera in context.scene.objects:
         if camera.type != "CAMERA":
@@ -166,34 +232,69 @@ def photographs(context: bpy.types.Context, folder: Path) -> list[dict]:
         images = [each.image for each in camera.data.background_images if each.image is not None]
         if images:
             made.append(_photograph(camera, images[0], folder))
-    if not made:
+    if required and not made:
         raise ObjectError("No camera has a background image; give each camera its photograph there")
     return made
 
 
 def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) -> dict:
-    data, (width, height) = camera.data, image.size
-    if data.type != "PERSP":
-        raise ObjectError(f"{camera.name} is no perspective camera")
+    width, height = image.size
     if not width or not height:
         raise ObjectError(f"{camera.name}: its background image {image.name} is missing")
-    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
-    side = width if fit == "HORIZONTAL" else height
-    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     path = Path(bpy.path.abspath(image.filepath))
     if image.packed_file is not None or image.is_dirty or not path.is_file():
         path = folder / f"{bpy.path.clean_name(camera.name)}.png"
         image.save(filepath=str(path))
+    return {"image": str(path), "since": camera.get(VIEW, ""), **lens_and_pose(camera, width, height)}
+
+
+def lens_and_pose(camera: bpy.types.Object, width: int, height: int) -> dict:
+    """Return how a camera sees a picture of so many pixels; raises ObjectError."""
+    data = camera.data
+    if data.type != "PERSP":
+        raise ObjectError(f"{camera.name} is no perspective camera")
+    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
+    side = width if fit == "HORIZONTAL" else height
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     location, rotation, _ = camera.matrix_world.decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(rotation.to_matrix()), location
     return {
-        "image": str(path),
         "size": [width, height],
         "focal": data.lens / sensor * side,
         "center": [width / 2 - data.shift_x * side, height / 2 + data.shift_y * side],
         "pose": pose.tolist(),
     }
+
+
+def view_camera(context: bpy.types.Context) -> bpy.types.Object:
+    """Return a new camera that sees what the 3D view does, or the scene's own where there is none."""
+    seen = getattr(context, "region_data", None)
+    if seen is None or seen.view_perspective == "CAMERA":
+        if context.scene.camera is None:
+            raise ObjectError("The scene has no camera; add one, or press the button in a 3D view")
+        return context.scene.camera
+    if seen.view_perspective == "ORTHO":
+        raise ObjectError("Switch the 3D view to perspective first (numpad 5)")
+    camera = bpy.data.objects.new("octex view", bpy.data.cameras.new("octex view"))
+    context.scene.collection.objects.link(camera)
+    camera.matrix_world = seen.view_matrix.inverted()
+    camera.data.lens = context.space_data.lens / 2  # a view shows 72 mm where a camera has 36
+    context.view_layer.update()
+    return camera
+
+
+def set_view(camera: bpy.types.Object, path: Path) -> None:
+    """Give a camera the picture that was drawn from it, to paint on, and keep the unedited one next to it."""
+    before = path.with_name(f"{path.stem}-before.png")
+    before.write_bytes(path.read_bytes())
+    image = bpy.data.images.load(str(path), check_existing=True)
+    image.reload()
+    backgrounds = camera.data.background_images
+    background = next((each for each in backgrounds if each.image in (None, image)), None)
+    (background or backgrounds.new()).image = image
+    camera.data.show_background_images = True
+    camera[VIEW] = str(before)
 
 
 # From octex
@@ -204,11 +305,11 @@ def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     _check_same(chosen, len(colors))
     attributes = chosen.data.color_attributes
     attribute = attributes.get(NAME)
-    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "BYTE_COLOR"):
+    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "FLOAT_COLOR"):
         attributes.remove(attribute)
         attribute = None
     if attribute is None:
-        attribute = attributes.new(NAME, "BYTE_COLOR", "CORNER")
+        attribute = attributes.new(NAME, "FLOAT_COLOR", "CORNER")  # bytes take 40 times as long
     attribute.data.foreach_set("color", np.ascontiguousarray(colors, np.float32).reshape(-1))
     attributes.active_color = attribute
     attributes.render_color_index = attributes.active_color_index
@@ -221,42 +322,55 @@ def _check_same(chosen: bpy.types.Object, corners: int) -> None:
         raise ObjectError(f"{chosen.name} was edited meanwhile; bake it again in Object Mode")
 
 
-def set_uv(chosen: bpy.types.Object, corners: np.ndarray, uv: np.ndarray) -> None:
-    """Store texture coordinates of triangles' corners (m, 3, 2) as a UV map.
-
-    Raises ObjectError if a polygon's triangles lie apart in it.
-    """
-    _check_same(chosen, int(corners.max()) + 1)
-    values = np.full((len(chosen.data.loops), 2), np.nan, np.float32)
-    values[corners.reshape(-1)] = uv.reshape(-1, 2)
-    if (np.abs(values[corners] - uv) > 1e-6).any():
-        raise ObjectError(
-            "The new UV map cuts faces with more than three corners; triangulate the object first"
-        )
+def set_uv(chosen: bpy.types.Object, values: np.ndarray) -> None:
+    """Store texture coordinates of corners (corners, 2) as a UV map; raises ObjectError."""
+    _check_same(chosen, len(values))
     layers = chosen.data.uv_layers
     layer = layers.get(UV_MAP) or layers.new(name=UV_MAP)
     if layer is None:
         raise ObjectError(f"{chosen.name} has no room for another UV map; remove one")
-    layer.uv.foreach_set("vector", np.nan_to_num(values).reshape(-1))
+    layer.uv.foreach_set("vector", np.ascontiguousarray(values, np.float32).reshape(-1))
     chosen.data.update()
 
 
-def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:
-    """Show an object by baked materials (name, maps, values), or by its colour attribute without any.
+def set_rest(chosen: bpy.types.Object, place: str, normal: str) -> None:
+    """Store where the mesh rests, and its normals there, as attributes of these names, in its own axes."""
+    mesh = chosen.data
+    at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
+    for name, domain, values in (
+        (place, "POINT", _read(at_rest, "co", 3)),
+        (normal, "CORNER", _read(mesh.corner_normals, "vector", 3)),
+    ):
+        stored = mesh.attributes.get(name)
+        if stored is not None and (stored.domain, stored.data_type) != (domain, "FLOAT_VECTOR"):
+            mesh.attributes.remove(stored)
+            stored = None
+        stored = stored or mesh.attributes.new(name, "FLOAT_VECTOR", domain)
+        stored.data.foreach_set("vector", values.reshape(-1))
 
-    The materials of its mesh stay: the object's slots show new ones instead.
-    """
+
+def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:
+    """Show an object by baked materials (name, maps, values), or by its colour attribute without any."""
+
+    def shown(own: bpy.types.Material | None) -> bpy.types.Material:
+        same = [each for each in baked if own is not None and each["name"] == own.name] or baked[:1]
+        return _material(chosen, same[0]) if same else _colored(chosen)
+
+    put(chosen, shown)
+
+
+def put(chosen: bpy.types.Object, shown: Callable[[bpy.types.Material | None], bpy.types.Material]) -> None:
+    """Have an object's slots show other materials in the place of its mesh's, which stay."""
     if not chosen.material_slots:
         chosen.data.materials.append(None)
     for slot, own in zip(chosen.material_slots, chosen.data.materials, strict=True):
-        same = [each for each in baked if own is not None and each["name"] == own.name] or baked[:1]
         slot.link = "OBJECT"
-        slot.material = _material(chosen, same[0]) if same else _colored(chosen)
+        slot.material = shown(own)
 
 
 def _colored(chosen: bpy.types.Object) -> bpy.types.Material:
     """Return a material that shows the colour attribute."""
-    material, shader = _emptied(f"{chosen.name} octree")
+    material, shader = emptied(f"{chosen.name} octree")
     node = material.node_tree.nodes.new("ShaderNodeVertexColor")
     node.layer_name, node.location = NAME, (-300, 0)
     for output, socket in (("Color", "Base Color"), ("Alpha", "Alpha")):
@@ -266,7 +380,7 @@ def _colored(chosen: bpy.types.Object) -> bpy.types.Material:
 
 def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Material:
     """Return a material of images and values of channels; without a name, at the new UV map."""
-    material, shader = _emptied(" ".join([chosen.name, baked["name"], "octree"]))
+    material, shader = emptied(" ".join([chosen.name, baked["name"], "octree"]))
     nodes, links = material.node_tree.nodes, material.node_tree.links
     for channel, value in baked["values"].items():
         socket = shader.inputs[SOCKETS[channel]]
@@ -293,7 +407,7 @@ def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Mate
     return material
 
 
-def _emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
+def emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
     """Return one of the extension's materials, with a Principled shader alone."""
     material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
     material[MARK] = True

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands: each starts work in another process and takes over what comes of it."""
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from . import objects, watching
+from . import exact, objects, watching
 from .jobs import Job, JobError
 
 #: Seconds between looks at a job: the window never waits longer.
@@ -115,19 +116,22 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
     bl_idname = "octex.make"
     bl_label = "Make Octree Texture"
 
-    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
         settings = chosen.octex
         for name in objects.making_modifiers(chosen):
             self.report({"WARNING"}, f"{name} makes geometry that the texture does not know; apply it first")
+        given = {
+            "name": chosen.name,
+            "depth": settings.depth,
+            "origin": settings.origin,
+            "output": str(output),
+        }
         if settings.origin == "GREY":
-            arrays = objects.mesh_arrays(chosen)
-            return Job("make", arrays, name=chosen.name, depth=settings.depth, output=str(output))
+            return job_of("make", chosen, **given)
         for complaint in objects.check_images(chosen):
             self.report({"WARNING"}, complaint)
-        job = Job("make", name=chosen.name, depth=settings.depth, output=str(output))
-        objects.write_model(context, chosen, job.folder / "model.glb")
-        return job.given(model=str(job.folder / "model.glb"))
+        return job_of("make", chosen, "model", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         channels = ", ".join(answer["channels"])
@@ -155,23 +159,22 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
     bl_idname = "octex.images"
     bl_label = "Bake to Images"
 
-    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        objects.check_editable(chosen)
         settings, texture = chosen.octex, objects.texture_path(chosen)
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
+        given["layout"] = settings.layout
         if settings.layout == "ATLAS":
-            self.arrays = objects.mesh_arrays(chosen)
-            return Job("images", self.arrays, **given)
+            return job_of("images", chosen, **given)
         if not chosen.data.uv_layers:
             raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
-        job = Job("images", **given)
-        objects.write_model(context, chosen, job.folder / "model.glb")
-        return job.given(model=str(job.folder / "model.glb"))
+        return job_of("images", chosen, "model", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen = self.chosen()
         if chosen.octex.layout == "ATLAS":
-            objects.set_uv(chosen, self.arrays["corners"], np.load(self.job.folder / "uv.npy"))
+            objects.set_uv(chosen, np.load(self.job.folder / "uv.npy"))
         for each in answer["materials"]:
             each["maps"] = {name: _image(path, name) for name, path in each["maps"].items()}
         objects.show(chosen, answer["materials"])
@@ -179,24 +182,96 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
         return f"Wrote {count} images to {objects.texture_path(chosen).parent}"
 
 
+class OCTEX_OT_exact(Working, bpy.types.Operator):
+    """Have Cycles look the texture up at each point, by an OSL node: nothing is baked"""
+
+    bl_idname = "octex.exact"
+    bl_label = "Exact in Cycles"
+
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        exact.check_osl(context)
+        objects.check_editable(chosen)
+        texture = objects.texture_path(chosen)
+        return job_of(
+            "exact", chosen, name=chosen.name, texture=str(texture), output=str(texture.with_suffix(".osl"))
+        )
+
+    def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        exact.show(context, self.chosen(), Path(answer["shader"]), answer["outputs"])
+        if context.scene.render.engine != "CYCLES":
+            self.report({"WARNING"}, "Choose Cycles as the render engine: no other has the OSL node")
+        return f"Cycles reads {Path(answer['shader']).name}.tif"
+
+
 class OCTEX_OT_photographs(Working, bpy.types.Operator):
-    """Project the background images of all cameras onto the object, into its texture or a new one"""
+    """Project the cameras' background images, and a COLMAP folder's, into the texture or a new one"""
 
     bl_idname = "octex.photographs"
     bl_label = "Project Photographs"
 
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
-        arrays = objects.mesh_arrays(chosen) | {"posed": objects.posed_positions(context, chosen)}
-        job = Job(
-            "photographs", arrays, name=chosen.name, depth=chosen.octex.depth, output=str(output),
-            texture=str(output) if output.exists() else "",
+        job = job_of(
+            "photographs", chosen, name=chosen.name, depth=chosen.octex.depth, output=str(output),
+            texture=str(output) if output.exists() else "", posed=objects.posed_positions(context, chosen),
         )  # fmt: skip
         mirrored = chosen.matrix_world.determinant() < 0  # its front then faces inwards
-        return job.given(photographs=objects.photographs(context, job.folder), mirrored=mirrored)
+        cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
+        return job.given(
+            photographs=objects.photographs(context, job.folder, not cameras), cameras=cameras,
+            mirrored=mirrored,
+        )  # fmt: skip
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name}: {answer['cells']:,} cells"
+
+
+class OCTEX_OT_view(Working, bpy.types.Operator):
+    """Draw the texture as the 3D view or the scene's camera sees it, to be painted on and projected"""
+
+    bl_idname = "octex.view"
+    bl_label = "Draw View to Paint"
+
+    def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        texture = objects.texture_path(chosen)
+        camera = objects.view_camera(context)
+        self.camera = camera.name
+        render = context.scene.render
+        size = [
+            max(each * render.resolution_percentage // 100, 1)
+            for each in (render.resolution_x, render.resolution_y)
+        ]
+        output = texture.with_name(f"{texture.stem}-{bpy.path.clean_name(camera.name)}.png")
+        return job_of(
+            "view", chosen, name=chosen.name, texture=str(texture), output=str(output),
+            camera=objects.lens_and_pose(camera, *size), posed=objects.posed_positions(context, chosen),
+        )  # fmt: skip
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        camera, output = bpy.data.objects.get(self.camera), Path(answer["output"])
+        if camera is None or not answer["pixels"]:
+            raise objects.ObjectError(f"{self.camera} does not see {self.target}")
+        objects.set_view(camera, output)
+        return f"Paint on {output.name}, then project photographs"
+
+
+class OCTEX_OT_strokes(Working, bpy.types.Operator):
+    """Take over what was painted on the baked images, as in Texture Paint, into the octree texture"""
+
+    bl_idname = "octex.strokes"
+    bl_label = "Take Over Image Paint"
+
+    def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        texture = objects.texture_path(chosen)
+        if not any(
+            each.material is not None and objects.MARK in each.material for each in chosen.material_slots
+        ):
+            raise objects.ObjectError(f"{chosen.name} shows no baked images: bake to images first")
+        objects.check_images(chosen, shown=True)
+        return job_of("strokes", chosen, "shown", name=chosen.name, texture=str(texture))
+
+    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        return f"{objects.texture_path(self.chosen()).name} has {answer['texels']:,} painted texels"
 
 
 class OCTEX_OT_paint(bpy.types.Operator):
@@ -209,7 +284,7 @@ class OCTEX_OT_paint(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            output = watching.paint(context, objects.mesh_object(context))
+            output = watching.paint(objects.mesh_object(context))
         except objects.ObjectError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -224,10 +299,20 @@ def _image(path: str, channel: str) -> bpy.types.Image:
     return image
 
 
+def job_of(
+    task: str, chosen: bpy.types.Object, form: str = "arrays", posed: np.ndarray | None = None, **given: Any
+) -> Job:
+    """Return a job that begins with an object in a form, and where its vertices are seen: see `hand_over`."""
+    job = Job(task, **given)
+    call, arrays = objects.hand_over(chosen, job.folder, form)
+    return job.after(call, arrays if posed is None else arrays | {"posed": posed})
+
+
 def colors_job(chosen: bpy.types.Object) -> Job:
     """Return the job that looks up an object's colours; raises ObjectError."""
+    objects.check_editable(chosen)
     texture = objects.texture_path(chosen)
-    return Job("colors", objects.mesh_arrays(chosen), name=chosen.name, texture=str(texture))
+    return job_of("colors", chosen, name=chosen.name, texture=str(texture))
 
 
 def take_colors(chosen: bpy.types.Object, job: Job) -> None:
@@ -235,7 +320,16 @@ def take_colors(chosen: bpy.types.Object, job: Job) -> None:
     objects.set_colors(chosen, np.load(job.folder / "colors.npy"))
 
 
-_CLASSES = (OCTEX_OT_make, OCTEX_OT_colors, OCTEX_OT_images, OCTEX_OT_photographs, OCTEX_OT_paint)
+_CLASSES = (
+    OCTEX_OT_make,
+    OCTEX_OT_colors,
+    OCTEX_OT_images,
+    OCTEX_OT_exact,
+    OCTEX_OT_photographs,
+    OCTEX_OT_view,
+    OCTEX_OT_strokes,
+    OCTEX_OT_paint,
+)
 
 
 def register() -> None:

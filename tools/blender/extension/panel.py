@@ -30,12 +30,17 @@ class OCTEX_PT_main(bpy.types.Panel):
         box.prop(settings, "depth")
         box.operator("octex.make", icon="SHADING_TEXTURE")
         layout.operator("octex.paint", icon="BRUSH_DATA")
-        layout.operator("octex.photographs", icon="CAMERA_DATA")
+        layout.operator("octex.view", icon="VIEW_CAMERA")
+        layout.operator("octex.strokes", icon="TPAINT_HLT")
+        box = layout.box()
+        box.prop(settings, "cameras")
+        box.operator("octex.photographs", icon="CAMERA_DATA")
         box = layout.box()
         box.operator("octex.colors", icon="GROUP_VCOL")
         box.prop(settings, "layout", expand=True)
         box.prop(settings, "texture_size")
         box.operator("octex.images", icon="IMAGE_DATA")
+        layout.operator("octex.exact", icon="NODE_MATERIAL")
 
 
 def register() -> None:

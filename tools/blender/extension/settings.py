@@ -18,6 +18,12 @@ class Settings(bpy.types.PropertyGroup):
         name="Depth", default=9, min=1, max=14,
         description="Levels of the octree: the finest cells are 1/2^depth of the object's size",
     )  # fmt: skip
+    cameras: StringProperty(
+        name="Cameras",
+        subtype="FILE_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        description="A COLMAP folder, or a file of cameras, in the scene's axes; its pictures lie next to it",
+    )
     origin: EnumProperty(
         name="Colours",
         items=[

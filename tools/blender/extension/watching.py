@@ -2,6 +2,7 @@
 """Painting in the browser: its processes, and the objects that show what is saved there."""
 
 import itertools
+import json
 import re
 import signal
 import subprocess
@@ -11,13 +12,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import bpy
+import numpy as np
 
 from . import objects
 from .jobs import Job, JobError, environment
 
 #: Seconds between looks at the files that are painted.
 _PAUSE = 0.5
-_PROGRAM = "import sys; from octex.cli.start import octex; sys.exit(octex())"
+#: Writes the model by the first command, then shows it.
+_PROGRAM = """
+import json, os, subprocess, sys
+own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}  # that is Blender's
+subprocess.run(json.loads(sys.argv.pop(1)), check=True, stdout=subprocess.DEVNULL, env=own)
+from octex.cli.start import octex
+sys.exit(octex())
+"""
 
 
 class _Painted(NamedTuple):
@@ -33,7 +42,7 @@ class _Painted(NamedTuple):
 _painted: dict[str, _Painted] = {}  # by the object's name
 
 
-def paint(context: bpy.types.Context, chosen: bpy.types.Object) -> Path:
+def paint(chosen: bpy.types.Object) -> Path:
     """Open the painting page for an object; return the new file that it saves. Raises ObjectError."""
     texture = objects.texture_path(chosen)
     before = _painted.get(chosen.name)
@@ -43,12 +52,16 @@ def paint(context: bpy.types.Context, chosen: bpy.types.Object) -> Path:
     layers = texture.with_suffix(".layers.octex")
     folder = tempfile.TemporaryDirectory(prefix="octex-")
     model = Path(folder.name) / "model.glb"
-    objects.write_model(context, chosen, model)
+    export, pixels = objects.hand_over(chosen, Path(folder.name), "model")
+    for name, values in pixels.items():
+        np.save(Path(folder.name) / f"{name}.npy", values)
     command = ["view", layers if layers.exists() else texture, model, "--paint", output, "--quiet"]
     if output.with_name(f"{output.name}.strokes").exists():  # Blender or the page ended before it was saved
         command.append("--recover")
     process = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM, *command], env=environment(), stdin=subprocess.DEVNULL
+        [sys.executable, "-c", _PROGRAM, json.dumps(export), *command],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
     )
     _painted[chosen.name] = _Painted(process, folder, output)
     if not bpy.app.timers.is_registered(look):

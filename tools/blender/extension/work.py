@@ -15,10 +15,16 @@ from typing import Any
 import numpy as np
 
 import octex
+from octex.drawing.views import as_png, draw_paintable
 from octex.formats.images import image_file
+from octex.formats.osl import output_name
+from octex.source.images.decode import image_size
+from octex.source.materials import Input, MaterialSource
 
 #: Half of white in sRGB, as linear light.
 _GREY = 0.2140
+#: What images of 16 bits differ by that differ by one code of 8.
+_CODE = 257
 #: What Blender's Principled shader shows.
 _CHANNELS = ("base_color", "alpha", "roughness", "metallic", "emissive", "normal")
 
@@ -35,20 +41,31 @@ def surface_of(
     job: dict[str, Any], shaded: bool = False, **options: Any
 ) -> tuple[octex.Surface, dict[str, np.ndarray]]:
     """Return the mesh of a job, with its shading normals if asked for, and its arrays."""
-    with np.load(Path(job["folder"]) / "mesh.npz") as arrays:
+    folder = Path(job["folder"])
+    with np.load(folder / "mesh.npz") as arrays:
         mesh = dict(arrays)
+    posed = folder / "posed.npy"
     if shaded:
         options["normals"] = mesh["normals"]
     surface = octex.Surface.from_arrays(
-        mesh.get("posed", mesh["rest"]), mesh["triangles"], rest=mesh["rest"], name=job["name"], **options
+        np.load(posed) if posed.exists() else mesh["rest"],
+        mesh["triangles"],
+        rest=mesh["rest"],
+        name=job["name"],
+        **options,
     )
     return surface, mesh
 
 
+def model_of(job: dict[str, Any]) -> Path:
+    """Return the model that export.py has written."""
+    return Path(job["folder"]) / "model.glb"
+
+
 def make(job: dict[str, Any]) -> dict[str, Any]:
     """Make a texture of a model's materials, or of grey."""
-    if "model" in job:
-        surface = octex.load_surface(job["model"], normals=True)
+    if job["origin"] == "MATERIAL":
+        surface = octex.load_surface(model_of(job), normals=True)
         surface = surface.with_channels([each.name for each in surface.channels if each.name in _CHANNELS])
     else:
         surface, _ = surface_of(job, factor=(_GREY,) * 3)
@@ -60,7 +77,8 @@ def make(job: dict[str, Any]) -> dict[str, Any]:
 def colors(job: dict[str, Any]) -> dict[str, Any]:
     """Look up the colour at each corner of the mesh, averaged over the width of its triangles."""
     texture = octex.open(job["texture"])
-    _, mesh = surface_of(job)
+    surface, mesh = surface_of(job)
+    surface.placed_on(texture)
     rest, triangles = mesh["rest"], mesh["triangles"]
     sides = np.linalg.norm(rest[triangles] - rest[np.roll(triangles, 1, axis=1)], axis=2)
     names = [name for name in ("base_color", "alpha") if name in texture.channels]
@@ -81,17 +99,17 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     """Bake images of the texture: of each material at the mesh's own UVs, or one set at new ones."""
     texture = octex.open(job["texture"])
     folder, output = Path(job["folder"]), Path(job["output"])
-    if "model" in job:
-        surface, layout = octex.load_surface(job["model"], normals=True), "keep"
+    if job["layout"] == "KEEP":
+        surface, layout = octex.load_surface(model_of(job), normals=True), "keep"
     else:
-        (surface, _), layout = surface_of(job, shaded=True), "atlas"
+        (surface, mesh), layout = surface_of(job, shaded=True), "atlas"
     wanted = [name for name in _CHANNELS if name in texture.channels]
     baked = octex.bake(
         texture, surface, uv=layout, texture_size=job["texture_size"], channels=wanted, progress=progress
     )
     if layout == "atlas":
         uv = baked.source.coordinates[0]
-        np.save(folder / "uv.npy", uv.values[uv.rows] * (1, -1) + (0, 1))
+        np.save(folder / "uv.npy", at_corners(mesh["corners"], uv.values[uv.rows] * (1, -1) + (0, 1)))
     made: list[dict[str, Any]] = []
     for material in baked.source.materials:
         name = material.name if layout == "keep" else ""
@@ -107,30 +125,132 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     return {"materials": made}
 
 
+def at_corners(corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return texture coordinates of polygons' corners (n, 2) by those of triangles' (m, 3, 2)."""
+    values = np.zeros((int(corners.max()) + 1, 2), np.float32)
+    values[corners.reshape(-1)] = uv.reshape(-1, 2)
+    if (np.abs(values[corners] - uv) > 1e-6).any():
+        raise octex.OctexError(
+            "The new UV map cuts faces with more than three corners; triangulate the object first"
+        )
+    return values
+
+
+def exact(job: dict[str, Any]) -> dict[str, Any]:
+    """Write a shader of the texture, and the image that it reads."""
+    texture = octex.open(job["texture"])
+    surface_of(job)[0].placed_on(texture)
+    octex.write_osl(texture, job["output"])
+    forms = [each.format for each in texture.channels.values() if each.format.components <= 3]
+    kinds = [0 if form.space == "direction" else 1 if form.components == 1 else 3 for form in forms]
+    return {
+        "shader": job["output"],
+        "outputs": [
+            (output_name(form.name), kind, form.name) for form, kind in zip(forms, kinds, strict=True)
+        ],
+    }
+
+
+def strokes(job: dict[str, Any]) -> dict[str, Any]:
+    """Merge what was painted on baked images: their texels that differ from the texture's, baked anew."""
+    texture = octex.open(job["texture"])
+    shown = octex.load_surface(model_of(job), channels=["base_color"])
+    surface = shown.placed_on(texture)
+    images = [each.inputs["base_color"].texture for each in shown.source.materials]
+    sizes = {each.texels.shape[:2] for each in images if each is not None}
+    if len(sizes) != 1 or len(set(*sizes)) != 1:
+        raise octex.OctexError(f"{job['name']} shows no images that were baked: bake to images first")
+    size = sizes.pop()[0]
+    baked = octex.bake(
+        texture, surface, uv="keep", texture_size=size, channels=["base_color"], progress=progress
+    )
+    before = {each.name: each.inputs["base_color"].texture for each in baked.source.materials}
+    materials, n_painted = [], 0
+    for material, image in zip(shown.source.materials, images, strict=True):
+        old = before.get(material.name)
+        if image is None or old is None:
+            raise octex.OctexError(f"material {material.name} shows no image that was baked")
+        texels = image.texels.copy()
+        is_painted = np.abs(np.subtract(texels, old.texels, dtype=np.int32))[..., :3].max(axis=2) > _CODE
+        texels[..., 3] = 65535 * is_painted
+        n_painted += int(is_painted.sum())
+        own = image._replace(texels=texels)
+        paint = {"base_color": Input((1.0,) * 3, own), "alpha": Input((1.0,), own, (3,))}
+        materials.append(material._replace(inputs=paint, alpha_mode="blend"))
+    if not n_painted:
+        raise octex.OctexError(f"nothing was painted on the images of {job['name']}")
+    source = MaterialSource(
+        materials, shown.source.triangle_materials, surface.rest, surface.triangles,
+        coordinates=shown.source.coordinates,
+    )  # fmt: skip
+    painted = surface.with_sources({"base_color": source, "alpha": source})
+    layer = octex.convert(painted, texture.tree.max_depth, fit=False, progress=progress)
+    texture = octex.merge(texture, layer, surface, progress=progress)
+    texture.save(job["texture"])
+    return {"texels": n_painted}
+
+
+def view(job: dict[str, Any]) -> dict[str, Any]:
+    """Draw the texture on the mesh as a camera sees it, to be painted on."""
+    surface, _ = surface_of(job)
+    camera = camera_of(job["camera"])
+    codes = draw_paintable(octex.open(job["texture"]), surface, camera, "base_color")
+    Path(job["output"]).write_bytes(as_png(codes))
+    return {"output": job["output"], "pixels": int((codes[..., 3] > 0).sum())}
+
+
+def camera_of(given: dict[str, Any]) -> octex.Camera:
+    """Return a camera of Blender's."""
+    return octex.Camera.pinhole(
+        tuple(given["size"]), pose=np.array(given["pose"]), convention="opengl", focal=given["focal"],
+        center=tuple(given["center"]),
+    )  # fmt: skip
+
+
+def of_files(path: Path) -> list[octex.Projection]:
+    """Return the pictures of a camera file, or of a folder with a COLMAP model, as far as they are there."""
+    folder = path if path.is_dir() else path.parent
+    pictures, missing = [], []
+    for frame in octex.read_cameras(path):
+        name = Path(frame.name)
+        places = [
+            frame.image,
+            *(up / each for up in (folder, *folder.parents[:3]) for each in (name, "images" / name)),
+        ]
+        image = next((each for each in places if each is not None and each.is_file()), None)
+        if image is None:
+            missing.append(frame.name)
+        else:
+            pictures.append(octex.Projection(image, frame.camera(image_size(image))))
+    if not pictures:
+        raise octex.OctexError(
+            f"{path}: none of its {len(missing)} pictures is there or in images next to it"
+        )
+    if missing:
+        say(warning=f"{len(missing)} pictures of {path.name} are missing, {missing[0]} is one")
+    return pictures
+
+
 def photographs(job: dict[str, Any]) -> dict[str, Any]:
     """Project photographs onto the mesh, into its texture or a new one."""
     surface, _ = surface_of(job)
     pictures = [
-        octex.Projection(
-            each["image"],
-            octex.Camera.pinhole(
-                tuple(each["size"]), pose=np.array(each["pose"]), convention="opengl", focal=each["focal"],
-                center=tuple(each["center"]),
-            ),
-        )
+        octex.Projection(each["image"], camera_of(each), since=each["since"] or None)
         for each in job["photographs"]
-    ]  # fmt: skip
+    ]
+    if job["cameras"]:
+        pictures += of_files(Path(job["cameras"]))
     before = octex.open(job["texture"]) if job["texture"] else None
     texture = octex.paint(
         before, surface, pictures, max_depth=job["depth"], back_faces=job["mirrored"], progress=progress
     )
     if texture is before:
-        raise octex.OctexError("No camera sees the object; nothing is painted")
+        raise octex.OctexError("No camera sees the object, or no view was painted on; nothing is changed")
     texture.save(job["output"])
     return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
 
 
-TASKS = {each.__name__: each for each in (make, colors, images, photographs)}
+TASKS = {each.__name__: each for each in (make, colors, images, exact, strokes, view, photographs)}
 
 
 def main() -> int:

@@ -1,0 +1,293 @@
+"""OSL: a texture as an image, and a shader of Open Shading Language that looks it up, for path tracers.
+
+The shader walks the octree for each point of the surface, as `OctreeTexture.sample` does: see walk.osl, which
+describes the image.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+
+from octex.arrays import Array, Uint16s
+from octex.channels import ALPHA, ChannelFormat, decode
+from octex.checks import as_names, as_path
+from octex.errors import ArgumentError
+from octex.files import replacing
+from octex.processing.resize import resize
+from octex.texture import Channel, OctreeTexture, as_texture
+from octex.tree.children import children_before, masks_of
+from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.split import counts_of
+
+ENDING = ".osl"
+#: Texels in a row of the image.
+_WIDTH = 4096
+#: Cells that the image's numbers of 24 bits can name.
+_MOST_CELLS = 1 << 24
+#: Part of the root's edge by which positions below a plane of cells count as on it: float32 is no finer.
+_ROUNDED = 2.0**-22
+#: Words that OSL keeps to itself (OSL 1.12, 3.2), its variables and the shader's inputs.
+_RESERVED = """
+and break closure color continue do else emit float for if illuminance illuminate int matrix normal
+not or output point public return string struct vector void while bool case catch char class const
+delete default double enum extern false friend goto inline long new operator private protected short
+signed sizeof static switch template this throw true try typedef uniform union unsigned varying
+virtual volatile P I N Ng u v Position Normal Filter ZUp File
+"""
+_WORDS = _RESERVED.split()
+#: Rows of the image that are packed together.
+_ROWS = 64
+
+
+class Plane(NamedTuple):
+    """Channels whose components, three at most, lie in the same texels."""
+
+    channels: list[str]
+    components: int
+
+
+def write_osl(
+    texture: OctreeTexture, path: str | os.PathLike[str], *, channels: Sequence[str] | None = None
+) -> None:
+    """Write a texture as NAME.osl, a shader of Open Shading Language, and NAME.osl.tif, which that reads.
+
+    channels  names of the channels that the shader has outputs for (default: all with at most 3 components)
+
+    The shader's outputs are named as the channels, that of ``normal`` is ``normal_``. A colour is linear
+    light; a direction is a normal in the renderer's world. Its inputs:
+
+    Position  where the point rests, in the object's axes (default: where it is rendered)
+    Normal    the shading normal there (default: as rendered); surface that faces away has no weight
+    Filter    0 nearest, 1 linear, 2 quadratic (default), as in ``sample``
+    ZUp       1: the object's axes have z up, as in Blender, and are turned to the texture's, which have y up
+    File      the image
+
+    Where all leaves have one depth, a lookup on the surface agrees with ``sample`` with normals to 1/255.
+    Other leaves are first divided, as by ``octex.resize``: ``nearest`` then reads finer cells, and the others
+    differ by up to 4/255. Points off the surface get a coarser level, whose cells count alike. Footprints are
+    not averaged: use several rays a pixel.
+
+    The image stores 16-bit numbers, of floats from the least to the greatest value, and alpha in 8 bits.
+    Raises ArgumentError for another ending, for unknown channels or none, for channels of 4 components, and
+    for more than 16,777,216 cells; OutputError if a file cannot be written.
+    """
+    texture, path = as_texture(texture), as_path(path)
+    if path.suffix.lower() != ENDING:
+        raise ArgumentError(f"{path}: an OSL shader is saved as NAME{ENDING}")
+    chosen = _chosen(texture, path, channels)
+    texture = _of_one_depth(texture, path)
+    planes = list(_planes([texture.channels[name].format for name in chosen]))
+    image = path.with_name(f"{path.name}.tif")
+    tree = texture.tree
+    extra = tree.split.cells.size + tree.split.areas.size
+    first, rows = (-(-count // _WIDTH) * _WIDTH for count in (max(tree.n_nodes, 1), tree.n_cells + extra))
+    texels = np.zeros((first + rows * len(planes), 4), np.uint16)
+    texels[: tree.n_nodes] = _nodes(texture)
+    ranges: dict[str, tuple[float, float]] = {}
+    for number, plane in enumerate(planes):
+        begin = first + number * rows
+        _fill(texels[begin : begin + tree.n_cells + extra], texture, plane, ranges)
+    with replacing(image) as file:
+        file.write(_tiff_file(texels.reshape(-1, _WIDTH, 4)))
+    numbers = {
+        "WIDTH": _WIDTH, "HEIGHT": len(texels) // _WIDTH, "CELLS": first, "ROWS": rows,
+        "DEPTH": tree.max_depth, "HAS_ALPHA": int(ALPHA.name in texture.channels), "ROUNDED": _ROUNDED,
+        "ORIGIN": f"vector({', '.join(map(repr, map(float, texture.placement.origin)))})",
+        "SIZE": float(texture.placement.size),
+    }  # fmt: skip
+    walk = (files(__name__.rpartition(".")[0]) / "walk.osl").read_text("utf-8")
+    defines = [f"#define {name} {value}" for name, value in numbers.items()]
+    shader = _shader(texture, planes, ranges, path.stem, str(image.resolve()))
+    with replacing(path) as file:
+        file.write("\n".join([*defines, walk, shader]).encode())
+
+
+def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[str] | None) -> list[str]:
+    """Return the names of the channels that are written."""
+    known = texture.channels
+    if channels is None:
+        names = [name for name, each in known.items() if each.format.components <= 3]
+    else:
+        names = as_names(channels, "channels")
+        for name in names:
+            if name not in known:
+                raise ArgumentError(f"{path}: the texture has no channel {name!r}, only {', '.join(known)}")
+            if known[name].format.components > 3:
+                raise ArgumentError(f"{path}: channel {name!r} has 4 components; an OSL shader has 3 at most")
+    if not names:
+        raise ArgumentError(f"{path}: there is no channel to write; give a texture with base_color")
+    return names
+
+
+def _of_one_depth(texture: OctreeTexture, path: os.PathLike[str]) -> OctreeTexture:
+    """Return a texture whose leaves all have the greatest depth."""
+    counts = [leaves for leaves, _ in texture.tree.cells_by_depth()]
+    for depth in range(len(counts) - 1, -1, -1):
+        nodes = texture.tree.arrays.level_nodes
+        here = int(nodes[depth + 1] - nodes[depth]) + sum(
+            leaves * 8 ** (depth - level) for level, leaves in enumerate(counts[: depth + 1])
+        )
+        if 8 * here // 7 <= _MOST_CELLS:
+            break
+    if depth < len(counts) - 1:
+        raise ArgumentError(
+            f"{path}: takes more than {_MOST_CELLS:,} cells with leaves of one depth; "
+            f"write texture.level({depth})"
+        )
+    return resize(texture, depth) if sum(counts[:depth]) else texture
+
+
+def _planes(formats: Sequence[ChannelFormat]) -> Iterator[Plane]:
+    """Share channels out among planes: those of one component lie together."""
+    single = [each.name for each in formats if each.components == 1]
+    for each in formats:
+        if each.components > 1:
+            yield Plane([each.name], each.components)
+    for begin in range(0, len(single), 3):
+        yield Plane(single[begin : begin + 3], len(single[begin : begin + 3]))
+
+
+def _nodes(texture: OctreeTexture) -> Uint16s:
+    """Return the texels of nodes (nodes, 4)."""
+    tree = texture.tree
+    masks = [masks_of(tree.arrays.groups, word)[: tree.n_nodes].astype(np.int64) for word in range(2)]
+    first_cells, first_nodes = children_before(tree.arrays.groups, np.arange(tree.n_nodes))
+    words = np.stack([first_cells << 8 | masks[0], first_nodes << 8 | masks[1]], axis=1).astype("<u4")
+    return words.view("<u2").reshape(-1, 4)
+
+
+def _fill(
+    texels: Uint16s, texture: OctreeTexture, plane: Plane, ranges: dict[str, tuple[float, float]]
+) -> None:
+    """Write the texels of a plane: of cells, then of split cells and their facings."""
+    tree = texture.tree
+    split, n_cells = tree.split, tree.n_cells
+    counts = counts_of(split.facings)
+    firsts = n_cells + np.cumsum(counts + 1) - counts - 1
+    own = np.ones(len(texels) - n_cells, np.bool_)  # rows that are facings'
+    own[firsts - n_cells] = False
+    lane = 0
+    for name in plane.channels:
+        channel = texture.channels[name]
+        values, ranges[name] = _codes(channel)
+        lanes = slice(lane, lane + channel.format.components)
+        texels[:n_cells, lanes] = values[:n_cells]
+        texels[firsts, lanes] = values[split.cells]
+        texels[n_cells:, lanes][own] = values[n_cells:]
+        lane = lanes.stop
+    alpha = np.full(len(texels), 255, np.uint16)
+    if ALPHA.name in texture.channels:
+        codes = (_codes(texture.channels[ALPHA.name])[0][:, 0].astype(np.uint32) + 128) // 257
+        alpha[:n_cells], alpha[firsts], alpha[n_cells:][own] = (
+            codes[:n_cells],
+            codes[split.cells],
+            codes[n_cells:],
+        )
+    texels[:, 3] = alpha << 8
+    texels[:n_cells, 3] |= tree.arrays.flags & np.uint8(FACING_FLAGS)
+    texels[split.cells, 3] |= SPLIT
+    texels[split.cells, 0], texels[split.cells, 1], texels[split.cells, 2] = firsts & 0xFFFF, firsts >> 16, 0
+
+
+def _codes(channel: Channel) -> tuple[Uint16s, tuple[float, float]]:
+    """Return values of cells and split rows in 16 bits, and what 0 and 1 stand for."""
+    form = channel.format
+    low, high = (-1.0, 1.0) if form.space == "direction" else (0.0, 1.0)
+    values = [decode(each, form.space) for each in (channel.values, channel.split_values)]
+    if form.dtype.startswith("float"):
+        low = min(low, *(float(each.min(initial=0.0)) for each in values))
+        high = max(high, *(float(each.max(initial=0.0)) for each in values))
+    scaled = (np.concatenate(values) - np.float32(low)) * np.float32(65535 / (high - low))
+    return np.rint(scaled).astype(np.uint16), (low, high)
+
+
+def _shader(
+    texture: OctreeTexture,
+    planes: Sequence[Plane],
+    ranges: dict[str, tuple[float, float]],
+    name: str,
+    image: str,
+) -> str:
+    """Return the shader itself, whose outputs are the channels."""
+    outputs, lines = [], []
+    for number, plane in enumerate(planes):
+        lines.append(f"  color o_values{number};")
+        call = f"blend(File, {number}, o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha);"
+        lines.append(f"  {call}")
+        for lane, channel in enumerate(plane.channels):
+            form, (low, high) = texture.channels[channel].format, ranges[channel]
+            scale = f"{low!r} + {high - low!r} * "
+            output = output_name(channel)
+            if form.components == 1:
+                found = "o_alpha" if channel == ALPHA.name else f"{scale}o_values{number}[{lane}]"
+                outputs.append(f"  output float {output} = 0,")
+                lines.append(f"  {output} = {found};")
+            elif form.space == "direction" and form.components == 3:
+                outputs.append(f"  output normal {output} = N,")
+                lines.append(f"  vector o_rest{number} = tilted((vector)({scale}o_values{number}), ZUp);")
+                lines.append(
+                    f'  {output} = normalize(transform("object", "common", (normal)o_rest{number}));'
+                )
+            else:
+                outputs.append(f"  output color {output} = 0,")
+                lines.append(f"  {output} = {scale}o_values{number};")
+    outputs[-1] = outputs[-1].removesuffix(",")
+    shader = re.sub(r"\W", "_", f"octex_{name}")
+    quoted = image.replace("\\", "\\\\").replace('"', '\\"')
+    inputs = [
+        '  point Position = transform("object", P),',
+        "  vector Normal = 0,",
+        "  int Filter = 2,",
+        "  int ZUp = 1,",
+        f'  string File = "{quoted}",',
+    ]
+    begin = [
+        "  int o_cells[27];",
+        "  float o_weights[27], o_alpha;",
+        "  int o_count = taps(File, placed(Position, ZUp), Filter, o_cells, o_weights);",
+        '  vector o_facing = transform("object", backfacing() ? -N : N);',
+        "  if (Normal != vector(0)) o_facing = Normal;",
+        "  o_facing = upright(o_facing, ZUp);",
+    ]
+    return "\n".join([f"shader {shader}(", *inputs, *outputs, ")", "{", *begin, *lines, "}", ""])
+
+
+def output_name(channel: str) -> str:
+    """Return the name of the shader's output for a channel: OSL's own words, like "normal", get a "_"."""
+    name = re.sub(r"\W", "_", channel)
+    return f"{name}_" if name in _WORDS else name
+
+
+def _tiff_file(texels: Array) -> bytes:
+    """Return a TIFF of texels (height, width, 4) of 16 bits, deflated; the last is no alpha (TIFF 6.0)."""
+    height, width, lanes = texels.shape
+    strips = [
+        zlib.compress(texels[row : row + _ROWS].astype("<u2").tobytes(), 1) for row in range(0, height, _ROWS)
+    ]
+    short, long = 3, 4
+    sizes = np.array([len(each) for each in strips], "<u4")
+    # Behind the header and the table: bits of the lanes, then where strips begin, and their sizes.
+    tags = 12
+    behind = 8 + 2 + 12 * tags + 4
+    at_strips = behind + 2 * lanes
+    data = at_strips + 8 * len(strips)
+    offsets = (data + np.cumsum(sizes) - sizes).astype("<u4")
+    many = len(strips) > 1
+    entries = [
+        (256, long, 1, width), (257, long, 1, height), (258, short, lanes, behind), (259, short, 1, 8),
+        (262, short, 1, 2), (273, long, len(strips), at_strips if many else int(offsets[0])),
+        (277, short, 1, lanes), (278, long, 1, _ROWS),
+        (279, long, len(strips), at_strips + 4 * len(strips) if many else int(sizes[0])),
+        (284, short, 1, 1), (338, short, 1, 0), (339, short, 1, 1),
+    ]  # fmt: skip
+    table = b"".join(struct.pack("<HHII", *each) for each in entries)
+    head = struct.pack("<2sHIH", b"II", 42, 8, tags) + table + bytes(4) + struct.pack("<4H", *[16] * lanes)
+    return b"".join([head, offsets.tobytes(), sizes.tobytes(), *strips])

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials for Cycles whose OSL node looks the octree up at each point: nothing is baked."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+
+from . import objects
+
+#: Attributes of a deformed mesh: where it rests, and its normals there.
+_REST, _NORMAL = "octex rest", "octex normal"
+#: Sockets of the shader: its inputs; and its outputs, a colour, a number or a direction.
+_INPUTS = {"Position": "Vector", "Normal": "Vector", "Filter": "Int", "ZUp": "Int", "File": "String"}
+_SOCKETS = {3: "NodeSocketColor", 1: "NodeSocketFloat", 0: "NodeSocketVector"}
+
+
+def check_osl(context: bpy.types.Context) -> None:
+    """Raise ObjectError where Cycles or its OSL is missing."""
+    try:
+        import _cycles
+    except ImportError:
+        _cycles = None
+    if not getattr(_cycles, "with_osl", False) or not hasattr(context.scene, "cycles"):
+        raise objects.ObjectError("Enable the add-on Cycles Render Engine, in a Blender that has OSL, first")
+
+
+def show(
+    context: bpy.types.Context,
+    chosen: bpy.types.Object,
+    shader: Path,
+    outputs: Sequence[tuple[str, int, str]],
+) -> None:
+    """Show an object by a shader file with outputs: names, 3, 1 or 0 for a direction, and their channels.
+
+    Raises ObjectError if it does not compile.
+    """
+    code = compiled(shader)
+    is_deformed = bool(chosen.modifiers or chosen.data.shape_keys)
+    if is_deformed:
+        objects.set_rest(chosen, _REST, _NORMAL)
+    context.scene.cycles.shading_system = True
+    material, principled = objects.emptied(f"{chosen.name} octree exact")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    node = nodes.new("ShaderNodeScript")
+    node.mode, node.location = "INTERNAL", (-350, 0)
+    node.bytecode, node.bytecode_hash = code, hashlib.md5(code.encode(), usedforsecurity=False).hexdigest()
+    for name, kind in _INPUTS.items():
+        if name not in node.inputs:
+            node.inputs.new(f"NodeSocket{kind}", name)
+    node.inputs["Filter"].default_value, node.inputs["ZUp"].default_value = 2, 1
+    node.inputs["File"].default_value = str(shader.with_name(f"{shader.name}.tif"))
+    if is_deformed:
+        for name, socket in ((_REST, "Position"), (_NORMAL, "Normal")):
+            stored = nodes.new("ShaderNodeAttribute")
+            stored.attribute_name = name
+            stored.location = (-600, 0 if socket == "Position" else -200)
+            links.new(stored.outputs["Vector"], node.inputs[socket])
+    else:
+        place = nodes.new("ShaderNodeTexCoord")
+        place.location = (-600, 0)
+        links.new(place.outputs["Object"], node.inputs["Position"])
+    for name, components, channel in outputs:
+        output = node.outputs.get(name) or node.outputs.new(_SOCKETS[components], name)
+        if channel in objects.SOCKETS:
+            links.new(output, principled.inputs[objects.SOCKETS[channel]])
+    if any(channel == "emissive" for _, _, channel in outputs):
+        principled.inputs["Emission Strength"].default_value = 1.0
+    objects.put(chosen, lambda _: material)
+
+
+def compiled(shader: Path) -> str:
+    """Return the code of a shader file; raises ObjectError."""
+    import _cycles
+
+    code = shader.with_suffix(".oso")
+    try:
+        if not _cycles.osl_compile(str(shader), str(code)):
+            raise objects.ObjectError(f"{shader} does not compile: see Blender's console")
+        return code.read_text(encoding="utf-8")
+    finally:
+        code.unlink(missing_ok=True)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write what octex needs of an object, in a Blender of its own: its arrays, or a model of it.
+
+Called with a JSON file, next to the pixels of images that are not saved.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))  # as Blender runs it
+import objects
+
+
+def main() -> None:
+    job = json.loads(Path(sys.argv[-1]).read_text(encoding="utf-8"))
+    folder = Path(job["folder"])
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(job["blend"]) as (_, wanted):
+        wanted.objects = [job["object"]]
+    (chosen,) = wanted.objects
+    for name, file in job["pixels"].items():
+        bpy.data.images[name].pixels.foreach_set(np.load(folder / f"{file}.npy").reshape(-1))
+    if job["form"] == "arrays":
+        np.savez(folder / "mesh.npz", **objects.mesh_arrays(chosen))
+    else:
+        objects.write_model(bpy.context, chosen, folder / "model.glb", shown=job["form"] == "shown")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+#!/usr/bin/env python
+"""Use the extension on objects, images and cameras of many kinds; print what came of it as JSON.
+
+usage: tools/blender/try_objects.py FOLDER, by a Python that has bpy and octex
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy  # type: ignore[import-not-found]
+import extension
+import numpy as np
+from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
+from extension import objects
+from mathutils import Matrix, Vector  # type: ignore[import-not-found]
+from PIL import Image
+from try_extension import SIZE, ball, colors, gradient, own_material, worst
+
+RED = (1.0, 0.0, 0.0)
+
+
+def main() -> int:
+    folder = Path(sys.argv[1])
+    extension.register()
+    told: dict[str, Any] = {}
+    for task in (images, strokes, view, colmap, plain, shape_keys, modifiers, linked, another):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        own = folder / task.__name__
+        own.mkdir()
+        bpy.ops.wm.save_as_mainfile(filepath=str(own / "scene.blend"))
+        told[task.__name__] = task(own)
+    extension.unregister()
+    print(json.dumps(told))
+    return 0
+
+
+def refusal(command: str) -> str:
+    """Return why a command refuses the active object."""
+    try:
+        getattr(bpy.ops.octex, command)()
+    except RuntimeError as error:
+        return str(error).removeprefix("Error: ").strip()
+    return "it did not refuse"
+
+
+def middle(difference: np.ndarray) -> float:
+    """Return the median of the largest differences (n, k) of rows."""
+    return float(np.median(np.abs(difference).max(axis=1)) * 255)
+
+
+def at_uv(chosen: bpy.types.Object) -> float:
+    """Return how far the colours are from a gradient at the first UVs, away from poles and seam."""
+    bpy.ops.octex.colors()
+    uv = np.empty(2 * len(chosen.data.loops), np.float32)
+    chosen.data.uv_layers[0].uv.foreach_get("vector", uv)
+    uv = uv.reshape(-1, 2)
+    inside = (np.abs(uv - 0.5) < 0.4).all(axis=1)
+    return worst(colors(chosen)[inside, :2] - uv[inside])
+
+
+def images(folder: Path) -> dict[str, Any]:
+    """Make textures of images that are packed, unsaved, missing and of UDIM tiles."""
+    chosen = ball()
+    image = gradient("gradient")
+    node = own_material(chosen, image)
+    chosen.octex.depth = 8
+    bpy.ops.octex.make()
+    told: dict[str, Any] = {"unsaved": at_uv(chosen)}
+    image.pack()
+    bpy.ops.octex.make()
+    told["packed"] = at_uv(chosen)
+    image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
+    image.save()
+    node.image = bpy.data.images.load(str(folder / "gradient.png"))
+    bpy.ops.octex.make()
+    told["file"] = at_uv(chosen)
+    (folder / "gradient.png").rename(folder / "elsewhere.png")
+    node.image.reload()
+    told["missing"] = refusal("make")
+    node.image = bpy.data.images.new("tiles", SIZE, SIZE, tiled=True)
+    told["tiles"] = refusal("make")
+    return told
+
+
+def strokes(_folder: Path) -> dict[str, Any]:
+    """Paint on baked images, and take that over."""
+    told = {}
+    for layout in ("KEEP", "ATLAS"):
+        chosen = ball(f"ball {layout}")
+        own_material(chosen, gradient("gradient"))
+        chosen.octex.layout, chosen.octex.texture_size, chosen.octex.depth = layout, 512, 7
+        bpy.ops.octex.make()
+        told["not baked"] = refusal("strokes")
+        bpy.ops.octex.images()
+        told["not painted"] = refusal("strokes")
+        bpy.ops.octex.colors()
+        before = colors(chosen)
+        bpy.ops.octex.images()
+        tree = chosen.material_slots[0].material.node_tree
+        image = next(each for each in tree.nodes if each.type == "TEX_IMAGE").image
+        pixels = np.empty(4 * 512 * 512, np.float32)
+        image.pixels.foreach_get(pixels)
+        pixels.reshape(512, 512, 4)[200:300, 100:220, :3] = RED
+        image.pixels.foreach_set(pixels)
+        layer = chosen.data.uv_layers[objects.UV_MAP if layout == "ATLAS" else 0]
+        uv = np.empty(2 * len(chosen.data.loops), np.float32)
+        layer.uv.foreach_get("vector", uv)
+        bpy.ops.octex.strokes()
+        bpy.ops.octex.colors()
+        u, v = 512 * uv.reshape(-1, 2).T
+        inside = (u > 120) & (u < 200) & (v > 220) & (v < 280)
+        beside = (u < 80) | (u > 240) | (v < 180) | (v > 320)
+        told[layout] = {
+            "corners": int(inside.sum()),
+            "red": middle(colors(chosen)[inside, :3] - RED),  # next to charts' edges there is old paint
+            "moved": middle((colors(chosen) - before)[beside]),
+        }
+    return told
+
+
+def camera_at(place: tuple[float, float, float], chosen: bpy.types.Object) -> bpy.types.Object:
+    """Return a new camera of the scene that looks at an object."""
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    camera.location = place
+    camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    bpy.context.view_layer.update()
+    return camera
+
+
+def seen_at(chosen: bpy.types.Object, camera: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a camera's picture has the corners (n, 2), and which of them it sees well."""
+    places, seen = [], []
+    for loop in chosen.data.loops:
+        place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
+        outward = (place - chosen.location).normalized()
+        places.append(world_to_camera_view(bpy.context.scene, camera, Vector(place))[:2])
+        seen.append(outward.dot((camera.location - place).normalized()) > 0.6)
+    return np.array(places), np.array(seen)
+
+
+def view(_folder: Path) -> dict[str, Any]:
+    """Draw a view, paint on it, and project that."""
+    chosen = ball()
+    chosen.octex.origin = "GREY"
+    bpy.ops.octex.make()
+    told: dict[str, Any] = {"no camera": refusal("view")}
+    camera = camera_at((9, -8, 4), chosen)
+    bpy.ops.octex.view()
+    path = Path(bpy.path.abspath(camera.data.background_images[0].image.filepath))
+    told["name"] = path.name
+    picture = np.array(Image.open(path))
+    told["drawn"] = float(np.abs(picture[..., :3][picture[..., 3] == 255].astype(float) - 127.5).max())
+    told["not painted"] = refusal("photographs")
+    rows, columns = slice(SIZE // 2 - 20, SIZE // 2 + 20), slice(SIZE // 2, SIZE // 2 + 40)
+    picture[rows, columns] = (255, 0, 0, 255)
+    Image.fromarray(picture).save(path)
+    bpy.ops.octex.photographs()
+    bpy.ops.octex.colors()
+    found = colors(chosen)[:, :3]
+    places, seen = seen_at(chosen, camera)
+    x, y = (places * SIZE - SIZE / 2).T
+    inside = seen & (x > 6) & (x < 34) & (np.abs(y) < 14)
+    beside = (x < -6) | (x > 46) | (np.abs(y) > 26)
+    told |= {"corners": int(inside.sum()), "red": worst(found[inside] - RED)}
+    told["grey"] = worst(found[beside] - 0.5)
+    return told
+
+
+def colmap(folder: Path) -> dict[str, Any]:
+    """Project the photograph of a COLMAP folder."""
+    chosen = ball()
+    camera = camera_at((9, -8, 4), chosen)
+    focal = camera.data.lens / camera.data.sensor_width * SIZE
+    seen = Matrix.Diagonal((1, -1, -1, 1)) @ camera.matrix_world.inverted()
+    turn = " ".join(map(repr, seen.to_quaternion()))
+    move = " ".join(map(repr, seen.to_translation()))
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (sparse / "cameras.txt").write_text(f"1 PINHOLE {SIZE} {SIZE} {focal} {focal} {SIZE / 2} {SIZE / 2}\n")
+    (sparse / "images.txt").write_text(f"1 {turn} {move} 1 one.png\n\n2 {turn} {move} 1 two.png\n\n")
+    (sparse / "points3D.txt").write_text("")
+    chosen.octex.cameras = "//sparse/0"
+    told: dict[str, Any] = {"missing": refusal("photographs")}
+    (folder / "images").mkdir()
+    image = gradient("one")
+    image.filepath_raw, image.file_format = str(folder / "images" / "one.png"), "PNG"
+    image.save()
+    bpy.ops.octex.photographs()
+    bpy.ops.octex.colors()
+    places, is_seen = seen_at(chosen, camera)
+    told["worst"] = worst(colors(chosen)[is_seen, :2] - places[is_seen])
+    return told
+
+
+def plain(_folder: Path) -> dict[str, Any]:
+    """Make a texture of an object without a material."""
+    chosen = ball()
+    bpy.ops.octex.make()
+    bpy.ops.octex.colors()
+    found = colors(chosen)[:, :3]
+    return {"spread": worst(found - found[0]), "slots": len(chosen.material_slots)}
+
+
+def shape_keys(_folder: Path) -> dict[str, Any]:
+    """Show the colours of an object whose shape key is on: it rests at the first one."""
+    chosen = ball()
+    own_material(chosen, gradient("gradient"))
+    chosen.octex.depth = 8
+    chosen.shape_key_add(name="rest")
+    key = chosen.shape_key_add(name="far")
+    for point in key.data:
+        point.co = point.co * 3
+    key.value = 1.0
+    bpy.ops.octex.make()
+    return {"worst": at_uv(chosen)}
+
+
+def modifiers(_folder: Path) -> dict[str, Any]:
+    """Return why photographs of what a modifier makes are refused."""
+    chosen = ball()
+    chosen.modifiers.new("finer", "SUBSURF")
+    camera_at((9, -8, 4), chosen).data.background_images.new().image = gradient("gradient")
+    return {"photographs": refusal("photographs")}
+
+
+def linked(folder: Path) -> dict[str, Any]:
+    """Return why an object of another file, which has a texture, shows none."""
+    ball()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "library.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    with bpy.data.libraries.load(str(folder / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["ball"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    bpy.context.view_layer.objects.active = wanted.objects[0]
+    bpy.ops.octex.make()
+    return {command: refusal(command) for command in ("colors", "images", "exact")}
+
+
+def another(_folder: Path) -> dict[str, Any]:
+    """Return why the texture of an object is not used on another one."""
+    small = ball()
+    small.octex.origin = "GREY"
+    bpy.ops.octex.make()
+    bpy.ops.mesh.primitive_cube_add(size=20)
+    cube = bpy.context.active_object
+    cube.octex.path = "//ball.octex"
+    camera_at((30, -20, 10), cube).data.background_images.new().image = gradient("gradient")
+    return {command: refusal(command) for command in ("colors", "images", "exact", "photographs", "view")}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
