@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Bools, Float64s, Int32s, Int64s
 from octex.baking.layout import doubled_areas, neighbors, steps_between
 from octex.baking.texels import draw_texels
-from octex.jit import kernel
+from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
@@ -44,6 +44,8 @@ _ON_EDGE = 0.3
 _STEP = 0.6
 #: Overlaps are looked for in a map of so many texels a side, and are there if a chart covers so much less.
 _PROBE, _OVERLAPPING = 256, 0.01
+#: Triangles of a chart up to which every two of them are compared first.
+_FEW = 64
 #: Charts that overlap themselves are halved so often; then their triangles lie apart.
 _MOST_HALVED = 8
 
@@ -219,7 +221,7 @@ def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
     starts = np.searchsorted(charts[order], np.stack([doubted, doubted + 1]))
     for chart, first, end in zip(doubted.tolist(), *starts.tolist(), strict=True):
         own = order[first:end]
-        if own.size < 2:
+        if own.size < 2 or (own.size <= _FEW and not _cross(flat[own])):
             continue
         corners = flat[own] - flat[own].min(axis=(0, 1))
         corners *= _PROBE / max(float(corners.max()), 1e-300)
@@ -229,6 +231,32 @@ def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
         if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
             found.append(chart)
     return np.array(found, np.int64)
+
+
+@kernel
+def _cross(flat: Float64s) -> bool:
+    """Say whether two of some triangles (m, 3, 2) overlap: no side of either parts them."""
+    for one in range(len(flat)):
+        for other in range(one):
+            if not (_parts(flat[one], flat[other]) or _parts(flat[other], flat[one])):
+                return True
+    return False
+
+
+@part
+def _parts(triangle: Float64s, other: Float64s) -> bool:
+    """Say whether another triangle lies beyond a side of a triangle."""
+    for side in range(3):
+        start, end, last = triangle[side], triangle[(side + 1) % 3], triangle[(side + 2) % 3]
+        right, down = end[0] - start[0], end[1] - start[1]
+        within = right * (last[1] - start[1]) - down * (last[0] - start[0])
+        sign, most = np.sign(within), -np.inf
+        for corner in range(3):
+            across = right * (other[corner, 1] - start[1]) - down * (other[corner, 0] - start[0])
+            most = max(most, sign * across)
+        if most <= 1e-9 * abs(within):
+            return True
+    return False
 
 
 @kernel
