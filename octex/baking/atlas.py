@@ -19,8 +19,9 @@ from octex.source.welding import first_equal, welded
 
 #: Triangles that xatlas cuts into charts at once: of ten times as many each takes some four times as long.
 _PIECE = 4_000
-#: Charts fit at their scale, and not at one that is more than so much larger.
-_CLOSE = 1.03
+#: Charts fit at their scale, and not at one that is more than so much larger: few charts, and more than a
+#: thousand, whose packing takes long.
+_CLOSE, _CLOSE_OF_MANY, _MANY = 1.01, 1.05, 1000
 #: Of so many of the largest charts the best of four ways to lie is taken.
 _MOST_TURNED = 100
 #: How much of a map charts fill at best, and how much at least where padding is chosen.
@@ -98,7 +99,8 @@ def _fitted(
             return None
         most, low = low, max(low / 2.0, least)
         placed = _packed(flat * low, starts, size, *spacing)
-    while most > low * _CLOSE:
+    close = _CLOSE if len(starts) <= _MANY else _CLOSE_OF_MANY
+    while most > low * close:
         middle = np.sqrt(low * most)
         tried = _packed(flat * middle, starts, size, *spacing)
         if tried is None:
