@@ -40,6 +40,8 @@ _SHARP = 2
 _SMOOTHED = (3, 6, 12)
 #: What shows less than this part of its area is on edge.
 _ON_EDGE = 0.3
+#: How often triangles that their chart does not show go to a neighbour's.
+_PASSED = 8
 #: How far a position moves to the mean of its neighbours at once.
 _STEP = 0.6
 #: Overlaps are looked for in a map of so many texels a side, and are there if a chart covers so much less.
@@ -74,6 +76,7 @@ def laid_flat(mesh: Mesh) -> Float64s:
     _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
     pieces = _Pieces(corners, others, areas, normals, facings)
     charts = _clustered(pieces)
+    _pass_on(pieces, charts)
     flat = _projected(corners, _axes(pieces, charts)[charts])
     flat, charts = _unfolded(pieces, rows, positions, flat, charts)
     flat, charts = _without_overlaps(pieces, flat, charts)
@@ -103,6 +106,24 @@ def _clustered(pieces: _Pieces) -> Int64s:
         first = int(numbers.max(initial=-1)) + 1
         count = _grow(others, facings, areas, np.flatnonzero(~is_taken), _LEAST, first, charts)
     return _merged(pieces, charts)
+
+
+def _pass_on(pieces: _Pieces, charts: Int64s) -> None:
+    """Give triangles that lie on edge or upside down in their chart to a neighbour's that shows them."""
+    axes = _axes(pieces, charts)
+    for _ in range(_PASSED):
+        shown = np.einsum("mx,mx->m", pieces.normals, axes[charts])
+        folded = np.flatnonzero((shown < _ON_EDGE) & (pieces.areas > 0.0))
+        others = pieces.others[folded]
+        nearby = charts[others]
+        better = np.einsum("mx,mkx->mk", pieces.normals[folded], axes[nearby])
+        better[others < 0] = -1.0
+        best = better.argmax(axis=1)
+        rows = np.arange(folded.size)
+        is_better = better[rows, best] > np.maximum(shown[folded], _ON_EDGE)
+        if not is_better.any():
+            return
+        charts[folded[is_better]] = nearby[rows, best][is_better]
 
 
 def _axes(pieces: _Pieces, charts: Int64s) -> Float64s:
