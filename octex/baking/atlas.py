@@ -19,8 +19,9 @@ from octex.source.welding import first_equal, welded
 
 #: Triangles that xatlas cuts into charts at once: of ten times as many each takes some four times as long.
 _PIECE = 4_000
-#: Charts fit at their scale, and not at one that is more than so much larger.
-_CLOSE = 1.03
+#: Charts fit at their scale, and not at one that is more than so much larger: few charts, and more than a
+#: thousand, whose packing takes long.
+_CLOSE, _CLOSE_OF_MANY, _MANY = 1.01, 1.05, 1000
 #: Of so many of the largest charts the best of four ways to lie is taken.
 _MOST_TURNED = 100
 #: How much of a map charts fill at best, and how much at least where padding is chosen.
@@ -55,14 +56,14 @@ def atlas_layout(
     wanted = float((high - low).max()) / (SIDE * texel)
     for size in sizes:
         is_last = size == sizes[-1]
-        least = wanted if not is_last else area**-0.5 if area > 0.0 else 1.0
-        best, around = None, 0
-        for spacing in _spacings(size, padding, is_last):
-            found = _fitted(flat, starts, area, size, spacing, least)
-            if found is not None and (best is None or _area(found) > _area(best)):
-                best, around = found, spacing[0]
-                if not is_last or _area(best) >= _ENOUGH * size**2:
-                    break
+        least = 1.0 if is_last else wanted
+        spacings = _spacings(size, padding, is_last)
+        for spacing in spacings:
+            if is_last and area > 0.0:
+                least = size * (_ENOUGH / area) ** 0.5 if spacing != spacings[-1] else area**-0.5
+            best, around = _fitted(flat, starts, area, size, spacing, least), spacing[0]
+            if best is not None:
+                break
         if best is not None:
             placed = np.empty_like(best)
             placed[order] = best
@@ -98,7 +99,8 @@ def _fitted(
             return None
         most, low = low, max(low / 2.0, least)
         placed = _packed(flat * low, starts, size, *spacing)
-    while most > low * _CLOSE:
+    close = _CLOSE if len(starts) <= _MANY else _CLOSE_OF_MANY
+    while most > low * close:
         middle = np.sqrt(low * most)
         tried = _packed(flat * middle, starts, size, *spacing)
         if tried is None:
@@ -192,7 +194,10 @@ def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int)
     """Place charts (m, 3, 2), in texels, in a square map by blocks of texels; return None without room."""
     blocks = size // block
     _, reaches = _boxes(flat, starts)
-    if (reaches + 2 * padding > size).any():
+    areas = np.add.reduceat(np.abs(doubled_areas(flat)) / 2.0, starts)
+    # Padding adds at least as much to a chart as to a disc of its area (Brunn and Minkowski).
+    needed = (np.sqrt(areas) + np.sqrt(np.pi) * padding) ** 2
+    if (reaches + 2 * padding > size).any() or needed.sum() > size**2:
         return None
     groups = [slice(*ends) for ends in pairwise([*starts.tolist(), len(flat)])]
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)

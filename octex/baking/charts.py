@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Bools, Float64s, Int32s, Int64s
 from octex.baking.layout import doubled_areas, neighbors, steps_between
 from octex.baking.texels import draw_texels
-from octex.jit import kernel
+from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
@@ -40,10 +40,14 @@ _SHARP = 2
 _SMOOTHED = (3, 6, 12)
 #: What shows less than this part of its area is on edge.
 _ON_EDGE = 0.3
+#: How often triangles that their chart does not show go to a neighbour's.
+_PASSED = 8
 #: How far a position moves to the mean of its neighbours at once.
 _STEP = 0.6
 #: Overlaps are looked for in a map of so many texels a side, and are there if a chart covers so much less.
 _PROBE, _OVERLAPPING = 256, 0.01
+#: Triangles of a chart up to which every two of them are compared first.
+_FEW = 64
 #: Charts that overlap themselves are halved so often; then their triangles lie apart.
 _MOST_HALVED = 8
 
@@ -72,6 +76,7 @@ def laid_flat(mesh: Mesh) -> Float64s:
     _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
     pieces = _Pieces(corners, others, areas, normals, facings)
     charts = _clustered(pieces)
+    _pass_on(pieces, charts)
     flat = _projected(corners, _axes(pieces, charts)[charts])
     flat, charts = _unfolded(pieces, rows, positions, flat, charts)
     flat, charts = _without_overlaps(pieces, flat, charts)
@@ -101,6 +106,24 @@ def _clustered(pieces: _Pieces) -> Int64s:
         first = int(numbers.max(initial=-1)) + 1
         count = _grow(others, facings, areas, np.flatnonzero(~is_taken), _LEAST, first, charts)
     return _merged(pieces, charts)
+
+
+def _pass_on(pieces: _Pieces, charts: Int64s) -> None:
+    """Give triangles that lie on edge or upside down in their chart to a neighbour's that shows them."""
+    axes = _axes(pieces, charts)
+    for _ in range(_PASSED):
+        shown = np.einsum("mx,mx->m", pieces.normals, axes[charts])
+        folded = np.flatnonzero((shown < _ON_EDGE) & (pieces.areas > 0.0))
+        others = pieces.others[folded]
+        nearby = charts[others]
+        better = np.einsum("mx,mkx->mk", pieces.normals[folded], axes[nearby])
+        better[others < 0] = -1.0
+        best = better.argmax(axis=1)
+        rows = np.arange(folded.size)
+        is_better = better[rows, best] > np.maximum(shown[folded], _ON_EDGE)
+        if not is_better.any():
+            return
+        charts[folded[is_better]] = nearby[rows, best][is_better]
 
 
 def _axes(pieces: _Pieces, charts: Int64s) -> Float64s:
@@ -219,7 +242,7 @@ def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
     starts = np.searchsorted(charts[order], np.stack([doubted, doubted + 1]))
     for chart, first, end in zip(doubted.tolist(), *starts.tolist(), strict=True):
         own = order[first:end]
-        if own.size < 2:
+        if own.size < 2 or (own.size <= _FEW and not _cross(flat[own])):
             continue
         corners = flat[own] - flat[own].min(axis=(0, 1))
         corners *= _PROBE / max(float(corners.max()), 1e-300)
@@ -229,6 +252,32 @@ def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
         if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
             found.append(chart)
     return np.array(found, np.int64)
+
+
+@kernel
+def _cross(flat: Float64s) -> bool:
+    """Say whether two of some triangles (m, 3, 2) overlap: no side of either parts them."""
+    for one in range(len(flat)):
+        for other in range(one):
+            if not (_parts(flat[one], flat[other]) or _parts(flat[other], flat[one])):
+                return True
+    return False
+
+
+@part
+def _parts(triangle: Float64s, other: Float64s) -> bool:
+    """Say whether another triangle lies beyond a side of a triangle."""
+    for side in range(3):
+        start, end, last = triangle[side], triangle[(side + 1) % 3], triangle[(side + 2) % 3]
+        right, down = end[0] - start[0], end[1] - start[1]
+        within = right * (last[1] - start[1]) - down * (last[0] - start[0])
+        sign, most = np.sign(within), -np.inf
+        for corner in range(3):
+            across = right * (other[corner, 1] - start[1]) - down * (other[corner, 0] - start[0])
+            most = max(most, sign * across)
+        if most <= 1e-9 * abs(within):
+            return True
+    return False
 
 
 @kernel

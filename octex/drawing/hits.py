@@ -12,6 +12,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.differentials import differential
 from octex.jit import kernel
 from octex.parallel import built_once
+from octex.source.corners import Frames
 from octex.view.shading import corner_normals, face_normals
 from octex.view.zbuffer import Buffers, z_buffer
 
@@ -54,7 +55,8 @@ class Seen:
     def _smooth(self) -> Float32s:
         if not self.is_posed:
             return self._resting
-        return corner_normals(self.surface.vertices, self.surface.triangles)
+        frames = self.surface.posed_frames()
+        return _of_corners(frames, self.surface.vertices, self.surface.triangles)
 
     def normals(self, hits: Hits) -> tuple[Float64s, Float64s]:
         """Return the normals of triangles and smooth ones (n, 3) on the posed surface."""
@@ -94,8 +96,14 @@ def visible_hits(
 
 
 def rest_normals(surface: Surface) -> Float32s:
-    """Return smooth normals (m, 3, 3) at the corners of triangles at rest."""
-    return corner_normals(surface.rest, surface.triangles)
+    """Return smooth normals (m, 3, 3) at the corners of triangles at rest: the surface's own, if any."""
+    return _of_corners(surface.frames, surface.rest, surface.triangles)
+
+
+def _of_corners(frames: Frames | None, positions: Float64s, triangles: Int32s) -> Float32s:
+    if frames is None:
+        return corner_normals(positions, triangles)
+    return np.ascontiguousarray(frames.normals.values[frames.normals.rows], np.float32)
 
 
 def is_posed(surface: Surface) -> bool:

@@ -161,3 +161,66 @@ def test_the_command_bakes_a_model_without_a_texture(tmp_path: Path, capsys: Any
         assert complaint in capsys.readouterr().err
     assert main(["bake", str(model), str(tmp_path / "other.ptx")]) == 2
     assert "other.ptx: needs a texture" in capsys.readouterr().err
+
+
+def write_ply(path: Path, vertices: Any, triangles: Any) -> None:
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
+    faces = np.zeros(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, triangles
+    path.write_bytes("\n".join(header).encode() + vertices.astype("<f4").tobytes() + faces.tobytes())
+
+
+@needs_jit
+@pytest.mark.parametrize("repairs", [False, True])
+def test_damaged_meshes_have_a_light_model(tmp_path: Path, repairs: bool) -> None:
+    surface = bumpy(24)
+    count = len(surface.vertices)
+    vertices = np.concatenate([surface.vertices, [[np.nan, 0, 0], [3, 0, 0], [1, 1, 1]], surface.vertices])
+    vertices[count + 3 :, 0] += 0.7  # another ball crosses the first
+    extra = [
+        [0, 1, count],  # not finite
+        [5, 5, 9],  # without area: two corners in one, and all on a line
+        [count + 1, count + 1, count + 1],
+        [200, 201, count + 2],  # a fin: three triangles meet at its edge
+        [201, 200, count + 2],
+    ]
+    triangles = np.concatenate([surface.triangles, extra, surface.triangles + count + 3])
+    path = tmp_path / "model.ply"
+    write_ply(path, vertices, triangles)
+    if not repairs:
+        with pytest.raises(ModelError, match=r"model.ply: vertices are not all finite"):
+            octex.finish(path, triangles=400, texture_size=128)
+        vertices[count] = 0.0
+        write_ply(path, vertices, triangles)
+    low = octex.finish(path, triangles=800, depth=6, texture_size=256, repair=repairs)
+    assert np.isfinite(low.vertices).all()
+    assert 400 <= len(low.triangles) <= 816
+    middles = np.array([[0, 0, 0], [0.7, 0, 0]])
+    points = low.scatter(2000, 1).points
+    off = np.abs(np.linalg.norm(points[:, None] - middles, axis=2) - 1.0).min(axis=1)
+    assert np.median(off) < 0.02
+    inside = np.linalg.norm(points[:, None] - middles, axis=2).min(axis=1) < 0.9
+    assert inside.any() != repairs  # walls where the balls cross are seen by nobody
+    with_colors = low.evaluate(low.scatter(500, 2), "base_color")
+    assert np.isfinite(with_colors).all()
+
+
+@needs_jit
+def test_thousands_of_parts_have_a_light_model() -> None:
+    octahedron = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+    faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+    places = np.stack(np.meshgrid(*[3.0 * np.arange(n) for n in (25, 20, 20)]), axis=-1).reshape(-1, 3)
+    vertices = (places[:, None] + octahedron).reshape(-1, 3)
+    triangles = (6 * np.arange(len(places))[:, None, None] + faces).reshape(-1, 3)
+    surface = Surface.from_arrays(vertices, triangles, name="crowd")
+    assert len(octex.simplify(surface, 80_000).triangles) == 80_000
+    with pytest.warns(ModelWarning, match="crowd: .* triangles are left, not 100: its loose parts"):
+        low = octex.simplify(surface, 100)
+    owners = np.rint(low.vertices[low.triangles].mean(axis=1) / 3.0).astype(int)
+    assert len(np.unique(owners, axis=0)) == 10_000  # none is lost
+    small = surface.part(np.arange(8 * 1000)).with_sources({"base_color": colors})
+    with pytest.warns(ModelWarning, match="crowd: 8,000 triangles are left, not 4,000"):
+        baked = octex.finish(small, triangles=4000, depth=8, texture_size=2048)
+    assert len(np.unique(baked.parts)) == 1000

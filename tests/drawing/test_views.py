@@ -16,6 +16,7 @@ from octex.errors import ArgumentError, OutputError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.command import result, run
+from tests.make.painted import ball
 
 pytestmark = needs_jit
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -175,3 +176,21 @@ def test_the_command_draws_every_kind(
     ):
         assert run("draw", *words) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_surface_is_lit_by_its_own_normals():
+    coarse, fine = ball(4), ball(128)
+    camera = octex.Camera.fitted(fine.vertices, (0.3, 0.2, 1.0), size=(64, 64))
+    light = octex.Environment.studio()
+    normals = coarse.vertices / np.linalg.norm(coarse.vertices, axis=1, keepdims=True)
+    posed = coarse.vertices[:, [1, 2, 0]]  # turned by a third
+    both = octex.Surface.from_arrays(coarse.vertices, coarse.triangles, normals=normals)
+    wanted = octex.render(None, octex.Surface.from_arrays(fine.vertices, fine.triangles), camera, light=light)
+    inside = np.linalg.norm(np.mgrid[:64, :64] - 31.5, axis=0) < 24
+
+    def off(surface):
+        picture = octex.render(None, surface, camera, light=light)
+        return np.abs(picture[inside].astype(int) - wanted[inside]).mean()
+
+    flat = octex.Surface.from_arrays(coarse.vertices, coarse.triangles)
+    assert max(off(both), off(both.with_pose(posed))) < 0.4 * off(flat)

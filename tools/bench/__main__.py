@@ -27,6 +27,7 @@ from baking import baking
 from conversion import boombox, large, torus
 from filtered import far, footprints, pages, stretched
 from images import filters, materials
+from light import light
 from lookups import kinds, lookup, mixed, questions, resident, today
 from measuring import Report, Setup, octex_worker
 from painting import painting, ring
@@ -65,6 +66,7 @@ BENCHMARKS = {
         cloud,
         processing,
         baking,
+        light,
         archive,
     )
 }

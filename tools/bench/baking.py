@@ -8,22 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 from inputs import painted_torus
-from measuring import DROID, Report, Setup, Spent, codes, decibels, in_turns, open3d, pinned, timed
-from PIL import Image, ImageFilter
+from measuring import DROID, Report, Setup, Spent, in_turns, open3d, pinned, timed
 
 import octex
-from octex.baking.atlas import atlas_layout
 from octex.baking.gutters import find_nearest
-from octex.baking.layout import Layout, charts_of, doubled_areas, neighbors
+from octex.baking.layout import Layout, charts_of, neighbors
 from octex.baking.texels import draw_texels
 from octex.channels import CHANNELS, linear_to_srgb, srgb_to_linear
 from octex.formats.models import materials_of
-from octex.nearest.triangles import Triangles
-from octex.source.mesh import Mesh
-from octex.view.shading import corner_normals
-from octex.view.zbuffer import z_buffer
 
 Floats = npt.NDArray[np.float64]
 
@@ -51,8 +44,6 @@ def baking(setup: Setup, report: Report) -> None:
     )
     report.table(["model", "uv", "size", "dB", *(f"mip {level}" for level in range(MIPS)), "normals"], rows)
     _speed(setup, report)
-    _atlases(setup, report)
-    _light(setup, report)
 
 
 def _models(setup: Setup) -> Iterator[Path]:
@@ -248,90 +239,6 @@ def _speed(setup: Setup, report: Report) -> None:
     report.line(f"{size}², five channels, {len(surface.triangles):,} triangles", spent)
     report.at_most("baking: five channels of 4096²", spent.wall, 6.0, "s")
     _beside_open3d(setup, report, texture, surface, size)
-
-
-def _atlases(setup: Setup, report: Report) -> None:
-    """Lay out a ball with noise, as scans have it: by octex, and by xatlas where that ends."""
-    report.title("baking: atlases of a ball with noise of 0.2 % of its radius")
-    for divided, seconds in ((3, 6.0),) if setup.quick else ((5, 6.0), (7, 6.0), (8, 25.0)):
-        ball = trimesh.creation.icosphere(divided)
-        noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal((len(ball.vertices), 1))
-        mesh = Mesh(ball.vertices * noise, np.asarray(ball.faces))
-        for by_xatlas in (False, True):
-            name = f"{len(mesh.triangles):,} triangles, {'xatlas' if by_xatlas else 'octex'}"
-            size = 4096 if divided > 7 else 2048
-            try:
-                spent, layout = timed(lambda: atlas_layout(mesh, [size], None, 1e-9, by_xatlas=by_xatlas))  # noqa: B023
-            except octex.OctexError as error:
-                report.line(name, str(error))
-                continue
-            areas = np.bincount(layout.charts, np.abs(doubled_areas(layout.corners)) / 2.0)
-            small, coverage = float((areas < 8).mean()), float(areas.sum()) / size**2
-            report.line(
-                name, f"{spent}; {areas.size:,} charts, {small:.1%} below 8 texels, {coverage:.0%} covered"
-            )
-            if not by_xatlas:
-                report.at_most(f"baking: atlas, {name}", spent.wall, seconds, "s")
-                report.at_most(f"baking: atlas, {name}, charts below 8 texels", 100.0 * small, 10.0, "%")
-                report.at_least(f"baking: atlas, {name}, covered", 100.0 * coverage, 60.0, "%")
-
-
-def _light(setup: Setup, report: Report) -> None:
-    """Make light models of balls with noise, whose textures are there, and compare pictures of both."""
-    report.title("baking: light models of a ball with noise of 0.2 % of its radius")
-    cases = (3, 500, 256, 25.0), (7, 50_000, 2048, 25.0), (8, 100_000, 4096, 60.0)
-    for divided, count, size, seconds in cases[:1] if setup.quick else cases[1:]:
-        ball = trimesh.creation.icosphere(divided)
-        noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal((len(ball.vertices), 1))
-        vertices, faces = ball.vertices * noise, np.asarray(ball.faces, np.int32)
-        normals = np.empty_like(vertices)
-        normals[faces] = corner_normals(vertices, faces, 180.0)
-        surface = octex.Surface.from_arrays(vertices, faces, normals=normals)
-        surface = surface.with_sources({"base_color": _waves(9.0, 3)})
-        texture = octex.convert(surface, 5 if setup.quick else 10)
-        path = setup.folder / "light.glb"
-
-        def made(surface: octex.Surface = surface, texture: octex.OctreeTexture = texture) -> None:
-            light = octex.finish(surface, texture, triangles=count, texture_size=size)  # noqa: B023
-            octex.write_model(light, path, images="jpeg-all")  # noqa: B023
-
-        spent, _ = timed(made)
-        light = octex.load_surface(path, normals=True)
-        points = light.scatter(100_000, 1)
-        nearest = Triangles.of(vertices, faces).nearest(points.points, points.normals, least_cosine=0.0)
-        wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
-        colors = decibels(codes(light.evaluate(points)) - wanted)
-        lit, off = _pictures(texture, surface, light)
-        name = f"{len(faces):,} → {len(light.triangles):,} triangles, {size}²"
-        megabytes = path.stat().st_size / 1e6
-        report.line(
-            name, f"{spent}; {megabytes:.1f} MB, colours {colors:.1f} dB, lit {lit:.1f} dB, {off} pixels"
-        )
-        report.at_most(f"baking: light model, {name}", spent.wall, seconds, "s")
-        report.at_least(f"baking: light model, {name}, colours", colors, 38.0, "dB")
-        report.at_least(f"baking: light model, {name}, lit", lit, 32.0, "dB")
-        report.at_most(f"baking: light model, {name}, silhouette", off, 1.0, "pixels")
-
-
-def _pictures(
-    texture: octex.OctreeTexture, surface: octex.Surface, light: octex.Surface
-) -> tuple[float, int]:
-    """Return how alike lit pictures of 512² are, in dB, and how many pixels apart the silhouettes."""
-    camera = octex.Camera.fitted(surface.vertices, direction=(1.0, 0.4, 0.7), size=(512, 512))
-    studio = octex.Environment.studio()
-    both = [octex.render(*each, camera, light=studio) for each in ((texture, surface), (None, light))]
-    masks = [z_buffer(each.vertices, each.triangles, camera).triangle >= 0 for each in (surface, light)]
-    inside = masks[0] & masks[1]
-    off = next(
-        off
-        for off in range(512)
-        if not any((one & ~_widened(other, off)).any() for one, other in (masks, masks[::-1]))
-    )
-    return decibels(both[0][inside].astype(np.float64) - both[1][inside]), off
-
-
-def _widened(mask: npt.NDArray[np.bool_], pixels: int) -> npt.NDArray[np.bool_]:
-    return np.asarray(Image.fromarray(mask).convert("L").filter(ImageFilter.MaxFilter(2 * pixels + 1))) > 0
 
 
 def _waves(rate: float, components: int) -> Callable[[Floats], Floats]:
