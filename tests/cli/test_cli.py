@@ -116,7 +116,7 @@ def test_bad_usage_is_refused_with_where_to_read(
             "a.glb b.octex --channels normal --source alpha=1",
             "--source gives alpha, but --channels leaves it out",
         ),
-        ("diff a.glb b.obj", "a.glb: is not a .octex file; octex convert makes one from a model"),
+        ("diff a.obj b.obj", "a.obj: is not a .octex file; octex convert makes one from a model"),
         *[
             (
                 f"diff a.octex b.octex --{word}",

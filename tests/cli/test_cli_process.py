@@ -91,7 +91,7 @@ def test_models_are_converted_first(
         f"{option} is an option of octex edit, not of octree-convert; see octree-convert --help"
     )
     assert refusal(capsys, "edit", model, tmp_path / "x.octex", *words.split()) == (
-        f"{model}: is not a .octex file; octex convert makes one from a model"
+        f"{model}: is a model without EXT_octree_texture; octex convert makes a texture of it"
     )
 
 
