@@ -93,20 +93,20 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
-    if change.has_same_cells:
-        here = places_in(after, tiles, draft)
-        is_known = _as_before(change.before, draft) | (here < 0)
-        return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known)
-    old, is_known = _known(change.before, draft)
-    here, there = places_in(after, tiles, draft), places_in(before, tiles, change.before)
+    here = places_in(after, tiles, draft)
     is_open = here >= 0
+    if change.has_same_cells:
+        is_known = _as_before(change.before, draft) | ~is_open
+        return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
+    old, is_known = _known(change.before, draft)
+    there = places_in(before, tiles, change.before)
     known = np.flatnonzero(is_known & is_open)
     opened = _Runs.of_cells(here[known], there[old[known]])
     numbers = (each[each >= 0] for each in (here, there))
     closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
     runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
-    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open)
+    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open, ~is_open)
 
 
 def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
@@ -146,11 +146,21 @@ def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
     return _Runs(now, before, lengths)
 
 
-def _packed(runs: _Runs, texture: OctreeTexture, is_known: Bools) -> tuple[dict[str, int], bytes]:
-    """Return a change's counts and stream; new cells are those of a texture that are not known."""
+def _packed(
+    runs: _Runs, texture: OctreeTexture, is_known: Bools, is_closed: Bools | None = None
+) -> tuple[dict[str, int], bytes]:
+    """Return a change's counts and stream; new cells are those of a texture that are not known.
+
+    Closed cells are leaves of a draft but nodes of its texture; masks of their parents are corrected.
+    """
     new = np.flatnonzero(~is_known)
     gaps = np.diff(runs.now, prepend=0) - np.concatenate([[0], runs.lengths[:-1]])[: runs.now.size]
     masks, areas = _nodes_data(texture.tree)
+    if is_closed is not None:
+        nodes, closed = node_cells(texture.tree.arrays), np.flatnonzero(is_closed)
+        stored = np.unpackbits(np.bitwise_or.reduce(masks[nodes], axis=1)[:, None], axis=1, bitorder="little")
+        parents, octants = (each[closed - 1] for each in np.nonzero(stored))  # of all cells but the root
+        np.bitwise_xor.at(masks, nodes[parents], np.uint8(1) << octants.astype(np.uint8)[:, None])
     channels = list(texture.channels.values())
     parts: list[Array] = [masks[new].T, areas[new], texture.tree.arrays.flags[new]]
     parts += [channel.values[new].T for channel in channels]

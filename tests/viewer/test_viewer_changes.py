@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import octex
-from octex.editing.draft import Change, joined_change
+from octex.editing.draft import Change, Tiles, change_in, cut_out, joined_change
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
@@ -289,3 +290,24 @@ def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path:
             # To what rasterizers round corners to: a sixteenth of a pixel.
             np.testing.assert_allclose(camera.project(point)[0][0], np.add(pixel, 0.5), atol=1 / 16)
         page.close()
+
+
+@needs_jit
+@pytest.mark.parametrize("depth", [None, 8])
+def test_parents_of_a_changed_tile_are_sent_with_all_their_children(depth: int | None) -> None:
+    surface = ball(24)
+    before = octex.convert(surface, 7)
+    painter = octex.Painter(before, surface)
+    (change,) = painter.fill(octex.Sphere(surface.vertices[300], 0.03), (1.0, 0.0, 0.0), max_depth=depth)
+    after = painter.texture()
+    assert change.tiles is not None
+
+    def below(texture: OctreeTexture, tiles: Tiles) -> npt.NDArray[np.uint8]:
+        draft = cut_out(texture, tiles)
+        return draft.channels["base_color"].values[draft.tree.arrays.level_cells[tiles.level + 1] :]
+
+    each = [Tiles(change.tiles.level, code[None]) for code in change.tiles.codes]
+    differing = [own.codes for own in each if not np.array_equal(below(before, own), below(after, own))]
+    fewest = change_in(Tiles(change.tiles.level, np.concatenate(differing)), before, after)
+    assert 0 < len(differing) < 8
+    assert change_of(fewest, before, after) == change_between(before, after)

@@ -12,6 +12,7 @@ calls of the library paint. Closing pages and page memory need a browser (playwr
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import sys
 import tempfile
@@ -129,9 +130,9 @@ def closes(count: int, seed: int = 0) -> None:
     with tempfile.TemporaryDirectory() as folder, started() as browser:
         studio, answered = Studio(Path(folder), 8), dict[str, int]()
         for _ in range(count):
-            page = opened(browser, studio.url, (400, 300))
-            page.wait_for_function("viewer.painting")
-            name = page.evaluate("viewer.frame = () => {}, viewer.painting.sending.page")
+            page = opened(browser, studio.url, (800, 400))
+            page.wait_for_function("viewer.painting && viewer.isDrawn")
+            name = page.evaluate("viewer.painting.sending.page")
             answered[name] = 0
 
             def heard(answer: Any, name: str = name) -> None:
@@ -139,14 +140,16 @@ def closes(count: int, seed: int = 0) -> None:
                     answered[name] += 1
 
             page.on("response", heard)
-            box = page.locator("#picture").bounding_box()
-            end = time.monotonic() + random.uniform(0.0, 1.5)
+            box, end = page.locator("#picture").bounding_box(), math.inf
             while time.monotonic() < end:
                 x, y = (box["width"] / 2 + random.uniform(-9, 9), box["height"] / 2 + random.uniform(-60, 60))
                 page.mouse.move(x, y)
                 page.mouse.down()
                 page.mouse.move(x + 4, y + 4)
                 page.mouse.up()
+                page.wait_for_timeout(random.uniform(0, 100))
+                if end == math.inf and answered[name]:  # all is compiled
+                    end = time.monotonic() + random.uniform(0.0, 1.5)
             page.close(run_before_unload=False)
         for name, number in answered.items():
             told = studio.wait(number, name) if number else {}
