@@ -203,14 +203,14 @@ def as_choice(value: Choice, choices: Iterable[str], name: str) -> Choice:
     return value
 
 
-def as_bytes(size: int | str, name: str) -> int:
-    """Return a number of bytes, given as such or as a text like "2GB", or raise ArgumentError."""
+def as_memory(size: int | str) -> int:
+    """Return ``memory`` in bytes, given as such or as a text like "2GB", or raise ArgumentError."""
     if not isinstance(size, str):
-        return as_whole(size, name, 1, 1 << 53)
+        return as_whole(size, "memory", 1, 1 << 53)
     try:
         return size_of(size)
     except ValueError as error:
-        raise ArgumentError(f"{name}: {error}") from None
+        raise ArgumentError(f"memory: {error}") from None
 
 
 def as_number(value: float, name: str, least: float, most: float) -> float:

@@ -80,14 +80,14 @@ class Run:
         as_progress(self.progress)
         if self.threads is self.memory is self.folder is self.resume is None:
             return
-        from octex.checks import as_bytes, as_path, as_whole  # numpy, which commands do without at first
+        from octex.checks import as_memory, as_path, as_whole  # numpy, which commands do without at first
 
         if self.threads is not None:
             as_whole(self.threads, "threads", 1, _MOST_THREADS)
             if self.executor is not None:
                 raise ArgumentError("give threads or an executor, not both")
         if self.memory is not None:
-            as_bytes(self.memory, "memory")
+            as_memory(self.memory)
         if self.folder is not None:
             if self.memory is None:
                 raise ArgumentError("folder needs memory: what exceeds memory goes to that folder")

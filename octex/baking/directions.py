@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
-from octex.jit import inlined, kernel
+from octex.jit import kernel
 from octex.source.corners import Frames
-from octex.source.vectors import Vector, between, cross_product, dot_product, length_of, minus, row_of, times
+from octex.source.vectors import between, cross_product, dot_product, minus, row_of, times, unit
 
 #: Directions shorter than this point nowhere; squared.
 NOWHERE = 1e-12
@@ -31,12 +31,6 @@ def in_tangent_space(
     return found
 
 
-@inlined
-def _unit(a: Vector) -> Vector:
-    length = length_of(a)
-    return times(a, 1.0 / length if length > 0.0 else 0.0)
-
-
 @kernel
 def _turn_in(
     directions: Float32s, normals: Float32s, normal_rows: Int32s, tangents: Float32s, tangent_rows: Int32s,
@@ -44,9 +38,9 @@ def _turn_in(
 ) -> None:  # fmt: skip
     for n in range(triangles.size):
         triangle, shares = int(triangles[n]), row_of(barycentric, n)
-        normal = _unit(between(normals, normal_rows, triangle, shares))
+        normal = unit(between(normals, normal_rows, triangle, shares))
         tangent = between(tangents, tangent_rows, triangle, shares)
-        tangent = _unit(minus(tangent, times(normal, dot_product(normal, tangent))))
+        tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
         hand = 1.0 if tangents[tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
         direction = row_of(directions, n)
         x = dot_product(direction, tangent)
@@ -54,4 +48,4 @@ def _turn_in(
         z = dot_product(direction, normal)
         if x * x + y * y + z * z < NOWHERE:
             x, y, z = 0.0, 0.0, 1.0
-        found[n, 0], found[n, 1], found[n, 2] = _unit((x, y, z))
+        found[n, 0], found[n, 1], found[n, 2] = unit((x, y, z))

@@ -145,7 +145,7 @@ def _cameras(content: bytes) -> Iterator[tuple[int, Optics]]:
             if len(parameters) != model.n_numbers:
                 raise BrokenError(f"{name} must have {model.n_numbers} parameters, not {len(parameters)}")
             record = Record({"width": width, "height": height, "parameters": parameters}, are_texts=True)
-            yield _int(key, "CAMERA_ID"), _optics(model, record)
+            yield _camera_id(key), _optics(model, record)
 
 
 def _images(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
@@ -155,7 +155,7 @@ def _images(content: bytes) -> Iterator[tuple[str, Float64s, int]]:
             continue
         with within(f"line {number}"):
             _, *numbers, camera, name = _columns(line, _IMAGE, 9)
-            pose, key = _pose(name, numbers), _int(camera, "CAMERA_ID")
+            pose, key = _pose(name, numbers), _camera_id(camera)
         points, text = next(lines, (0, ""))
         if len(text.split()) % 3:
             raise BrokenError(
@@ -172,8 +172,8 @@ def _columns(line: str, names: str, most: int = -1) -> list[str]:
     return columns
 
 
-def _int(text: str, field: str) -> int:
+def _camera_id(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise BrokenError(f"{field} must be a whole number, not {reprlib.repr(text)}") from None
+        raise BrokenError(f"CAMERA_ID must be a whole number, not {reprlib.repr(text)}") from None

@@ -17,9 +17,9 @@ from octex.jit import kernel, part
 from octex.source.vectors import Vector, cross_product, dot_product, minus, row_of
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.voxelize.fragments import bin_triangles
-from octex.voxelize.grid import BLOCK_BITS, on_grid
+from octex.voxelize.grid import BLOCK_BITS
 
 _DEPTH = 8
 _EDGE = 1 << _DEPTH

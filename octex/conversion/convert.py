@@ -16,9 +16,9 @@ import numpy.typing as npt
 import octex
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import (
-    as_bytes,
     as_entries,
     as_flag,
+    as_memory,
     as_names,
     as_path,
     is_path,
@@ -250,7 +250,7 @@ def _is_mapped(plan: Plan, run: Run) -> bool:
         needed = memory_needed(
             plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
         )
-        if needed * (1 if must_stay else _MOST_TAKEN) <= as_bytes(run.memory, "memory"):
+        if needed * (1 if must_stay else _MOST_TAKEN) <= as_memory(run.memory):
             return False
     if must_stay:
         raise ArgumentError(

@@ -25,7 +25,7 @@ from octex.texture.channel import Channel
 from octex.tree.children import rank
 from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
 from octex.tree.octree import Octree, distinct
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.voxelize.fragments import (
     BlockRange,
     Blocks,
@@ -37,7 +37,7 @@ from octex.voxelize.fragments import (
     smaller_blocks,
     some_blocks,
 )
-from octex.voxelize.grid import BLOCK_BITS, count_degenerate, on_grid
+from octex.voxelize.grid import BLOCK_BITS, count_degenerate
 from octex.voxelize.sums import (
     SumColumns,
     Sums,

@@ -16,9 +16,9 @@ from octex.nearest.boxes import order_of, rows_in
 from octex.parallel import Progress
 from octex.source.cloud import PointCloud
 from octex.texture import OctreeTexture
-from octex.tree.layout import FACING_FLAGS, MAX_DEPTH
+from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_DEPTH
 from octex.tree.morton import encode_cells
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.voxelize.sums import SumColumns, Sums
 
 #: By default cells are so many times as wide as points are apart: those of an even cloud have no holes, and
@@ -82,8 +82,7 @@ def convert_points(
 
 def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence[str]) -> Sums:
     """Add up the points in each cell, by the way they face; a cell's area is that of one of its faces."""
-    cells = np.floor(placement.to_texture_space(cloud.points) * (1 << depth)).astype(np.int64)
-    codes = encode_cells(np.clip(cells, 0, (1 << depth) - 1))
+    codes = encode_cells(on_grid(cloud.points, placement) >> (GRID_BITS - depth))
     facings = np.zeros(len(cloud), np.int64)
     if cloud.normals is not None:
         axes = np.abs(cloud.normals).argmax(axis=1)

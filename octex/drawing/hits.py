@@ -84,12 +84,9 @@ class Seen:
         return Hits(triangles, weights, rest, width.astype(np.float32), right, down, normals), points
 
 
-def visible_hits(
-    surface: Surface, camera: Camera, normals: Float32s, buffers: Buffers | None = None
-) -> Iterator[tuple[Int64s, Hits]]:
-    """Yield what pixels see, with their numbers; ``buffers`` are by default the nearest depths."""
-    if buffers is None:
-        buffers = z_buffer(surface.vertices, surface.triangles, camera)
+def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
+    """Yield what pixels see, with their numbers."""
+    buffers = z_buffer(surface.vertices, surface.triangles, camera)
     seen = Seen(surface, camera, normals)
     for pixels in seen.blocks(buffers):
         yield pixels, seen.hits(pixels, buffers)[0]

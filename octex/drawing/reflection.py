@@ -17,6 +17,7 @@ from octex.arrays import Float32s, Float64s, Floats
 from octex.cameras.camera import Camera
 from octex.drawing.environment import Environment, Tables, glossy_light, matte_light
 from octex.jit import inlined, kernel
+from octex.source.vectors import unit
 
 #: Of what is no metal, along the normal (glTF 2.0, appendix B).
 _DIELECTRIC = 0.04
@@ -141,13 +142,13 @@ def _reflect(
         vx, vy, vz = eye[0], eye[1], eye[2]
         if perspective:
             vx, vy, vz = vx - points[n, 0], vy - points[n, 1], vz - points[n, 2]
-        vx, vy, vz = _unit(vx, vy, vz)
+        vx, vy, vz = unit((vx, vy, vz))
         side = 1.0 if faces[n, 0] * vx + faces[n, 1] * vy + faces[n, 2] * vz >= 0.0 else -1.0
-        x, y, z = _unit(normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side)
+        x, y, z = unit((normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side))
         cosine = x * vx + y * vy + z * vz
         if cosine < _GRAZING:
             lack = _GRAZING - cosine
-            x, y, z = _unit(x + lack * vx, y + lack * vy, z + lack * vz)
+            x, y, z = unit((x + lack * vx, y + lack * vy, z + lack * vz))
             cosine = max(x * vx + y * vy + z * vz, _GRAZING)
         metallic, roughness = materials[n, 3], materials[n, 4]
         slope, bias = _reflectance(table, cosine, roughness)
@@ -170,10 +171,3 @@ def _scattered(first: float, slope: float, bias: float) -> tuple[float, float]:
     lost = 1.0 - slope - bias
     average = first + (1.0 - first) / 21.0
     return once, once * average / (1.0 - lost * average) * lost
-
-
-@inlined
-def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
-    length = np.sqrt(x * x + y * y + z * z)
-    scale = 1.0 / length if length > 0.0 else 0.0
-    return x * scale, y * scale, z * scale

@@ -339,9 +339,9 @@ def _write_looks(
 
 
 def spread(
-    points: Floats, shape: Footprints, size: float, depth: int, filter_code: int, room: int = _ROOM
+    points: Floats, shape: Footprints, size: float, depth: int, filter_code: int
 ) -> Iterator[tuple[slice, dict[int, Probes]]]:
-    """Yield runs of points, and their looks by level, about ``room`` at a time.
+    """Yield runs of points, and their looks by level, about ``_ROOM`` at a time.
 
     ``size`` is the root cell's edge. Owners are counted from the first point of the run.
     """
@@ -353,13 +353,13 @@ def spread(
         widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
     )
     if rows == 0 and levels.size and (levels == levels[0]).all():
-        yield from _alike(points, levels[0], shape.sharpness, depth, room)
+        yield from _alike(points, levels[0], shape.sharpness, depth)
         return
     least = size / 2**depth
     first = 0
     while first < len(points):
         counts = np.zeros(depth + 1, np.int64)
-        end = _count(shape, levels, first, depth, rows, least, room, counts)
+        end = _count(shape, levels, first, depth, rows, least, _ROOM, counts)
         starts = np.concatenate([[0], np.cumsum(counts)])
         places, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)
@@ -374,12 +374,11 @@ def spread(
 
 
 def _alike(
-    points: Floats, level: np.float32, sharpness: float, depth: int, room: int
+    points: Floats, level: np.float32, sharpness: float, depth: int
 ) -> Iterator[tuple[slice, dict[int, Probes]]]:
     """Spread round footprints of one width."""
     lower, *shares = _level_shares_of(level, depth, sharpness)
-    if shares.count(0.0) == 2:
-        room = len(points)  # nothing to put together
+    room = len(points) if shares.count(0.0) == 2 else _ROOM  # one level alone: nothing to put together
     owners = np.arange(min(room, len(points)), dtype=np.int32)
     for first in range(0, len(points), room):
         run = slice(first, min(first + room, len(points)))

@@ -45,7 +45,7 @@ def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "comment units: those of the model; colours: sRGB",
     ]
     with replacing(path) as file:
-        file.write(_header([*lines, *_element("vertex", texture.tree.n_leaves, vertex)]))
+        file.write(_header([*lines, *_vertex_lines(texture.tree.n_leaves, vertex)]))
         for points in leaf_points(texture, path, progress):
             file.write(_vertices(texture, points, vertex).tobytes())
 
@@ -102,7 +102,7 @@ def write(surface: Surface, target: Target) -> Written:
     head = _header(
         [
             "comment octex: vertex colours, sRGB",
-            *_element("vertex", len(vertices), vertices.dtype),
+            *_vertex_lines(len(vertices), vertices.dtype),
             f"element face {len(faces)}",
             "property list uchar int vertex_indices",
         ]
@@ -118,9 +118,9 @@ def _header(lines: Sequence[str]) -> bytes:
     return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode("ascii")
 
 
-def _element(name: str, count: int, form: np.dtype[np.void]) -> list[str]:
+def _vertex_lines(count: int, form: np.dtype[np.void]) -> list[str]:
     fields = [f"property {_PLY_TYPES[form[field].str[1:]]} {field}" for field in form.names or ()]
-    return [f"element {name} {count}", *fields]
+    return [f"element vertex {count}", *fields]
 
 
 def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:

@@ -11,8 +11,10 @@ from octex.painting.region import RegionFunction
 from octex.source.parts import join
 from octex.texture import OctreeTexture
 from octex.tree.edit import locate
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
+from octex.tree.placement import on_grid
 
 _FARTHEST = 1e100
 
@@ -58,9 +60,9 @@ def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
     """Return the leaf that each point at rest (n, 3) is in; −1 for none."""
     depth = texture.tree.max_depth
     places = texture.placement.to_texture_space(points)
-    cells = np.clip(np.floor(places * 2**depth), 0, 2**depth - 1).astype(np.int64)
     is_inside = np.asarray(((places >= 0) & (places <= 1)).all(axis=1))
-    return _leaf_of(texture.tree, encode_cells(cells), depth, is_inside)
+    codes = encode_cells(on_grid(points, texture.placement) >> (GRID_BITS - depth))
+    return _leaf_of(texture.tree, codes, depth, is_inside)
 
 
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:

@@ -28,9 +28,10 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate
 from octex.tree.octree import distinct
+from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
 from octex.voxelize.fragments import bin_triangles
-from octex.voxelize.grid import BLOCK_BITS, on_grid
+from octex.voxelize.grid import BLOCK_BITS
 
 #: The channel that says where pictures have covered the surface.
 COVERED = "coverage"

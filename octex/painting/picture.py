@@ -19,7 +19,7 @@ import PIL.Image
 from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint16s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
-from octex.checks import as_bytes, as_choice, as_items, as_number, as_path, as_reals, is_path
+from octex.checks import as_choice, as_items, as_memory, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
 from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
@@ -98,7 +98,7 @@ class Projection:
 def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
     """Have what pictures hold lie in files until the end of the block, beyond the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
-    if run.memory is None or as_bytes(run.memory, "memory") >= _PIXEL_MEMORY * pixels:
+    if run.memory is None or as_memory(run.memory) >= _PIXEL_MEMORY * pixels:
         return nullcontext()
     return scratch(folder_of(run, Path(tempfile.gettempdir())))
 

@@ -23,7 +23,7 @@ from octex.tree import morton
 from octex.tree.edit import among, first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.tree.split import bits_of
 from octex.voxelize.fragments import (
     BlockRange,
@@ -34,7 +34,7 @@ from octex.voxelize.fragments import (
     most_fragments,
     some_blocks,
 )
-from octex.voxelize.grid import BLOCK_BITS, on_grid
+from octex.voxelize.grid import BLOCK_BITS
 
 #: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
 _SLACK = 1e-6

@@ -26,9 +26,8 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
-from octex.voxelize.grid import on_grid
 
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7

@@ -21,6 +21,7 @@ from octex.source.vectors import (
     length_of,
     minus,
     times,
+    unit,
 )  # fmt: skip
 
 OPAQUE, MASK, BLEND = 0, 1, 2
@@ -214,21 +215,15 @@ def _turn(
 ) -> None:
     """Transform a direction from tangent space to rest space; at a point, normalize it."""
     normals, tangents = tables.frames
-    normal = _unit(between(normals.values, normals.rows, triangle, shares))
+    normal = unit(between(normals.values, normals.rows, triangle, shares))
     tangent = between(tangents.values, tangents.rows, triangle, shares)
-    tangent = _unit(minus(tangent, times(normal, dot_product(normal, tangent))))
+    tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
     other = cross_product(normal, tangent)
     hand = 1.0 if tangents.values[tangents.rows[triangle, 0], 3] >= 0.0 else -1.0
     x, y, z = values[i, column], values[i, column + 1], values[i, column + 2]
     direction: Vector = np.float64(x), np.float64(y), np.float64(z)
     if is_point:
-        direction = _unit(direction)
+        direction = unit(direction)
     across, up, out = direction[0], direction[1] * hand, direction[2]
     for k in range(3):
         values[i, column + k] = across * tangent[k] + up * other[k] + out * normal[k]
-
-
-@inlined
-def _unit(vector: Vector) -> Vector:
-    length = length_of(vector)
-    return times(vector, 1.0 / length if length > 0.0 else 0.0)

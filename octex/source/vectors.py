@@ -41,6 +41,13 @@ def length_of(a: Vector) -> float:
 
 
 @inlined
+def unit(a: Vector) -> Vector:
+    """Return a / |a|, zeros for zeros."""
+    length = length_of(a)
+    return times(a, 1.0 / length if length > 0.0 else 0.0)
+
+
+@inlined
 def row_of(values: Floats, row: int) -> Vector:
     """Return a row of an array."""
     return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])

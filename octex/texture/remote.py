@@ -26,8 +26,10 @@ from octex.texture.file import Source
 from octex.texture.lookup import Question
 from octex.texture.spans import Rows, Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.texture.texture import OctreeTexture, opened
+from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
+from octex.tree.placement import on_grid
 
 #: Bytes that are fetched first: the header, and what says which cells there are down to some level.
 _FIRST = 1 << 14
@@ -141,11 +143,10 @@ class RemoteSource(Source):
 
     def _fetched_around(self, question: Question) -> OctreeTexture:
         """Fetch what says which points leaves hold, and return the texture that says so."""
-        places = self._here.placement.to_texture_space(question.given["points"])
-        places = np.clip(np.nan_to_num(places), 0.0, 1.0)
         depth = self._here.tree.max_depth
-        cells = np.minimum((places * 2**depth).astype(np.int64), 2**depth - 1)
-        self._renew(self._fetch_nodes({depth: distinct(encode_cells(cells))}, "nearest"))
+        points = np.nan_to_num(question.given["points"], posinf=0.0, neginf=0.0)
+        codes = encode_cells(on_grid(points, self._here.placement) >> (GRID_BITS - depth))
+        self._renew(self._fetch_nodes({depth: distinct(codes)}, "nearest"))
         return self._here
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float64s
+from octex.arrays import Float64s, Int32s
 from octex.checks import as_depth, as_points, as_positive, as_real, as_reals
 from octex.errors import ArgumentError
-from octex.tree.layout import MAX_DEPTH
+from octex.tree.layout import GRID_BITS, MAX_DEPTH
 
 #: The least and the largest edge of a root cell, and how far from 0 its corner may be: slopes by position and
 #: footprints then stay inside the range of single precision.
@@ -90,6 +90,18 @@ class Placement(NamedTuple):
     def to_rest(self, points: npt.ArrayLike) -> Float64s:
         """Map points (n, 3) of texture space to rest positions, in float64."""
         return np.asarray(as_points(points) * self.size + np.array(self.origin), np.float64)
+
+
+def on_grid(rest: npt.ArrayLike, placement: Placement) -> Int32s:
+    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge, clamped into it.
+
+    Shifted right by 30 − depth they are the cells that lookups find. Positions must be finite.
+    """
+    steps = placement.to_texture_space(rest)
+    steps *= 1 << GRID_BITS
+    np.rint(steps, out=steps)
+    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
+    return steps.astype(np.int32)
 
 
 def _checked(bounds: npt.ArrayLike) -> tuple[Float64s, float]:

@@ -18,10 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s
+from octex.arrays import Int32s, Int64s
 from octex.jit import inlined, kernel
-from octex.tree.layout import GRID_BITS
-from octex.tree.placement import Placement
 
 #: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
 BLOCK_BITS = 5
@@ -39,15 +37,6 @@ SPREAD = np.array(
 # The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its
 # first and last cell along w, and whether it lies wholly inside the triangle as seen along w.
 COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
-
-
-def on_grid(rest: Float64s, placement: Placement) -> Int32s:
-    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge."""
-    steps = placement.to_texture_space(rest)
-    steps *= 1 << GRID_BITS
-    np.rint(steps, out=steps)
-    np.clip(steps, 0, (1 << GRID_BITS) - 1, out=steps)
-    return steps.astype(np.int32)
 
 
 @inlined

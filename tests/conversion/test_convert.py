@@ -24,8 +24,8 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
+from octex.tree.placement import on_grid
 from octex.voxelize import fragments
-from octex.voxelize.grid import on_grid
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells

@@ -304,3 +304,18 @@ def test_cells_of_the_deepest_level_half_a_root_apart_stay_apart() -> None:
     texture.validate()
     assert texture.tree.n_leaves == 4
     np.testing.assert_allclose(texture.sample(points, filter="nearest"), colors, atol=0.01)
+
+
+def test_points_are_in_the_cells_that_lookups_find_also_next_to_their_borders() -> None:
+    corners = [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
+    placement = Placement.around(corners, 6)
+    places = np.array([[20, 30, 24], [30, 20, 33], [24, 33, 40]]) / 64
+    points = np.concatenate(
+        [corners, placement.to_rest(places - 2.0**-33), placement.to_rest(places + 2.0**-33)]
+    )
+    colors = np.linspace(0.1, 0.9, 24).reshape(8, 3)
+    colors[5:] = colors[2:5]
+    texture = octex.convert(octex.PointCloud(points, colors), 6)
+    assert texture.tree.n_leaves == 5
+    assert texture.contains(points).all()
+    np.testing.assert_allclose(texture.sample(points, filter="nearest"), colors, atol=0.01)

@@ -27,9 +27,8 @@ import octex
 from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
 from octex.voxelize.fragments import BlockRange, bin_triangles, cut, most_fragments
-from octex.voxelize.grid import on_grid
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 
