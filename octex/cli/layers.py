@@ -36,6 +36,20 @@ class Painting:
         self._blend: Any = options.blend or "over"
         self._opacity = 1.0 if options.opacity is None else options.opacity
 
+    def fitting(self, shots: list[Shot]) -> tuple[list[Shot], list[str]]:
+        """Return the pictures that can be right, and the names of the others; note why these cannot."""
+        if len(shots) < 2 or any(shot.since for shot in shots):
+            return shots, []
+        from octex.photos.misfits import misfits
+
+        found, better = misfits(self._surface, [self._projection(shot) for shot in shots], self._executor)
+        for number, reason in sorted(found.items()):
+            self._progress.note(f"{shots[number].path} is left out: {reason}")
+        if better:
+            self._progress.note(f"the mesh does not fit the cameras: {better}")
+        kept = [shot for number, shot in enumerate(shots) if number not in found]
+        return kept, [shots[number].path.name for number in sorted(found)]
+
     def projected(
         self, texture: OctreeTexture | None, shots: Sequence[Shot]
     ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:

@@ -108,6 +108,9 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             surface, shots = flat_shots(options, whole, texture, progress)
         with workers() as executor:
             painting = Painting(options, surface, executor, progress)
+            if by_camera:
+                shots, left_out = painting.fitting(shots)
+                skipped = [*skipped, *left_out]
             if options.refine_cameras is not None:
                 shots = painting.refined(shots)
             if has_layers:

@@ -39,22 +39,27 @@ class Shot(NamedTuple):
 
 
 def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str]]:
-    """Return pictures with their cameras, and the names of those that are missing."""
+    """Return pictures with their cameras, and the names of those that are missing or damaged."""
     pairs, missing = _pairs(options)
     if missing:
         progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
-    shots = []
+    shots: list[Shot] = []
+    damaged: list[Path] = []
     for (path, frame), mask in zip(pairs, masks, strict=True):
         try:
             size = _size(path, frame)
         except ImageError as error:
-            raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
+            if len(pairs) - len(damaged) == 1:
+                raise ImageError(f"{error} (for frame {frame.name!r} of {frame.file})") from None
+            progress.note(f"{path} is left out: {error}")
+            damaged.append(path)
+            continue
         try:
             shots.append(Shot(path, frame.camera(size), mask, _since(options, frame, size), frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
-    return shots, missing
+    return shots, [*missing, *(path.name for path in damaged)]
 
 
 def flat_shots(

@@ -155,9 +155,9 @@ def _window_of(
         window = _window_around(image[:, :, 3] > 0, around)
         texels = as_texels(window.of(image))
     else:
-        texels = _texels(image, "the image", size)
+        texels = texels_of(image, "the image", size)
         if projection.since is not None:
-            before = _texels(projection.since, "the picture as it was", size)
+            before = texels_of(projection.since, "the picture as it was", size)
         if around is not None:
             has_paint = texels[:, :, 3] > 0
             if before is not None and before.dtype == texels.dtype:
@@ -176,7 +176,7 @@ def _window_of(
     if before is not None:
         factor = factor * (pixels != _decoded(window.of(before), form)).any(axis=2)
     if projection.mask is not None:
-        mask = _texels(projection.mask, "the mask", size)
+        mask = texels_of(projection.mask, "the mask", size)
         shown = _as_fractions(mask[:, :, 3])
         if (shown == 1.0).all():
             shown = _as_fractions(mask[:, :, :3].mean(axis=2, dtype=np.float32).astype(mask.dtype))
@@ -248,7 +248,7 @@ def _name_of(image: Image, otherwise: str) -> str:
     return str(as_path(image, "image")) if is_path(image) else otherwise
 
 
-def _texels(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
+def texels_of(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
     """Return the texels of an image of a size (width, height), of a file turned upright if that has it."""
     if is_path(image):
         texels, data = read_image_file(as_path(image, "image"))

@@ -1,0 +1,138 @@
+"""Photographs that cannot be right are found: of another scene, turned, twice, damaged, beside the model."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+
+from octex.cameras.camera import Camera
+from octex.cameras.files import write_cameras
+from octex.channels import linear_to_srgb
+from octex.cli.main import main
+from octex.painting.picture import Projection
+from octex.photos.misfits import misfits
+from octex.source.surface import Surface
+from tests.make.command import OUT, painting
+
+Array = npt.NDArray[Any]
+SIZE = 96
+
+
+def relief() -> tuple[Array, Array]:
+    """Vertices and triangles of a hill that faces +z; no turn and no mirroring brings it onto itself."""
+    line = np.linspace(-1, 1, 33)
+    x, y = np.meshgrid(line, line)
+    z = 0.3 * np.exp(-3 * ((x - 0.3) ** 2 + (y - 0.1) ** 2))
+    first = (np.arange(32)[:, None] * 33 + np.arange(32)).ravel()
+    lower = np.column_stack([first, first + 1, first + 34])
+    upper = np.column_stack([first, first + 34, first + 33])
+    return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), np.concatenate([lower, upper])
+
+
+def look(number: int) -> Camera:
+    toward = 0.4 * np.cos(number), 0.4 * np.sin(number), 1.0
+    return Camera.fitted(relief()[0], toward, size=(SIZE, SIZE))
+
+
+def picture(camera: Camera, seed: int = 0, gain: float = 1.0) -> Array:
+    """What a camera sees of waves over the plane z = 0, near enough to the relief's: 8-bit codes."""
+    rows, columns = np.indices((camera.height, camera.width)) + 0.5
+    origins, directions = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
+    points = origins - directions * (origins[:, 2:] / directions[:, 2:])
+    random = np.random.default_rng(seed)
+    waves = random.normal(0, 4, (6, 2)), random.uniform(0, 6, 6)
+    light = 0.5 + 0.4 * np.sin(points[:, :2] @ waves[0].T + waves[1]).mean(axis=1) * 2
+    codes = linear_to_srgb(np.clip(light * gain, 0, 1)) * 255
+    return np.repeat(codes.reshape(camera.height, camera.width, 1), 3, axis=2).astype(np.uint8)
+
+
+def ring(count: int = 6) -> list[Projection]:
+    cameras = [look(number) for number in range(count)]
+    return [Projection(picture(each, gain=0.6 + 0.1 * n), each) for n, each in enumerate(cameras)]
+
+
+def found(projections: list[Projection], surface: Surface | None = None) -> tuple[dict[int, str], str | None]:
+    with ThreadPoolExecutor(2) as pool:
+        return misfits(Surface.from_arrays(*relief()) if surface is None else surface, projections, pool)
+
+
+def test_pictures_of_different_exposures_that_agree_are_all_painted() -> None:
+    assert found(ring()) == ({}, None)
+
+
+def test_a_picture_of_another_scene_is_found() -> None:
+    given = ring()
+    given[2] = replace(given[2], image=picture(look(2), seed=7))
+    given[5] = replace(given[5], image=picture(look(5), seed=8))
+    reasons, better = found(given)
+    assert (sorted(reasons), better) == ([2, 5], None)
+    assert all("it differs from all others there" in reason for reason in reasons.values())
+
+
+@pytest.mark.parametrize("turn", [90, 180, 270])
+def test_a_turned_picture_is_found_and_the_turn_back_is_told(turn: int) -> None:
+    given = ring()
+    # Clockwise turns bring it back, as viewers of pictures count them.
+    given[1] = replace(given[1], image=np.ascontiguousarray(np.rot90(picture(look(1)), turn // 90)))
+    reasons, _ = found(given)
+    assert list(reasons) == [1]
+    assert f"only when turned by {turn} degrees clockwise" in reasons[1]
+
+
+def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found() -> None:
+    given = ring()
+    away = Camera.fitted(np.add(relief()[0], [0, 0, 99]), (0, 0, -1), size=(SIZE, SIZE))
+    reasons, _ = found([*given, given[3], replace(given[0], camera=away)])
+    assert reasons == {
+        6: "the same picture and camera as the image",
+        7: "its camera sees nothing of the model",
+    }
+
+
+def test_pictures_of_one_colour_tell_nothing() -> None:
+    given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
+    assert found(given) == ({}, None)
+
+
+def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
+    vertices, triangles = relief()
+    lying = 0.001 * vertices[:, [0, 2, 1]] * [1, 1, -1]  # y is up, and it is in metres
+    reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
+    assert reasons == {}
+    assert better == "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
+    assert found(ring(), far) == ({}, None)
+
+
+def test_the_command_paints_the_others_and_names_what_it_leaves_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vertices, triangles = relief()
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in triangles + 1]
+    (tmp_path / "hill.obj").write_text("\n".join(lines), encoding="utf-8")
+    names = [f"{number}.png" for number in range(7)]
+    for number, name in enumerate(names):
+        seed = 9 if number == 3 else 0
+        PIL.Image.fromarray(picture(look(number), seed)).save(tmp_path / name)
+    write_cameras(tmp_path / "cameras.json", {name: look(number) for number, name in enumerate(names)})
+    whole = (tmp_path / "4.png").read_bytes()
+    (tmp_path / "4.png").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "5.png").write_bytes(b"nothing")
+    images = [str(tmp_path / name) for name in names]
+    words = ["--camera", str(tmp_path / "cameras.json"), OUT, str(tmp_path / "out.octex"), "--json"]
+    assert main(painting(str(tmp_path / "hill.obj"), *images, *words, "--max-depth", "6")) == 0
+    captured = capsys.readouterr()
+    made = json.loads(captured.out)
+    assert made["painted"] == ["0.png", "1.png", "2.png", "6.png"]
+    assert sorted(made["skipped"]) == ["3.png", "4.png", "5.png"]
+    for name, reason in (("3", "it differs from all others"), ("4", "4.png"), ("5", "5.png")):
+        assert f"{images[int(name)]} is left out: " in captured.err
+        assert reason in captured.err
