@@ -13,6 +13,8 @@ from octex.source.vectors import Vector, dot_product, length_of, minus, row_of, 
 
 #: Most triangles that a way across the surface crosses.
 _MOST_CROSSED = 64
+#: Triangles whose height is less than this part of a side count as without area.
+_FLAT = 1e-9
 
 
 class Borders(NamedTuple):
@@ -112,7 +114,7 @@ def _edge_frame(
     tip_along = dot_product(to_tip, along)
     inward = minus(to_tip, times(along, tip_along))
     height = length_of(inward)
-    if not height > 0.0:
+    if not height > _FLAT * length:
         return along, inward, 0.0, 0.0, 0.0
     inward = (inward[0] / height, inward[1] / height, inward[2] / height)
     return along, inward, length, tip_along, dot_product(to_tip, inward)

@@ -32,7 +32,7 @@ from octex.source.mesh import Mesh
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.make import solids
-from tests.make.painted import square
+from tests.make.painted import ball, square
 from tests.make.small_surfaces import whole
 
 Array = npt.NDArray[Any]
@@ -960,3 +960,10 @@ def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surfa
     shifted = Surface.from_arrays(surface.vertices + np.array([0.7, 0, 0]), surface.triangles, name="b")
     with pytest.warns(ModelWarning, match=r"\d+% of b lies outside of the texture; is it of another model"):
         bake(texture, shifted)
+
+
+def test_triangles_that_have_an_area_by_rounding_alone_are_baked() -> None:
+    surface = ball(16)  # at its poles
+    baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64)
+    points = surface.scatter(2000)
+    assert np.abs(baked.evaluate(points) - surface.evaluate(points)).mean() < 0.02
