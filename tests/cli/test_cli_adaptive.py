@@ -93,7 +93,7 @@ def test_a_texture_cannot_adapt_any_more(
         ("--detail wear", "unknown detail 'wear'; there are: base_color, stretch"),
         (
             "--detail base_color",
-            "detail must be a channel with one component in 0 … 1, and 'base_color' is not",
+            "--detail must be a channel with one component in 0 … 1, and 'base_color' is not",
         ),
         (
             "--channels base_color --detail stretch --source alpha=1",

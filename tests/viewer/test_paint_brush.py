@@ -449,6 +449,15 @@ def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
     for (x, y), expected in turned.items():
         page.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y)
         page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=60_000)
+    page.evaluate(  # moved to a place before the picture is drawn
+        """([x, y]) => {
+          viewer.move();
+          const place = { clientX: x, clientY: y, bubbles: true };
+          viewer.canvas.dispatchEvent(new PointerEvent("pointermove", place));
+        }""",
+        [box["x"] + box["width"] / 2 + 100, box["y"] + box["height"] / 2],
+    )
+    page.wait_for_function(f"(({{ width, height }}) => {turned[100, 0]})({needle})", timeout=60_000)
     times = page.evaluate("""async () => {
       const { under } = await import("./under.js"), { viewer } = globalThis, found = [];
       for (let n = 0; n < 50; n++) {

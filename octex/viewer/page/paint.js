@@ -340,6 +340,13 @@ class Painting {
     run();
   }
 
+  // A picture is drawn anew: something else may lie under a pointer that rests.
+  drawn() {
+    if (!this.at || this.pen) return;
+    this.below = under(this.viewer, ...this.at);
+    this.outline(this.at);
+  }
+
   // The outline of the brush under the pointer, or none.
   outline(at) {
     this.at = at;

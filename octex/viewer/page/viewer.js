@@ -341,7 +341,7 @@ class Viewer {
     } catch (error) {
       return fail(error);
     }
-    this.isDrawn = true;
+    if (!this.isDrawn) { this.isDrawn = true; this.painting?.drawn(); }
     if (this.gpu.makesCubes) this.move();
     else if (!this.isSharp || this.turning) this.again();
   }
