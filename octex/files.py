@@ -31,6 +31,8 @@ try:
 except ImportError:  # on Windows
     fcntl = None  # type: ignore[assignment]
 
+#: The glTF extension by which a model carries its octree.
+OCTREE_EXTENSION = "EXT_octree_texture"
 #: The names of files that are being written, and of scratch folders.
 _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
 #: What a file starts with that Git LFS has left in the place of another.

@@ -29,14 +29,12 @@ from octex.archive.layout import (
 from octex.archive.read import Contents, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
-from octex.files import open_file, read_bytes, referred
+from octex.files import OCTREE_EXTENSION, open_file, read_bytes, referred
 from octex.tree.areas import AREAS, area_codes, shared_codes
 from octex.tree.children import groups_of
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_CELLS, MAX_DEPTH, SPLIT
 
 VERSION = 1
-#: The glTF extension by which a model carries its octree.
-EXTENSION = "EXT_octree_texture"
 _HEAD = 16
 _AGAIN = "write it again"
 _FAULTS = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
@@ -62,9 +60,9 @@ def _carried(path: Path, content: bytes) -> bytes:
             length = struct.unpack_from("<I", content, 12)[0]
             text, binary = content[20 : 20 + length], content[28 + length :]
         document = json.loads(text)
-        entry = document.get("extensions", {}).get(EXTENSION)
+        entry = document.get("extensions", {}).get(OCTREE_EXTENSION)
         if entry is None:
-            raise DamagedError(f"is a model without {EXTENSION}; octex convert makes a texture of it")
+            raise DamagedError(f"is a model without {OCTREE_EXTENSION}; octex convert makes a texture of it")
         octree = entry["octrees"][0]
         if "uri" in octree:
             return _resource(path, octree["uri"])
@@ -74,7 +72,7 @@ def _carried(path: Path, content: bytes) -> bytes:
         begin = view.get("byteOffset", 0)
         return held[begin : begin + view["byteLength"]]
     except (*_FAULTS, struct.error):
-        raise DamagedError(f"its {EXTENSION} is damaged; {_AGAIN}") from None
+        raise DamagedError(f"its {OCTREE_EXTENSION} is damaged; {_AGAIN}") from None
 
 
 def _resource(path: Path, uri: str) -> bytes:
@@ -178,7 +176,7 @@ class _Tree:
         self.flags[first:end] = stream.take(end - first) ^ known * self.flags[parents]
         for values in self.values.values():
             there = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
-            values[first:end] = _together(there + known * _apart(values[parents]))
+            values[first:end] = _together(there + known * apart(values[parents]))
 
     def _share_areas(self, first: int, parents: Int64s, is_node: Bools) -> None:
         """Give the leaves of a level what the nodes among their siblings leave of their parent's area."""
@@ -213,7 +211,7 @@ def _bits(masks: Uint8s) -> Bools:
     return np.unpackbits(masks[:, None], axis=1, bitorder="little").view(np.bool_)
 
 
-def _apart(values: Uint8s) -> Uint8s:
+def apart(values: Uint8s) -> Uint8s:
     """Return colours (n, 3) with red and blue less green; others as they are."""
     if values.shape[1] != 3:
         return values
@@ -221,7 +219,7 @@ def _apart(values: Uint8s) -> Uint8s:
 
 
 def _together(values: Uint8s) -> Uint8s:
-    """Return what ``_apart`` was given."""
+    """Return what ``apart`` was given."""
     if values.shape[1] != 3:
         return values
     return np.stack([values[:, 0] + values[:, 1], values[:, 1], values[:, 2] + values[:, 1]], axis=1)

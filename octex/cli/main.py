@@ -50,9 +50,9 @@ def _run(name: str, rest: Sequence[str], program: str) -> int:
 
 def _by_option(message: str, command: Command) -> str:
     """Name the option that a message calls by the parameter of the library."""
-    name, space, rest = message.partition(" ")
+    name, must, rest = message.partition(" must ")
     word = f"--{name.replace('_', '-')}"
-    return f"{word}{space}{rest}" if command.has(word) else message
+    return f"{word}{must}{rest}" if must and command.has(word) else message
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:

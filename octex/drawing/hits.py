@@ -56,7 +56,7 @@ class Seen:
         if not self.is_posed:
             return self._resting
         frames = self.surface.posed_frames()
-        return _of_corners(frames, self.surface.vertices, self.surface.triangles)
+        return smooth_normals(frames, self.surface.vertices, self.surface.triangles)
 
     def normals(self, hits: Hits) -> tuple[Float64s, Float64s]:
         """Return the normals of triangles and smooth ones (n, 3) on the posed surface."""
@@ -94,10 +94,11 @@ def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterato
 
 def rest_normals(surface: Surface) -> Float32s:
     """Return smooth normals (m, 3, 3) at the corners of triangles at rest: the surface's own, if any."""
-    return _of_corners(surface.frames, surface.rest, surface.triangles)
+    return smooth_normals(surface.frames, surface.rest, surface.triangles)
 
 
-def _of_corners(frames: Frames | None, positions: Float64s, triangles: Int32s) -> Float32s:
+def smooth_normals(frames: Frames | None, positions: Float64s, triangles: Int32s) -> Float32s:
+    """Return the normals (m, 3, 3) of frames, or those that positions have without."""
     if frames is None:
         return corner_normals(positions, triangles)
     return np.ascontiguousarray(frames.normals.values[frames.normals.rows], np.float32)

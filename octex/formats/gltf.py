@@ -14,13 +14,12 @@ import numpy as np
 
 from octex.arrays import Floats, Integers
 from octex.errors import ModelError
-from octex.files import replacing
+from octex.files import OCTREE_EXTENSION, replacing
 from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
 from octex.formats.models import Target, Written, materials_of, origin_of
 from octex.formats.web import texture_file
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Input, Material, MaterialSource
-from octex.source.models.gltf import OCTREE
 from octex.source.surface import Surface
 from octex.source.welding import distinct_rows
 from octex.texture import OctreeTexture
@@ -145,12 +144,12 @@ class _Content:
         found["offset"] = ((self._origin - origin) / size).tolist()
         if surface.rest is not surface.vertices:
             found["rest"] = self._floats(surface.rest[vertices] - self._origin)
-        return {"extensions": {OCTREE: found}}
+        return {"extensions": {OCTREE_EXTENSION: found}}
 
     def carry(self, file: Mapping[str, Any]) -> None:
         """Refer to the octree's web file."""
-        self.json["extensions"] = {OCTREE: {"octrees": [file]}}
-        self.json["extensionsUsed"] = sorted({*self._extensions, OCTREE})
+        self.json["extensions"] = {OCTREE_EXTENSION: {"octrees": [file]}}
+        self.json["extensionsUsed"] = sorted({*self._extensions, OCTREE_EXTENSION})
 
     def _floats(self, values: Floats, *, limits: bool = False) -> int:
         values = values.astype("<f4")

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.archive.layout import WEB_MAGIC
-from octex.archive.web import VERSION
-from octex.arrays import Array, Uint8s, bit_counts
+from octex.archive.web import VERSION, apart
+from octex.arrays import Array, bit_counts
 from octex.channels import ChannelFormat
 from octex.formats.streams import deflated, planes
 from octex.processing.mapping import cast
@@ -191,19 +191,10 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
         parts.append(arrays.areas[first:end][nodes] - known * arrays.areas[parents[nodes]])
         parts.append(arrays.flags[first:end] ^ known * arrays.flags[parents])
         for channel in texture.channels.values():
-            here, there = _apart(channel.values[first:end]), _apart(channel.values[parents])
+            here, there = apart(channel.values[first:end]), apart(channel.values[parents])
             parts.append(np.ascontiguousarray((here - known * there).T))
         above = nodes + first
         yield b"".join(part.tobytes() for part in parts)
-
-
-def _apart(values: Array) -> Uint8s:
-    """Return colours (n, 3) with red and blue less green; others as they are."""
-    values = np.asarray(values, np.uint8)
-    if values.shape[1] != 3:
-        return values
-    green = values[:, 1]
-    return np.stack([values[:, 0] - green, green, values[:, 2] - green], axis=1)
 
 
 def packed_levels(texture: OctreeTexture, level: int) -> tuple[dict[str, Any], dict[str, bytes]]:

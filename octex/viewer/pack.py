@@ -19,6 +19,7 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int32s
 from octex.drawing.environment import Environment
+from octex.drawing.hits import rest_normals, smooth_normals
 from octex.drawing.reflection import reflectances
 from octex.errors import ArgumentError
 from octex.formats.streams import deflated, planes, zigzag
@@ -26,7 +27,6 @@ from octex.formats.web import packed_levels
 from octex.source.materials import MaterialSource
 from octex.texture import OctreeTexture, TextureSet
 from octex.tree.octree import distinct
-from octex.view.shading import corner_normals
 from octex.viewer.maps import Maps
 from octex.viewer.moves import packed_motion
 
@@ -170,10 +170,7 @@ def packed_mesh(
     order = np.arange(len(surface.triangles)) if maps is None else maps.order
     faces = surface.triangles[order]
     is_posed = surface.rest is not surface.vertices
-    if surface.frames is None or is_posed:
-        normals = corner_normals(surface.vertices, faces)
-    else:
-        normals = surface.frames.normals.values[surface.frames.normals.rows[order]]
+    normals = smooth_normals(surface.posed_frames(), surface.vertices, surface.triangles)[order]
     bits = min(max(20, texture.tree.max_depth + 8), 24)
     rest = texture.placement.to_texture_space(surface.rest)
     steps = np.rint(np.clip(rest, 0.0, 1.0) * (1 << bits)).astype(np.int32)
@@ -187,7 +184,7 @@ def packed_mesh(
     if moves:
         columns.append(faces.reshape(-1, 1))
     if moves and is_posed:
-        columns.append(_octahedral(corner_normals(surface.rest, faces).reshape(-1, 3)))
+        columns.append(_octahedral(rest_normals(surface)[order].reshape(-1, 3)))
     if maps is not None:
         columns.append(maps.columns[order].reshape(3 * len(faces), -1))
     has_parts = paints and bool(surface.parts.max() > 0)

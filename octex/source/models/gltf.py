@@ -16,6 +16,7 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Floats, Int64s
 from octex.errors import ImageError, ModelError, damaged
+from octex.files import OCTREE_EXTENSION
 from octex.parallel import cpu_count, pool_of
 from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
@@ -42,9 +43,8 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
-#: The extension of models that carry an octree texture: primitives may say where their vertices rest.
-OCTREE = "EXT_octree_texture"
-_REST = f"{OCTREE}:REST"
+#: Where vertices rest, which primitives of models that carry an octree may say.
+_REST = f"{OCTREE_EXTENSION}:REST"
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
 # Extensions that a file may require: those that are read, and those that change nothing octex reads.
 _KNOWN_EXTENSIONS = {
@@ -156,7 +156,7 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
     primitives = []
     for name, entry in entries.items():
         mode, attributes = entry.get("mode", _TRIANGLES), entry["attributes"]
-        if "rest" in (octree := entry.get("extensions", {}).get(OCTREE, {})):
+        if "rest" in (octree := entry.get("extensions", {}).get(OCTREE_EXTENSION, {})):
             attributes = {**attributes, _REST: octree["rest"]}
         if mode not in (_TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN) or "POSITION" not in attributes:
             continue
