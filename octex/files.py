@@ -290,6 +290,11 @@ def _name(file: BinaryIO, path: Path) -> None:
     os.link(f"/proc/self/fd/{number}", path, src_dir_fd=number, follow_symlinks=True)
 
 
+def count_text(number: int, one: str, many: str = "") -> str:
+    """Return a number with its noun."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
 def bytes_text(number: int) -> str:
     """Return a number of bytes for a person."""
     if number < 1000:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import at_first_compilation, use_shipped_code
 from octex.errors import ExitCode, InputError, ModelWarning, OctexError, OutputError
-from octex.files import bytes_text, undo_all
+from octex.files import bytes_text, count_text, undo_all
 from octex.parallel import at_most
 
 if TYPE_CHECKING:
@@ -171,7 +171,10 @@ def facts_of(texture: OctreeTexture) -> tuple[str, dict[str, Any]]:
     tree = texture.tree
     cell = texture.placement.size / 2**tree.max_depth
     made = {"leaves": tree.n_leaves, "nodes": tree.n_nodes, "depth": tree.max_depth, "cell": cell}
-    return f"{tree.n_leaves:,} leaves, depth {tree.max_depth} (cells of {cell:.4g})", made
+    return (
+        f"{count_text(tree.n_leaves, 'leaf', 'leaves')}, depth {tree.max_depth} (cells of {cell:.4g})",
+        made,
+    )
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:

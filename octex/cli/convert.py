@@ -16,6 +16,7 @@ from octex.cli.inputs import check_model, kind_of, open_texture, read_model, ref
 from octex.cli.parser import Options
 from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName
 from octex.errors import ArgumentError, OutputError
+from octex.files import count_text
 
 if TYPE_CHECKING:
     from octex.source.cloud import PointCloud
@@ -205,7 +206,7 @@ def _convert_parts(options: Options, program: str) -> int:
     leaves = sum(texture.tree.n_leaves for texture in made.values())
     repaired, told = told_repair(surface)
     facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"], **repaired}
-    text = f"{len(made):,} part{'' if len(made) == 1 else 's'}, {leaves:,} leaves"
+    text = f"{count_text(len(made), 'part')}, {count_text(leaves, 'leaf', 'leaves')}"
     return tell_file(options, text, facts, *told)
 
 

@@ -16,7 +16,7 @@ from octex.cli.inputs import check_model, check_texture, is_texture, open_textur
 from octex.cli.parser import Options
 from octex.cli.values import Address
 from octex.errors import ExitCode, TextureFileError
-from octex.files import open_file
+from octex.files import count_text, open_file
 
 if TYPE_CHECKING:
     from octex.drawing.compare import Difference, Differences, Side
@@ -184,9 +184,9 @@ def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) 
 
     for letter, path, side in zip("AB", paths, sides, strict=True):
         if isinstance(side, Surface):
-            yield f"{letter}  {path}: a model of {len(side.triangles):,} triangles"
+            yield f"{letter}  {path}: a model of {count_text(len(side.triangles), 'triangle')}"
         else:
-            leaves = f"{side.tree.n_leaves:,} leaves"
+            leaves = count_text(side.tree.n_leaves, "leaf", "leaves")
             yield f"{letter}  {path}: an octree texture of depth {side.tree.max_depth}, {leaves}"
     if found.width is None:
         yield f"at the centres of {found.points:,} leaves, those of both, by area"

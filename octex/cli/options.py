@@ -17,7 +17,7 @@ UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
 #: Every option as help shows it; words behind several spaces explain it.
 _TABLE = """
---depth N             number of levels: cells are 1/2^N of the model (default 10; view 9; edit all)
+--depth N             number of levels: cells are 1/2^N of the model (default 10)
 --cell SIZE           width of the finest cells in the model's units, instead of --depth
 --max-error CODES     merge cells as long as no colour changes by more, in 1/255 (try 2)
 --detail CHANNEL      coarser cells where this channel is below 1; stretch: by the pose's stretch
@@ -266,6 +266,8 @@ warm-up  Compile everything now, so that later commands start at once.
   >
   --quiet
 """
+#: What help says instead of "default 10", where another depth is the default.
+_DEPTHS = {"view": "default 9", "edit": "default: all"}
 _SHORT = {
     "SHAPE": "--rest --pose --subdiv",
     "RUNNING": "--force --threads --quiet --json",
@@ -298,6 +300,8 @@ def _command(text: str) -> Command:
         else:
             words = " ".join(_SHORT.get(word, word) for word in line.split())
             options += [OPTIONS[word] for word in words.split()]
+    depth = _DEPTHS.get(name, "default 10")
+    options = [each._replace(help=each.help.replace("default 10", depth)) for each in options]
     return Command(name, summary, files, options, examples)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
@@ -19,7 +18,8 @@ from octex.errors import ArgumentError, ExitCode
 from octex.parallel import workers
 
 if TYPE_CHECKING:
-    from octex.cameras.camera import Camera
+    from octex.arrays import Float64s
+    from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -105,7 +105,8 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             else:
                 surface = whole = shaped_model(options.MODEL, options, normals=True)
         if options.unwrap is not None:
-            surface, shots = flat_shots(options, whole, texture, progress)
+            patch, shots = flat_shots(options, whole, texture, progress)
+            surface = patch.surface
         with workers() as executor:
             painting = Painting(options, surface, executor, progress)
             if by_camera:
@@ -125,8 +126,15 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         made = with_entries(made, surface, entries)
         if options.preview is not None:  # first: without room for it, nothing is left unannounced
             with progress.stage("draw"):
-                cameras = [shot.camera for shot in shots] if by_camera else []
-                _draw(options, made, whole, channel_of(layers[0]), cameras)
+                view: dict[str, Any] = {}
+                if options.unwrap is not None:
+                    view = {"direction": _direction_to(whole, patch)}
+                elif shots:
+                    from octex.drawing import viewpoint_among
+
+                    seen = viewpoint_among([shot.camera for shot in shots])
+                    view = {"direction": seen.direction, "up": seen.up}
+                _draw(options, made, whole, channel_of(layers[0]), view)
         with progress.stage("write"):
             if options.layer_out is not None:
                 with_entries(layers[0], surface, entries).save(options.layer_out)
@@ -153,17 +161,22 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
     return fail(program, message, ExitCode.NOTHING_PAINTED)
 
 
+def _direction_to(surface: Surface, patch: Patch) -> Float64s:
+    """Return the direction (3,) that the patch faces on the surface: the mean normal."""
+    import numpy as np
+
+    first, second, third = surface.vertices[surface.triangles[patch.triangles]].swapaxes(0, 1)
+    direction: Float64s = np.cross(second - first, third - first).sum(axis=0)
+    return direction
+
+
 def _draw(
-    options: Options, texture: OctreeTexture, surface: Surface, channel: str, cameras: Sequence[Camera]
+    options: Options, texture: OctreeTexture, surface: Surface, channel: str, view: dict[str, Any]
 ) -> None:
     """Write --preview: next to the model's own colours, if it has the channel."""
-    from octex.drawing import viewpoint_among
-
     shown: Surface | None = surface
     if channel != DEFAULT_CHANNEL:
         has_channel = channel in [form.name for form in surface.channels]
         shown = surface.with_channels([channel]) if has_channel else None
         texture = texture if has_channel else only(texture, channel)
-    view = viewpoint_among(cameras)._asdict() if cameras else {}
-    view.pop("frame", None)
     octex.write_preview(options.preview, texture, shown, **view)

@@ -59,13 +59,15 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
             shots.append(Shot(path, frame.camera(size), mask, _since(options, frame, size), frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
+        if shots[-1].since is not None and path.suffix.lower() in (".jpg", ".jpeg"):
+            progress.note(f"{path} is a JPEG: what compression changed is painted, too; save views as PNG")
     return shots, [*missing, *(path.name for path in damaged)]
 
 
 def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
-) -> tuple[Surface, list[Shot]]:
-    """Return the surface with the disc of --unwrap laid flat, and the pictures of that."""
+) -> tuple[Patch, list[Shot]]:
+    """Lay the disc of --unwrap flat; return it and its pictures."""
     from octex.drawing.views import as_png, draw_paintable
     from octex.source.images.decode import image_size
 
@@ -78,7 +80,7 @@ def flat_shots(
         since = as_png(draw_paintable(only(texture, channel), patch.surface, patch.camera, channel))
     pairs = zip(paths, masks, strict=True)
     shots = [Shot(path, patch.camera, mask, since, path.name) for path, mask in pairs]
-    return patch.surface, shots
+    return patch, shots
 
 
 def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:

@@ -22,7 +22,7 @@ from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_
 from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
-from octex.files import bytes_text, replacing
+from octex.files import bytes_text, count_text, replacing
 from octex.source.surface import as_surface
 from octex.texture import as_texture
 from octex.tree.octree import distinct
@@ -179,8 +179,9 @@ def leaf_camera(
         picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
         return picture
 
+    corners = np.array(list(np.ndindex(2, 2, 2)))
     points = np.concatenate(
-        [leaves.corners + far for leaves in every for far in (0.0, leaves.edges[:, None])]
+        [leaves.corners + corner * leaves.edges[:, None] for leaves in every for corner in corners]
     )
     return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)
 
@@ -204,11 +205,6 @@ def texture_facts(texture: OctreeTexture) -> str:
 def named(channel: str) -> str:
     """Return what to begin a caption with, if it is not about base colour."""
     return "" if channel == "base_color" else f"{channel}: "
-
-
-def count_text(number: int, one: str, many: str = "") -> str:
-    """Return a number with its noun."""
-    return f"{number:,} {one if number == 1 else many or one + 's'}"
 
 
 def caption_height(height: int) -> int:

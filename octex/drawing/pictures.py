@@ -224,12 +224,17 @@ class Leaves(NamedTuple):
         return self.corners + self.edges[:, None] / 2
 
     def appearance(
-        self, texture: OctreeTexture, channel: str | None, materials: bool = False, bump: Bump | None = None
+        self,
+        texture: OctreeTexture,
+        channel: str | None,
+        materials: bool = False,
+        bump: Bump | None = None,
+        filter: str = "quadratic",
     ) -> Appearance:
         """Return how a texture looks at their centres, as by ``texture_shader``."""
         formats = (stored.format for stored in texture.channels.values())
         shown = Shown.of(formats, channel, materials=materials)
-        appearance = shown.appearance(texture.sample(self.centres, shown.names))
+        appearance = shown.appearance(texture.sample(self.centres, shown.names, filter=filter))
         if bump is None:
             return appearance
         return appearance.bent(self.normals, field_slopes(texture, bump, self.centres, self.normals))
@@ -249,13 +254,14 @@ def render_leaves(
     """Draw the leaves of a texture as cubes; return linear light (height, width, 3).
 
     level    default: the deepest level whose cells are no smaller than a pixel
-    cubes    light the faces of the cubes, instead of the surface that the leaves lie on
+    cubes    show the values that leaves hold, and light the cubes' faces, not the surface that leaves lie on
 
     ``channel`` and ``bump`` as for ``texture_shader``, ``light`` as for ``render_surface``.
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
     leaves = Leaves.of(texture)
-    appearance = leaves.appearance(texture, channel, materials=light is not None, bump=bump)
+    filter = "nearest" if cubes else "quadratic"
+    appearance = leaves.appearance(texture, channel, light is not None, bump, filter)
     buffers = leaves.seen(camera.scaled(supersample))
     return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).picture()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from octex.view.shading import face_normals
 from octex.voxelize.fragments import Blocks
 from octex.voxelize.grid import BLOCK_BITS
 
+#: Rows and columns of the pixels that are tried for a triangle whose corners and middle no picture shows.
+_STEPS = 16
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
 
@@ -150,7 +153,10 @@ class Projected(PaintSource):
         return at_corners(self.vertices, self.triangles[triangles], barycentric)
 
     def footprints(self) -> tuple[Float32s, Float64s]:
-        """Return the finest pixels' edges, ascending, at corners and middles of triangles, and seen areas."""
+        """Return the finest pixels' edges, ascending, at corners and middles of triangles, and seen areas.
+
+        Of a large triangle that has none of them in a picture, they are taken at its pixels.
+        """
         touched = self.touched()
         if self.chosen is not None:
             touched = touched[self.chosen[touched]]
@@ -163,14 +169,43 @@ class Projected(PaintSource):
             edges = flat.with_shots([shot]).texel_edges(touched)
             edges[counts == 0] = 0.0
             seen_areas += counts * edges.astype(np.float64) ** 2
-        areas = np.minimum(areas, seen_areas)
-        widths = np.concatenate([self.widths(touched, np.tile(place, (len(touched), 1))) for place in places])
+        every = [self.widths(touched, np.tile(place, (len(touched), 1))) for place in places]
+        areas, widths = np.minimum(areas, seen_areas), np.stack(every)
+        outside = np.isinf(widths).all(axis=0)
+        for shot in self.shots if outside.any() else ():
+            counts = self._counts(shot)[touched]
+            some = np.flatnonzero(outside & (counts >= shot.seen.triangle.size / (2 * _STEPS**2)))
+            edges = self.with_shots([shot]).widths(touched[some], self._inner_places(shot, touched[some]))
+            widths[:, some] = np.minimum(widths[:, some], edges)
+            areas[some] = np.minimum(areas[some], counts[some] * edges.astype(np.float64) ** 2)
+        widths = widths.ravel()
         # Numbers that are not negative are in the order of their bits: a fifth of the time of an argsort.
         keys = widths.view(np.uint32).astype(np.uint64) << np.uint64(32)
         keys |= np.arange(widths.size, dtype=np.uint64)
         keys.sort()
         order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
         return widths[order], np.tile(areas / len(places), len(places))[order]
+
+    def _inner_places(self, shot: Shot, triangles: Int32s) -> Float64s:
+        """Return barycentric coordinates (n, 3) of the nearest points that some of a shot's pixels see."""
+        height, width = shot.seen.triangle.shape
+        steps = (np.arange(_STEPS) + 0.5) / _STEPS
+        pixels = np.stack([*np.meshgrid(width * steps, height * steps), np.ones((_STEPS, _STEPS))])
+        rays = shot.camera.inverse_k @ pixels.reshape(3, -1)
+        axes, offset = shot.camera.world_to_camera[:3, :3], shot.camera.world_to_camera[:3, 3]
+        corners = self.vertices[self.triangles[triangles]] @ axes.T + offset
+        if not shot.camera.is_pinhole:
+            corners[..., 2] = 1.0
+        # A ray meets the plane of a, b, c at shares in proportion to (b × c, c × a, a × b) · ray.
+        across = np.cross(np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1))
+        shares = across @ rays
+        sums = shares.sum(axis=1)
+        volumes = np.einsum("nc,nc->n", across[:, 0], corners[:, 0])[:, None]
+        is_on = ((shares * np.sign(volumes)[..., None]).min(axis=1) >= 0.0) & (sums * volumes > 0.0)
+        nearest = np.where(is_on, np.abs(sums), 0.0).argmax(axis=1)[:, None]
+        found = np.take_along_axis(shares, nearest[..., None], axis=2)[..., 0]
+        sums = np.take_along_axis(np.where(is_on, sums, np.inf), nearest, axis=1)
+        return cast(Float64s, np.where(np.isfinite(sums), found / sums, 1 / 3))
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest pixel on triangles (n,), at rest; infinity where none is."""

@@ -133,9 +133,7 @@ def unwrap(
     faces = first_equal(np.concatenate([surface.vertices, *rest], axis=1))[surface.triangles]
     flat, border = _spread(surface.vertices, faces, start, found.barycentric[0], at, radius, wanted)
     reach = np.linalg.norm(flat, axis=1)
-    inside = (reach < radius)[faces].any(axis=1) & np.isfinite(reach)[faces].all(axis=1)
-    inside[start] = True
-    triangles = np.flatnonzero(inside).astype(np.int32)
+    triangles = _within(faces, flat, radius, start)
     half = radius
     if method == "conformal":
         used = np.unique(faces[triangles])
@@ -245,7 +243,8 @@ def _propagate(
                 if third == vertex or third == other:  # noqa: SIM109  (kernels have no such tuples)
                     continue
                 has_two = distances[third] < np.inf
-                distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two)
+                half = -np.pi if faces[face, (corner + 1) % 3] == vertex else np.pi
+                distance, angle = _stepped(vertices, vertex, third, other, distances, angles, has_two, half)
                 if distance < distances[other] * (1.0 - 1e-12):
                     distances[other], angles[other] = distance, angle
                     heappush(waiting, (distance, other))
@@ -253,9 +252,19 @@ def _propagate(
 
 @inlined
 def _stepped(
-    vertices: Float64s, a: int, b: int, c: int, distances: Float64s, angles: Float64s, has_two: bool
+    vertices: Float64s,
+    a: int,
+    b: int,
+    c: int,
+    distances: Float64s,
+    angles: Float64s,
+    has_two: bool,
+    half: float,
 ) -> tuple[float, float]:
-    """Return the distance and the angle of a triangle's third corner, of those of one or two."""
+    """Return the distance and the angle of a triangle's third corner, of those of one or two.
+
+    ``half`` is the turn from a to b, π or −π, where the centre lies between them.
+    """
     ab = ac = bc = dot = 0.0
     for axis in range(3):
         e, f = vertices[b, axis] - vertices[a, axis], vertices[c, axis] - vertices[a, axis]
@@ -281,9 +290,30 @@ def _stepped(
         return best, angle
     turn = angles[b] - angles[a]
     turn -= 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
+    if abs(turn) > np.pi - 1e-9:
+        turn = half
     low, high, own = np.arctan2(-s, q), np.arctan2(base - s, q), np.arctan2(x - s, y + q)
     share = (own - low) / (high - low) if high > low else crossing / base
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
+
+
+def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
+    """Return the triangles from ``start`` on, across edges, that a disc around the origin meets."""
+    known = np.flatnonzero(np.isfinite(flat[:, 0])[faces].all(axis=1))
+    corners = flat[faces[known]]
+    sides = np.roll(corners, -1, axis=1) - corners
+    along = -(corners * sides).sum(axis=2) / np.maximum((sides * sides).sum(axis=2), 1e-300)
+    nearest = corners + np.clip(along, 0.0, 1.0)[..., None] * sides
+    crossed = np.linalg.norm(nearest, axis=2) < radius
+    ends = np.sort(np.stack([faces[known], np.roll(faces[known], -1, axis=1)]), axis=0)
+    edges = np.unique(ends[0] << 32 | ends[1], return_inverse=True)[1].reshape(crossed.shape)
+    reached, count = known == start, 0
+    while count < (count := int(reached.sum())):
+        is_open = np.zeros(edges.max() + 1, np.bool_)
+        is_open[edges[reached[:, None] & crossed]] = True
+        reached |= (is_open[edges] & crossed).any(axis=1)
+    found: Int32s = known[reached].astype(np.int32)
+    return found
 
 
 def _flat_surface(

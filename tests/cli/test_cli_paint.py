@@ -848,6 +848,36 @@ def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
 
 
 @needs_jit
+def test_a_view_saved_as_jpeg_is_painted_with_a_word(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    view, file, lossy = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "view.jpg"
+    result(capsys, scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
+    with Image.open(view) as picture:
+        picture.convert("RGB").save(lossy, quality=70)
+    shot = [scene.texture, scene.model, f"{lossy}={view.name}", "--camera", file]
+    main([*shot, OUT, tmp_path / "out.octex"])
+    assert f"{lossy} is a JPEG: what compression changed is painted, too" in capsys.readouterr().err
+
+
+@needs_jit
+def test_the_preview_of_a_disc_looks_at_the_disc(
+    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    low, high = scene.surface.bounds
+    at = (low + high) / 2
+    at[1] = low[1]  # the bottom, which usual views do not show
+    green, preview = tmp_path / "green.png", tmp_path / "preview.png"
+    Image.new("RGB", (16, 16), (0, 255, 0)).save(green)
+    disc = ",".join(f"{each:g}" for each in [*at, 0.3 * (high - low).min()])
+    settings = ["--unwrap", disc, "--since", "nothing", "--preview", preview]
+    result(capsys, scene.texture, scene.model, green, *settings, OUT, tmp_path / "out.octex")
+    with Image.open(preview) as picture:
+        codes = np.asarray(picture.convert("RGB")).astype(int)
+    assert (codes[..., 1] - codes[..., ::2].max(axis=2) > 100).mean() > 0.005
+
+
+@needs_jit
 def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
     scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

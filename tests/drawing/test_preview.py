@@ -199,6 +199,19 @@ def test_leaves_show_the_colours_of_the_model(quarters, cubes):
     assert np.allclose(picture[4, 4], background(64, 64)[4, 4])
 
 
+def test_cubes_have_the_values_of_their_leaves_and_lie_in_the_picture():
+    coords = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [3, 1, 2]])
+    colors = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8)
+    texture = octex.convert(octex.Voxels(coords, {"base_color": colors}))
+    picture = octex.render(texture, cubes=True, size=(96, 96), supersample=1)
+    saturated = picture.max(axis=2) > picture.min(axis=2) + 64
+    hues = {tuple(pixel) for pixel in (picture[saturated] > 64).tolist()}
+    assert hues == {tuple((color > 64).tolist()) for color in colors}
+    border = np.ones((96, 96), bool)
+    border[1:-1, 1:-1] = False
+    assert not (saturated & border).any()
+
+
 def test_leaves_are_drawn_no_finer_than_asked(quarters):
     _, texture = quarters
     camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)

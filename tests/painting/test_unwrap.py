@@ -249,6 +249,25 @@ def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth) -> Non
     assert np.array_equal(painted.sample(points.rest[beside]), texture.sample(points.rest[beside]))
 
 
+@pytest.mark.parametrize("center", [(0.5, 0.5, 1.0), (0.45, 0.5, 1.0), (0.7, 0.55, 1.0), (0.5, 0.4, 1.0)])
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(center: tuple[float, ...], scale: float) -> None:
+    box = colored(cube((0, 0, 0)))
+    patch = octex.unwrap(box, center, 0.3 * scale, size=32)
+    assert patch.faults == []
+    seen = z_buffer(patch.surface.vertices, patch.surface.triangles, patch.camera)
+    places = patch.surface.points_at(seen.triangle.ravel(), seen.barycentric.reshape(-1, 3))
+    rest = octex.Surface.from_arrays(patch.surface.rest, patch.surface.triangles)
+    rest = rest.points_at(seen.triangle.ravel(), seen.barycentric.reshape(-1, 3))
+    assert (seen.triangle >= 0).all()
+    np.testing.assert_allclose(rest[:, :2] - patch.center[:2], places[:, :2], atol=1e-6)
+    texture = octex.convert(box, 4, sources={"base_color": 0.25})
+    paint = octex.project(box, octex.Projection(np.full((32, 32, 3), 255, np.uint8), patch), like=texture)
+    cell, pixel = paint.placement.size / 2**paint.tree.max_depth, 0.6 * scale / 32
+    assert 0.5 * pixel <= cell <= 1.05 * pixel
+    assert paint.tree.n_leaves * cell**2 == pytest.approx((0.6 * scale) ** 2, rel=0.15)
+
+
 def test_the_command_draws_a_disc_flat_and_paints_it_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,3 +107,42 @@ def test_several_pictures_of_hidden_surface_are_averaged() -> None:
     shown = [octex.Projection(disc(), above(2.0))] * 3
     one = octex.paint(texture, surface, shown, hidden=True, pictures="average")
     assert_same(octex.paint(texture, surface, shown, hidden=True), one)
+
+
+@needs_jit
+@pytest.mark.parametrize(
+    ("toward", "hidden"),
+    [
+        ((0.0, 0.0, -1.0), False),
+        ((0.8, -0.1, -0.5), False),
+        ((1.9, -0.1, -0.5), False),
+        ((0.8, -0.1, -0.5), True),
+    ],
+)
+def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(
+    toward: tuple[float, float, float], hidden: bool
+) -> None:
+    wall = plain(square(0.0, 10.0))
+    texture = octex.convert(wall, depth=4)
+    position, size = np.array([3.0, -2.0, 0.5]), 96
+    back = -np.array(toward) / np.linalg.norm(toward)
+    right = np.cross((0.0, 1.0, 0.0), back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.column_stack([right, np.cross(back, right), back, position])
+    K = np.array([[size, 0.0, size / 2], [0.0, size, size / 2], [0.0, 0.0, 1.0]])
+    camera = octex.Camera.pinhole((size, size), K=K, pose=pose, convention="opengl")
+
+    def waves(pixels: Any) -> Any:
+        x, y = pixels[..., 0], pixels[..., 1]
+        return 0.5 + 0.4 * np.stack([np.sin(x / 8), np.cos(y / 6), np.sin((x + y) / 11)], axis=-1)
+
+    pixels = np.stack(np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5), axis=-1)
+    shown = octex.Projection(waves(pixels).astype(np.float32), camera)
+    painted = octex.paint(texture, wall, shown, max_angle=89, hidden=hidden)
+    points = np.column_stack([*np.random.default_rng(0).uniform(-5, 5, (2, 200_000)), np.zeros(200_000)])
+    seen, depth = camera.project(points)
+    inside = (depth > 0) & (depth < 1.5) & (seen > 4).all(axis=1) & (seen < size - 4).all(axis=1)
+    assert inside.sum() > 100
+    error = painted.sample(points[inside]) - waves(seen[inside])
+    assert np.sqrt((error**2).mean()) < 0.01
