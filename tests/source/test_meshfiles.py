@@ -137,6 +137,14 @@ def test_ply_textures_are_bound_with_v_up(tmp_path: Path, names: str) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+def test_ply_textures_may_be_named_after_the_file(tmp_path: Path) -> None:
+    (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
+    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    path = ply(tmp_path / "square.v2.ply", ply_square(**properties), comments=["TextureFile <this>_A.png"])
+    surface = load_surface(path)
+    np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.2), rtol=1e-5)
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path: Path, encoding: str) -> None:
     images = [random_image(4, 4, seed=i) for i in range(2)]
@@ -314,6 +322,13 @@ def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path: Path, encoding: s
     assert len(found) == len(expected)
 
 
+def test_numbers_may_follow_off_without_a_blank(tmp_path: Path) -> None:
+    rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
+    for head in ("OFF4 2 0", "  OFF4 2 0", "OFF 4 2 0"):
+        surface = load_surface(off(tmp_path / "a.off", f"{head}\n{rows}"))
+        np.testing.assert_array_equal(surface.vertices[surface.triangles], SQUARE[SQUARE_TRIANGLES])
+
+
 def test_off_faces_may_go_on_to_other_lines(tmp_path: Path) -> None:
     points = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n1 1 5\n"
     surface = load_surface(off(tmp_path / "a.off", f"OFF\n5 2 0\n{points}4 0 \n1 \n2 \n3 \n\n3 0\n1 4\n"))
@@ -370,6 +385,35 @@ def test_stl_models_are_white(tmp_path: Path, ascii: bool) -> None:
     corners = surface.vertices[surface.triangles]
     np.testing.assert_array_equal(corners, SQUARE[SQUARE_TRIANGLES])
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
+
+
+def _facet_words(path: Path, words: list[int], header: bytes = b"") -> Surface:
+    """The model of a binary STL file with a header and a word of colour for each facet."""
+    data = bytearray(stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes())
+    data[: len(header)] = header
+    for facet, word in enumerate(words):
+        struct.pack_into("<H", data, 84 + 50 * facet + 48, word)
+    path.write_bytes(data)
+    return load_surface(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "words", "colors"),
+    [
+        (b"", [0x8000 | 31 << 10, 0x8000 | 31], [[255, 0, 0], [0, 0, 255]]),
+        (b"", [0x8000 | 31 << 5, 0x2020], [[0, 255, 0], [255, 255, 255]]),  # blanks are no colour
+        (b"COLOR=\x33\x66\x99\xff", [31, 0xFFFF], [[255, 0, 0], [51, 102, 153]]),
+        (b"MeshMagic COLOR=\x33\x66\x99\xff", [31 << 10, 0], [[0, 0, 255], [0, 0, 0]]),
+        (b"COLOR=\x33\x66\x99", [0, 0], [[51, 102, 153]] * 2),  # none has a colour of its own
+    ],
+)
+def test_facets_of_binary_stl_files_have_colours(
+    tmp_path: Path, header: bytes, words: list[int], colors: list[list[int]]
+) -> None:
+    surface = _facet_words(tmp_path / "a.stl", words, header)
+    samples = surface.scatter(20)
+    expected = srgb_to_linear(np.array(colors)[samples.triangles] / 255)
+    np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
 
 
 def test_names_in_stl_text_may_be_in_any_encoding(tmp_path: Path) -> None:

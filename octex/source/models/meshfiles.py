@@ -17,7 +17,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.errors import ModelError, damaged
 from octex.files import read_bytes
-from octex.source.colors import guessed_colors
+from octex.source.colors import guessed_colors, screen_colors
 from octex.source.images.decode import global_settings
 from octex.source.models.reading import (
     Options,
@@ -34,12 +34,15 @@ _quiet = logging.NullHandler()
 
 
 def load_stl(path: Path, options: Options) -> Surface:
-    """Read an STL model, through trimesh; it is white. Raises ModelError."""
+    """Read an STL model, through trimesh, with the colours that binary files may have. Raises ModelError."""
     import trimesh  # takes a third of a second
 
     logging.getLogger("trimesh").addHandler(_quiet)
     data = read_bytes(path)
-    if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):  # not of the binary kind
+    colors = None
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        colors = _stl_colors(data)
+    else:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
         # For text that is not UTF-8 trimesh asks a package that need not be there.
@@ -54,8 +57,24 @@ def load_stl(path: Path, options: Options) -> Surface:
             raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
     faces = np.array(mesh.faces, np.int64)
     positions = np.array(mesh.vertices, np.float64)
-    part, _, _ = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3))
-    return colored_surface(path.name, options, part)
+    part, _, numbers = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3))
+    return colored_surface(path.name, options, with_colors(part, numbers, None, colors))
+
+
+def _stl_colors(data: bytes) -> Float32s | None:
+    """Return the linear colours of a binary STL file's facets, 5 bits a component; None where it has none.
+
+    In Magics' files the header has the colour of facets whose bit 15 is set, and red is the lowest component.
+    In VisCAM's bit 15 marks facets with a colour, and red is the highest.
+    """
+    words = np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50)[:, 48:].copy().view("<u2")
+    is_marked = words >= 1 << 15
+    codes = (words >> np.array([0, 5, 10]) & 31) / 31.0
+    _, magics, rest = data[:80].partition(b"COLOR=")
+    if magics and len(rest) >= 3:
+        shared = np.frombuffer(rest, np.uint8, 3) / 255.0
+        return screen_colors(np.where(is_marked | ~words.any(), shared, codes))
+    return screen_colors(np.where(is_marked, codes[:, ::-1], 1.0)) if is_marked.any() else None
 
 
 def load_off(path: Path, options: Options) -> Surface:
@@ -65,12 +84,13 @@ def load_off(path: Path, options: Options) -> Surface:
     lines = [line.partition("#")[0] if "#" in line else line for line in lines]
     lines = [line for line in lines if line and not line.isspace()]
     first = lines.pop(0).split() if lines else [""]
-    head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF", first[0])
+    head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF(\d*)", first[0])
     if head is None:
         raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
     if head[4] or head[5] or "BINARY" in first:
         raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
-    words = first[1:] or (lines.pop(0).split() if lines else [])
+    # Some files have no blank behind the first word.
+    words = [head[6], *first[1:]][not head[6] :] or (lines.pop(0).split() if lines else [])
     try:
         n_vertices, n_faces = int(words[0]), int(words[1])
     except (IndexError, ValueError):

@@ -93,7 +93,8 @@ class Ply:
                 elif words[0] == "property":
                     self._elements[-1][2].append(_Property(words[2], _TYPES[words[1]], None))
                 elif words[0] == "comment" and len(words) > 2 and words[1].lower() == "texturefile":
-                    self.images.append(line.split(None, 2)[2].strip())
+                    # MeshLab writes <this> for the file's own name without its ending.
+                    self.images.append(line.split(None, 2)[2].strip().replace("<this>", self.path.stem))
             except (IndexError, KeyError, ValueError):
                 raise ModelError(
                     f"{self.name}: the header has a line '{line[:60]}' that is not PLY"
