@@ -24,7 +24,7 @@ from octex.painting.picture import Blend, Projection, check_projections, content
 from octex.painting.reading import terms_of
 from octex.painting.resume import Stages, stages_in
 from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
-from octex.painting.steps import rasterize_surface
+from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface, key_of, laid_flat
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
@@ -205,13 +205,16 @@ def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | Non
         return [job.surface.content, like and like.placement, form, shown, *astuple(job.options)]
 
     stages = job.stages.of(parts)
-    return stages.texture("layer", lambda: _layer_of(job, pictures, like, form, stages))
+    return stages.texture(
+        "layer",
+        lambda: layer_from(_raster_of(job, pictures, like, form, stages), job.executor, job.progress),
+    )
 
 
-def _layer_of(
+def _raster_of(
     job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
-) -> OctreeTexture:
-    """Project pictures; ``stages`` are those of what was made from all of them."""
+) -> Raster:
+    """Project pictures, held no longer than that; ``stages`` are those of what was made from all of them."""
     (painted, options, executor, progress, *_), surface = job, job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
@@ -239,10 +242,11 @@ def _layer_of(
     if like is not None:
         check_inside(surface, placement)
     paint: PaintSource = source
+    number = next((number for number, shot in enumerate(shots) if shot is reference), None)
+    del shots, near, reference  # `weighed` gives up pictures that it masks
     if not is_single:
         from octex.photos.weigh import weighed  # a single picture has none of it
 
-        number = next((number for number, shot in enumerate(shots) if shot is reference), None)
         paint = weighed(source, surface, options, number, placement, depth, executor, stages)
     return rasterize_surface(
         painted, paint, placement, depths, fit=options.fit, cells=cells, executor=executor, progress=progress

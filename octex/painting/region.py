@@ -21,7 +21,7 @@ from octex.painting.merge import merged
 from octex.painting.options import format_of, triangles_of
 from octex.painting.paint import Merging, check_inside
 from octex.painting.picture import BLENDS, Blend
-from octex.painting.steps import rasterize_surface
+from octex.painting.steps import layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
@@ -171,9 +171,10 @@ def filled(
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
     source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
     check_inside(painted.surface, placement)
-    layer = rasterize_surface(
+    raster = rasterize_surface(
         painted, source, placement, Depths(depth, depth), fit=False, executor=executor, progress=progress
     )
+    layer = layer_from(raster, executor, progress)
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
     merge = merge or merged
     return base, merge(base, layer, painted, opacity, wanted.blend, executor, progress)

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from octex.channels import ALPHA, alpha_of, decode, encode
+from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.fit import Fitter
 from octex.conversion.gaps import without_gaps
-from octex.conversion.levels import assemble, cell_levels
+from octex.conversion.levels import CellLevels, assemble, cell_levels
 from octex.conversion.sides import with_sides
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
@@ -98,6 +98,15 @@ class Boundary(NamedTuple):
     freed: list[Int64s]  # leaves that keep nothing as nodes
 
 
+class Raster(NamedTuple):
+    """A surface rasterized: means of paint in cells, before a tree is made of them."""
+
+    channels: tuple[ChannelFormat, ...]
+    placement: Placement
+    bounds: Float64s
+    cells: CellLevels | None  # None: no paint is on the surface
+
+
 def rasterize_surface(
     painted: PaintedSurface,
     source: PaintSource,
@@ -108,29 +117,39 @@ def rasterize_surface(
     cells: float = CELLS,
     executor: Executor,
     progress: Progress,
-) -> OctreeTexture:
-    """1. Rasterize the surface into a paint octree: a texture of the painted channel and its coverage.
+) -> Raster:
+    """1. Rasterize the surface: read paint in all cells; `layer_from` needs the source no more.
 
-    Leaves have ``cells`` in the width of the paint's detail, as even as ``depths`` say, and hold means or,
-    with ``fit``, what brings the field nearest to the paint. What no paint is on has no cells.
+    Leaves have ``cells`` in the width of the paint's detail, as even as ``depths`` say, and samples to
+    ``fit`` their values to. What no paint is on has no cells.
     """
     surface, depth = painted.surface, depths.deepest
-    fit = fit and not is_plain(source)
-    nothing = empty_texture(source.channels, placement, surface.bounds)
+    channels = tuple(source.channels)
     touched = source.touched()
     if not touched.size:
-        return nothing
+        return Raster(channels, placement, surface.bounds, None)
     chosen = painted.grid(placement).around(touched, depth)
     here = source.on(chosen)
     filled = cell_levels(
         surface.part(chosen, here), here.channels, placement, depth, executor, progress,
-        has_samples=fit, has_gaps=True,
+        has_samples=fit and not is_plain(source), has_gaps=True,
         wanted=None if depths.is_even else partial(_wanted, here, placement.size, cells, depths),
         reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
-    if not filled.codes.size:
+    return Raster(channels, placement, surface.bounds, filled if filled.codes.size else None)
+
+
+def layer_from(raster: Raster, executor: Executor, progress: Progress) -> OctreeTexture:
+    """Return the paint octree of a raster: a texture of the painted channel and its coverage.
+
+    Leaves hold means or, where there are samples, what brings the field nearest to the paint.
+    """
+    channels, placement, bounds, filled = raster
+    nothing = empty_texture(channels, placement, bounds)
+    if filled is None:
         return nothing
-    covered = without_gaps(*assemble(here.channels, filled), filled, placement)
+    covered = without_gaps(*assemble(channels, filled), filled, placement)
+    del raster, filled  # as large as what follows
     if not covered.tree.n_leaves:
         return nothing
     fitting = splitting = None
@@ -143,7 +162,7 @@ def rasterize_surface(
         max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
         progress=progress,
     )  # fmt: skip
-    return refaced(OctreeTexture(tree, values, placement, surface.bounds))
+    return refaced(OctreeTexture(tree, values, placement, bounds))
 
 
 def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
