@@ -17,7 +17,6 @@ from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
 from octex.jit import (
-    chosen,
     fused_inlined,
     inlined,
     kernel,
@@ -26,7 +25,7 @@ from octex.jit import (
     spline_at_eight,
     trailing_zeros,
 )
-from octex.jit.vectors import eight, four, four_at
+from octex.jit.vectors import eight
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
 Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -56,8 +55,6 @@ class Windows(NamedTuple):
     rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
     known: Bools  # (fields, levels)   whether the level's coefficients are written
     kinds: Uint64s  # (fields, levels)   the kinds of cells that they are made of
-    #: (fields · levels · vectors, 2, 4)   the least and the largest of what these cells hold
-    ranges: Float32s
 
 
 @kernel
@@ -67,7 +64,6 @@ def new_windows(fields: int, vectors: int) -> Windows:
         np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
         np.zeros((fields, _LEVELS), np.bool_),
         np.zeros((fields, _LEVELS), np.uint64),
-        np.zeros((fields * _LEVELS * vectors, 2, 4), np.float32),
     )
 
 
@@ -170,15 +166,6 @@ def _gather(
         empty &= empty - np.uint64(1)
         for vector in range(vectors):
             _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
-    first_range = (which * _LEVELS + level) * vectors
-    if not is_facing:
-        for vector in range(vectors):
-            low, high = four(np.inf), four(-np.inf)
-            if is_below:
-                low = four_at(windows.ranges, 8 * (first_range - vectors + vector))
-                high = four_at(windows.ranges, 8 * (first_range - vectors + vector) + 4)
-            put(windows.ranges, 8 * (first_range + vector), low)
-            put(windows.ranges, 8 * (first_range + vector) + 4, high)
     while leaves != 0:
         child = trailing_zeros(leaves)
         leaves &= leaves - np.uint64(1)
@@ -190,17 +177,8 @@ def _gather(
                 _write(windows.rows, at + vector * stride, _faced(field, cell, flags, view, vectors, vector))
             continue
         kinds |= kind_of(flags)
-        is_split = flags & np.uint8(SPLIT) != 0 and field.splits.size > 0
         for vector in range(vectors):
-            row = cell * vectors + vector
-            if field.alpha < 0:
-                put(windows.rows, 4 * (at + vector * stride), four_at(field.rows, 4 * row))
-            else:
-                _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
-            _widen(windows.ranges, first_range + vector, field.rows, row)
-            if is_split:
-                for each in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
-                    _widen(windows.ranges, first_range + vector, field.rows, each * vectors + vector)
+            _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
     windows.kinds[which, level] = kinds
     windows.known[which, level] = True
 
@@ -218,14 +196,6 @@ def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors:
             row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
             found = _added(found, part * share, _covered(field, row, vectors, vector))
     return found
-
-
-@inlined
-def _widen(ranges: Float32s, which: int, rows: Float32s, row: int) -> None:
-    """Have a range hold a row of values, too."""
-    values, low, high = four_at(rows, 4 * row), four_at(ranges, 8 * which), four_at(ranges, 8 * which + 4)
-    put(ranges, 8 * which, chosen(values < low, values, low))
-    put(ranges, 8 * which + 4, chosen(values > high, values, high))
 
 
 @inlined
