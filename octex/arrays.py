@@ -57,6 +57,11 @@ def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
     return mmap.mmap(file.fileno(), count)
 
 
+def in_runs(firsts: Integers, counts: Int64s) -> Int64s:
+    """Return whole numbers, run after run: of each run (n,) its first, and those that follow it."""
+    return np.repeat(firsts - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+
+
 def _bit_counts(words: Integers) -> Uint8s:
     """Count the bits of unsigned integers by a table, for numpy 1, which has no ``bitwise_count``."""
     octets = np.ascontiguousarray(words).view(np.uint8).reshape(*words.shape, words.itemsize)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -184,6 +183,7 @@ def with_entries(
     texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
 ) -> OctreeTexture:
     """Append to the provenance of a texture's paint; that of a new texture also names the model."""
+    from octex.processing.edit import with_listed
     from octex.texture import OctreeTexture
 
     metadata = dict(texture.metadata)
@@ -191,11 +191,5 @@ def with_entries(
         names = ("source", "sha256", "rest", "rest_sha256")
         metadata = {name: surface.provenance[name] for name in names if name in surface.provenance}
         metadata["octex"] = octex.__version__
-    try:
-        before = json.loads(metadata.get("paint", "[]"))
-    except ValueError:
-        before = metadata["paint"]
-    if not isinstance(before, list):  # somebody else's
-        before = [before]
-    metadata["paint"] = json.dumps([*before, *entries])
+    metadata = with_listed(metadata, "paint", entries)
     return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)

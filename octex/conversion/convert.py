@@ -29,7 +29,7 @@ from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
 from octex.conversion.fit import Fitter
 from octex.conversion.gaps import Remaining, without_gaps, without_opaque
-from octex.conversion.levels import CellLevels, Dtypes, assemble, cell_levels, formats_as, memory_needed
+from octex.conversion.levels import CellLevels, assemble, cell_levels, memory_needed
 from octex.conversion.points import convert_points
 from octex.conversion.sides import with_sides
 from octex.conversion.voxels import convert_voxels
@@ -41,6 +41,7 @@ from octex.source.load import at_rest, load_surface
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, open_texture
+from octex.texture.channel import Dtypes, formats_as
 from octex.texture.file import ENDING
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement

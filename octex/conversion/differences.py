@@ -1,7 +1,7 @@
 """How far two trees' fields are apart in finest cells, at samples and all over the surface around them.
 
 On a finest cell both fields are rational functions. Their coefficients are gathered once a cell, and serve
-all points in it, eight at a time. Some say enough: the same leaves in both, or values that are all near.
+all points in it, eight at a time. The same leaves in both say enough.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from octex.conversion.evaluator import (
 )
 from octex.conversion.measure import (
     ErrorColumns,
-    all_near,
     are_apart_by_less,
     are_near,
     are_near_between,
@@ -106,7 +105,6 @@ class Scratch(NamedTuple):
     differences: Float64s  # (2, points)
     points: Float32s  # (3, points)   in the finest cell, 0 … 1
     normal: Float32s  # (1, 3)
-    bounds: Float32s  # (2, components)
 
 
 @part
@@ -120,7 +118,6 @@ def _new_scratch(components: int) -> Scratch:
         np.zeros((2, MOST_POINTS), np.float64),
         np.zeros((3, MOST_POINTS), np.float32),
         np.zeros((1, 3), np.float32),
-        np.zeros((2, components), np.float32),
     )
 
 
@@ -284,9 +281,6 @@ def _is_far_all_over(
                     continue  # the normal changes nothing
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
-            is_first = look == 0 and sample == reference.firsts[cell]
-            if is_first and _are_made_alike(windows, level, full, columns, most, scratch.bounds):
-                return False
             for side in range(2):
                 which, own = (one, level) if side == 0 else (other, full)
                 _look_up(fields[0], scratch, which, own, (i, j, k, reference.depth), side, count)
@@ -339,21 +333,6 @@ def _are_near(
         if is_patch and not are_near_between(differences, count, between):
             return False
     return True
-
-
-@inlined
-def _are_made_alike(
-    windows: Windows, level: int, full: int, columns: ErrorColumns, most: float, bounds: Float32s
-) -> bool:
-    """Say whether all that the fields are made of in a cell is near: so are they, with any normal."""
-    vectors = (columns.kinds.size + 4) // 4
-    rows = windows.ranges.shape[0] // 4
-    for component in range(columns.kinds.size):
-        vector, column = component >> 2, component & 3
-        one, other = level * vectors + vector, rows + full * vectors + vector
-        bounds[0, component] = min(windows.ranges[one, 0, column], windows.ranges[other, 0, column])
-        bounds[1, component] = max(windows.ranges[one, 1, column], windows.ranges[other, 1, column])
-    return all_near(bounds, columns, most)
 
 
 @inlined

@@ -8,7 +8,7 @@ see `field.taps`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
 from octex.jit import (
-    chosen,
     fused_inlined,
     inlined,
     kernel,
@@ -26,10 +25,8 @@ from octex.jit import (
     spline_at_eight,
     trailing_zeros,
 )
-from octex.jit.vectors import eight, four, four_at
+from octex.jit.vectors import eight, four, four_at, lanes, vector_of
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
-
-Four: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
 _PLACES = 27
 _LEVELS = MAX_DEPTH + 1
@@ -56,8 +53,6 @@ class Windows(NamedTuple):
     rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
     known: Bools  # (fields, levels)   whether the level's coefficients are written
     kinds: Uint64s  # (fields, levels)   the kinds of cells that they are made of
-    #: (fields · levels · vectors, 2, 4)   the least and the largest of what these cells hold
-    ranges: Float32s
 
 
 @kernel
@@ -67,7 +62,6 @@ def new_windows(fields: int, vectors: int) -> Windows:
         np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
         np.zeros((fields, _LEVELS), np.bool_),
         np.zeros((fields, _LEVELS), np.uint64),
-        np.zeros((fields * _LEVELS * vectors, 2, 4), np.float32),
     )
 
 
@@ -169,16 +163,7 @@ def _gather(
         at = start + place_of(2, begin, trailing_zeros(empty))
         empty &= empty - np.uint64(1)
         for vector in range(vectors):
-            _write(windows.rows, at + vector * stride, (_ZERO, _ZERO, _ZERO, _ZERO))
-    first_range = (which * _LEVELS + level) * vectors
-    if not is_facing:
-        for vector in range(vectors):
-            low, high = four(np.inf), four(-np.inf)
-            if is_below:
-                low = four_at(windows.ranges, 8 * (first_range - vectors + vector))
-                high = four_at(windows.ranges, 8 * (first_range - vectors + vector) + 4)
-            put(windows.ranges, 8 * (first_range + vector), low)
-            put(windows.ranges, 8 * (first_range + vector) + 4, high)
+            put(windows.rows, 4 * (at + vector * stride), four(0.0))
     while leaves != 0:
         child = trailing_zeros(leaves)
         leaves &= leaves - np.uint64(1)
@@ -187,45 +172,29 @@ def _gather(
         flags = field.arrays.flags[cell]
         if is_facing:
             for vector in range(vectors):
-                _write(windows.rows, at + vector * stride, _faced(field, cell, flags, view, vectors, vector))
+                shown = _faced(field, cell, flags, view, vectors, vector)
+                put(windows.rows, 4 * (at + vector * stride), shown)
             continue
         kinds |= kind_of(flags)
-        is_split = flags & np.uint8(SPLIT) != 0 and field.splits.size > 0
         for vector in range(vectors):
-            row = cell * vectors + vector
-            if field.alpha < 0:
-                put(windows.rows, 4 * (at + vector * stride), four_at(field.rows, 4 * row))
-            else:
-                _write(windows.rows, at + vector * stride, _covered(field, cell, vectors, vector))
-            _widen(windows.ranges, first_range + vector, field.rows, row)
-            if is_split:
-                for each in range(_row_of(field, cell, flags, 0), _row_of(field, cell, flags, 6)):
-                    _widen(windows.ranges, first_range + vector, field.rows, each * vectors + vector)
+            put(windows.rows, 4 * (at + vector * stride), _covered(field, cell, vectors, vector))
     windows.kinds[which, level] = kinds
     windows.known[which, level] = True
 
 
 @inlined
-def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors: int, vector: int) -> Four:
+def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors: int, vector: int) -> Any:
     """Return a part of what a cell shows to a normal."""
     part, x, y, z = face_cell(flags, view)
     if not (x + y + z > _ZERO and field.splits.size > 0):
-        return _added((_ZERO, _ZERO, _ZERO, _ZERO), part, _covered(field, cell, vectors, vector))
-    found = (_ZERO, _ZERO, _ZERO, _ZERO)
+        return four(0.0) + four(part) * _covered(field, cell, vectors, vector)
+    found = four(0.0)
     for axis in range(3):
         share = x if axis == 0 else (y if axis == 1 else z)
         if share > _ZERO:
             row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
-            found = _added(found, part * share, _covered(field, row, vectors, vector))
+            found = found + four(part * share) * _covered(field, row, vectors, vector)
     return found
-
-
-@inlined
-def _widen(ranges: Float32s, which: int, rows: Float32s, row: int) -> None:
-    """Have a range hold a row of values, too."""
-    values, low, high = four_at(rows, 4 * row), four_at(ranges, 8 * which), four_at(ranges, 8 * which + 4)
-    put(ranges, 8 * which, chosen(values < low, values, low))
-    put(ranges, 8 * which + 4, chosen(values > high, values, high))
 
 
 @inlined
@@ -236,67 +205,35 @@ def _row_of(field: Coefficients, cell: int, flags: np.uint8, facing: int) -> int
 
 
 @inlined
-def _covered(field: Coefficients, row: int, vectors: int, vector: int) -> Four:
+def _covered(field: Coefficients, row: int, vectors: int, vector: int) -> Any:
     """Return a part of a row, times its alpha."""
-    a, b, c, d = _read(field.rows, row * vectors + vector)
-    alpha = field.alpha
+    stored, alpha = four_at(field.rows, 4 * (row * vectors + vector)), field.alpha
     if alpha < 0:
-        return a, b, c, d
+        return stored
+    a, b, c, d = lanes(stored)
     coverage = field.rows[row * vectors + (alpha >> 2), alpha & 3]
     own, one = alpha - 4 * vector, field.components - 4 * vector
     a = a if own == 0 or one == 0 else a * coverage
     b = b if own == 1 or one == 1 else b * coverage
     c = c if own == 2 or one == 2 else c * coverage
     d = d if own == 3 or one == 3 else d * coverage
-    return a, b, c, d
+    return vector_of((a, b, c, d))
 
 
 @inlined
 def _refine(rows: Float32s, first: int, upper: int) -> None:
     """Refine the window above into that from row ``first`` on; ``upper`` is the half of its parent."""
-    step = 1
+    step, near, far = 4, four(0.75), four(0.25)
+    first, places = 4 * first, 4 * _PLACES
     for axis in range(3):
         turn = 2 * step if upper >> axis & 1 else 0  # begin at the other end
-        source = first - _PLACES if axis == 0 else first
-        for block in range(0, _PLACES, 3 * step):
-            for at in range(block, block + step):
+        source = first - places if axis == 0 else first
+        for block in range(0, places, 3 * step):
+            for at in range(block, block + step, 4):
                 low, middle, high = at + turn, at + step, at + 2 * step - turn
-                a, b, c = _read(rows, source + low), _read(rows, source + middle), _read(rows, source + high)
-                _write(rows, first + low, _blended(a, b))
-                _write(rows, first + middle, _blended(b, a))
-                _write(rows, first + high, _blended(b, c))
+                a, b = four_at(rows, source + low), four_at(rows, source + middle)
+                c = four_at(rows, source + high)
+                put(rows, first + low, near * a + far * b)
+                put(rows, first + middle, near * b + far * a)
+                put(rows, first + high, near * b + far * c)
         step *= 3
-
-
-# Rows are read as a whole before one is written: the compiler makes vectors of that.
-
-
-@inlined
-def _read(rows: Float32s, row: int) -> Four:
-    return rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3]
-
-
-@inlined
-def _write(rows: Float32s, row: int, values: Four) -> None:
-    rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = values
-
-
-@inlined
-def _added(total: Four, factor: np.float32, values: Four) -> Four:
-    return (
-        total[0] + factor * values[0],
-        total[1] + factor * values[1],
-        total[2] + factor * values[2],
-        total[3] + factor * values[3],
-    )
-
-
-@inlined
-def _blended(near: Four, far: Four) -> Four:
-    a, b = np.float32(0.75), np.float32(0.25)
-    return (
-        a * near[0] + b * far[0],
-        a * near[1] + b * far[1],
-        a * near[2] + b * far[2],
-        a * near[3] + b * far[3],
-    )

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts
-from octex.channels import ALPHA, ONE, ChannelFormat, check_range, encode
-from octex.checks import as_choice, as_entries
+from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts, in_runs
+from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.samples import Samples, Taken, join, take_samples
@@ -61,8 +60,6 @@ _FEW_BLOCKS, _SMALL_BITS = 1024, 3
 #: Files of parts that are joined to one.
 _JOINED = 16
 
-#: A stored type for all channels, for some by their names, or the source's own.
-Dtypes: TypeAlias = str | Mapping[str, str] | None
 #: Says which blocks of a level are to be converted.
 Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
@@ -203,8 +200,7 @@ def _interleaved(one: Sums, other: Sums) -> Sums:
     codes, flags, sums = _end_to_end([one, other], np.concatenate)
     counts = bit_counts(flags).astype(np.int64)
     order = np.argsort(codes, kind="stable")
-    firsts, counts = (np.cumsum(counts) - counts)[order], counts[order]
-    rows = np.repeat(firsts - (np.cumsum(counts) - counts), counts) + np.arange(len(sums))
+    rows = in_runs((np.cumsum(counts) - counts)[order], counts[order])
     return Sums(codes[order], flags[order], sums[rows])
 
 
@@ -439,29 +435,3 @@ def is_degenerate(surface: Surface, placement: Placement) -> bool:
     """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
     count, _ = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
     return count == len(surface.triangles)
-
-
-def formats_as(channels: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFormat, ...]:
-    """Return how the channels of a source are stored.
-
-    ``dtype`` is a type for all or some by name; None, and others, stay as they are. Raises ArgumentError for
-    unknown names and types. Whether an integer type holds a source's values shows when these are read.
-    """
-    names = [channel.name for channel in channels]
-    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
-    for each in wanted:
-        as_choice(each, names, "channel of dtype")
-    formats = []
-    for channel in channels:
-        chosen = wanted.get(channel.name)
-        if chosen is None:
-            formats.append(channel)
-            continue
-        as_choice(chosen, ONE, "dtype")
-        space = channel.space
-        if chosen.startswith("float"):
-            space = "linear" if space == "srgb" else space
-        elif space == "linear" and channel.dtype.startswith("float"):
-            space = "srgb"
-        formats.append(channel._replace(space=space, dtype=chosen))
-    return tuple(formats)

@@ -169,24 +169,3 @@ def are_apart_by_less(
         largest += each
     dark, light = float(darkest), float(darkest + largest)
     return _code_between(dark, light, kind, columns.curve) <= most
-
-
-@inlined
-def all_near(bounds: Float32s, columns: ErrorColumns, most: float) -> bool:
-    """Say whether all that lies between ``bounds`` (2, components) is ``most`` codes apart or less.
-
-    Unit vectors are apart by 2·√3 times as much as vectors of half their length or more.
-    """
-    components = columns.kinds.size
-    for component in range(components):
-        low, high = float(bounds[0, component]), float(bounds[1, component])
-        apart = _code_between(low, high, columns.kinds[component], columns.curve)
-        if columns.vectors[component] >= 0 and apart > 0.0:
-            square = 0.0  # of the shortest
-            for each in range(columns.vectors[component], components):
-                if columns.vectors[each] == columns.vectors[component]:
-                    square += max(bounds[0, each], -bounds[1, each], 0.0) ** 2
-            apart = 2.0 * math.sqrt(3.0) * apart if square >= 0.25 else np.inf
-        if not apart <= most:
-            return False
-    return True

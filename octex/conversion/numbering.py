@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int32s, Int64s, bit_counts
+from octex.arrays import Bools, Float32s, Int32s, Int64s, bit_counts, in_runs
 from octex.conversion import large
 from octex.conversion.samples import Samples
 from octex.field.taps import Taps
@@ -61,8 +61,7 @@ class Leaves(NamedTuple):
         at = np.searchsorted(tree.split.cells, cells)
         first_rows, counts = (np.cumsum(counts) - counts)[at], counts[at]
         heads = np.cumsum(counts) - counts
-        within = np.arange(counts.sum()) - np.repeat(heads, counts)
-        rows = tree.n_cells + np.repeat(first_rows, counts) + within
+        rows = tree.n_cells + in_runs(first_rows, counts)
         ranks = large.empty(tree.n_cells + tree.split.areas.size, np.int64)
         ranks[:] = -1
         ranks[rows] = np.arange(rows.size)

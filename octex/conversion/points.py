@@ -11,11 +11,12 @@ import octex
 from octex.arrays import Uint8s
 from octex.channels import ALPHA, BASE_COLOR
 from octex.checks import as_choice, as_names
-from octex.conversion.levels import CellLevels, Dtypes, assemble, climb, formats_as
+from octex.conversion.levels import CellLevels, assemble, climb
 from octex.nearest.boxes import order_of, rows_in
 from octex.parallel import Progress
 from octex.source.cloud import PointCloud
 from octex.texture import OctreeTexture
+from octex.texture.channel import Dtypes, formats_as
 from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_DEPTH
 from octex.tree.morton import encode_cells
 from octex.tree.placement import Placement, on_grid

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s
+from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s, Uint16s, in_runs
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.jit import inlined, kernel, popcount
@@ -60,9 +60,7 @@ class Samples(NamedTuple):
 
     def rows(self, cells: Int64s) -> Int64s:
         """Return the numbers of the samples of some cells, cell by cell."""
-        counts = self.firsts[cells + 1] - self.firsts[cells]
-        ends = np.cumsum(counts)
-        return np.repeat(self.firsts[cells] - ends + counts, counts) + np.arange(counts.sum())
+        return in_runs(self.firsts[cells], self.firsts[cells + 1] - self.firsts[cells])
 
     def of(self, cells: Int64s) -> Samples:
         """Return the samples of some cells, in order."""

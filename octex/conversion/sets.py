@@ -15,7 +15,7 @@ from octex.checks import as_entries, as_names, as_path, is_path
 from octex.conversion.apart import as_fineness
 from octex.conversion.convert import convert, placed, surface_of
 from octex.conversion.detail import DetailFunction, channel_of
-from octex.conversion.levels import Dtypes, formats_as, is_degenerate
+from octex.conversion.levels import is_degenerate
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.base import by_channel
@@ -23,6 +23,7 @@ from octex.source.cloud import PointCloud, is_cloud
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, TextureSet
+from octex.texture.channel import Dtypes, formats_as
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 

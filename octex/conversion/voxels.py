@@ -11,13 +11,13 @@ import octex
 from octex.arrays import Array
 from octex.channels import ALPHA, ChannelFormat, check_range, decode, encode
 from octex.checks import as_choice, as_names
-from octex.conversion.levels import Dtypes, formats_as
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.nodes import all_nodes
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, silent
 from octex.source.voxels import Values, Voxels
 from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import Dtypes, formats_as
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s
+from octex.arrays import Array, Bools, ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, in_runs
 from octex.channels import (
     CHANNELS,
     LEAST_COVERAGE,
@@ -222,7 +222,7 @@ def child_means(
     starts = firsts - begin
     if counts.sum() != end - begin:  # they do not stand side by side
         starts = np.cumsum(counts) - counts
-        children = np.repeat(firsts - starts, counts) + np.arange(counts.sum())
+        children = in_runs(firsts, counts)
         children = np.clip(children, 0, tree.n_cells - 1)
     weights = NO_TABLE if alpha is None else coverage(alpha[children])
     areas = tree.arrays.areas[children], AREAS

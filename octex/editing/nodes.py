@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s
+from octex.arrays import Bools, Int64s, in_runs
 from octex.tree.children import children_of, node_cells
 from octex.tree.edit import locate
 from octex.tree.octree import Octree
@@ -53,8 +53,7 @@ def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
 def all_children(tree: Octree, numbers: Int64s) -> tuple[Int64s, Int64s]:
     """Return the children (m,) of nodes (n,), given by their numbers, and where those of each begin (n,)."""
     firsts, counts = children_of(tree.arrays.groups, numbers)
-    starts = np.cumsum(counts) - counts
-    return np.repeat(firsts - starts, counts) + np.arange(counts.sum()), starts
+    return in_runs(firsts, counts), np.cumsum(counts) - counts
 
 
 def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int64s]]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s, in_runs
 from octex.channels import alpha_of, decode, encode
 from octex.editing.averages import weighted_means
 from octex.editing.split import differ, with_split
@@ -118,7 +118,7 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
     """Return the taps of facings of cells, for which of them there are rows in the split table, and these."""
     counts = np.diff(taps.starts)[owners]
     starts = np.cumsum(np.concatenate([[0], counts]))
-    own = np.repeat(taps.starts[owners] - starts[:-1], counts) + np.arange(starts[-1])
+    own = in_runs(taps.starts[owners], counts)
     rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
     cells = rows.astype(np.int64)
     is_kept = cells >= tree.n_cells

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts
+from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts, in_runs
 from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.children import children_before, groups_of, masks_of
@@ -39,8 +39,7 @@ class Runs(NamedTuple):
 
     def numbers(self) -> Int64s:
         """Return all numbers of the runs."""
-        counts = self.ends - self.begins
-        return np.repeat(self.begins - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+        return in_runs(self.begins, self.ends - self.begins)
 
     def of(self, arrays: Sequence[Array]) -> Array:
         """Join the runs of an array of each texture."""

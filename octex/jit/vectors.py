@@ -142,7 +142,7 @@ def _write_vector(context: Any, builder: Any, signature: Any, given: Any) -> Any
 
 
 @instruction(lambda numbers: Vector(numbers.dtype, numbers.count)(numbers), _write_vector)
-def _vector(numbers: Any) -> Any:
+def vector_of(numbers: Any) -> Any:
     """Return a tuple's numbers as a vector."""
     return np.array(numbers)
 
@@ -180,7 +180,7 @@ def weighted_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int) -
 @inlined
 def add_to_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int, step: Any) -> None:
     """Add weights[i] · row[3] · step to row = rows[numbers[i]], for i from ``first`` to ``end`` − 1."""
-    change = _vector(step)
+    change = vector_of(step)
     for i in range(first, end):
         at = np.uint64(i)
         place = np.int64(numbers[at]) << 2

@@ -37,12 +37,17 @@ class Edit(Protocol):
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
     """Return provenance with one more operation."""
+    return with_listed(metadata, PROCESSED, [{"operation": operation, **how}])
+
+
+def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object]) -> dict[str, str]:
+    """Return metadata with more entries of a JSON list; what else stands there becomes its first."""
     try:
-        before = json.loads(metadata.get(PROCESSED, "[]"))
+        before = json.loads(metadata.get(name, "[]"))
     except ValueError:
-        before = metadata[PROCESSED]
+        before = metadata[name]
     listed = before if isinstance(before, list) else [before]
-    return {**metadata, PROCESSED: json.dumps([*listed, {"operation": operation, **how}])}
+    return {**metadata, name: json.dumps([*listed, *entries])}
 
 
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:

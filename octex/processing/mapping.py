@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 from typing import cast as typed
@@ -22,12 +22,13 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.checks import as_choice, as_entries, as_names, as_number, as_reals
+from octex.checks import as_choice, as_names, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.functions import answer, name_of, takes_both
 from octex.jit import kernel
 from octex.processing.edit import Centres, edited, names_of, noted
 from octex.texture import Channel, OctreeTexture, as_texture
+from octex.texture.channel import Dtypes, formats_as
 
 #: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
 BLOCK = 1 << 13
@@ -298,7 +299,7 @@ def _monotone(points: Float64s, values: Float64s) -> Float64s:
 
 def cast(
     texture: OctreeTexture,
-    dtype: str | Mapping[str, str] | None = None,
+    dtype: Dtypes = None,
     channels: Sequence[str] | None = None,
 ) -> OctreeTexture:
     """Return a texture with other stored types, and optionally only some channels.
@@ -315,29 +316,10 @@ def cast(
         as_choice(name, texture.channels, "channel")
     if len(set(names)) < len(names):
         raise ArgumentError(f"channels are named twice: {', '.join(names)}")
-    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
-    for name, each in wanted.items():
-        as_choice(name, names, "channel of dtype")
-        if each is not None:
-            as_choice(each, ONE, "dtype")
-    made = {name: channel_as(texture.channels[name], wanted.get(name)) for name in names}
-    metadata = noted(
-        texture.metadata, "cast", channels={name: each.format.dtype for name, each in made.items()}
-    )
+    forms = formats_as([texture.channels[name].format for name in names], dtype)
+    made = {form.name: in_format(texture.channels[form.name], form) for form in forms}
+    metadata = noted(texture.metadata, "cast", channels={form.name: form.dtype for form in forms})
     return OctreeTexture(texture.tree, made, texture.placement, texture.bounds, metadata)
-
-
-def channel_as(channel: Channel, dtype: str | None) -> Channel:
-    """Return a channel as another type stores it."""
-    form = channel.format
-    if dtype is None or dtype == form.dtype:
-        return channel
-    space = form.space
-    if dtype.startswith("float") and space == "srgb":
-        space = "linear"
-    elif dtype.startswith("u") and space == "linear" and form.dtype.startswith("float"):
-        space = "srgb"
-    return in_format(channel, form._replace(dtype=dtype, space=space))
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:

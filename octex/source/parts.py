@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s
+from octex.arrays import Float64s, Int32s, Int64s, in_runs
 from octex.checks import as_number, as_positive
 from octex.errors import ArgumentError
 from octex.jit import kernel
@@ -226,8 +226,7 @@ def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[
         last = max(int(np.searchsorted(totals, done + _BLOCK, side="right")), first + 1)
         repeats = counts[first:last]
         a = np.repeat(np.arange(first, last), repeats)
-        b = a + 1 + np.arange(len(a)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-        a, b = order[a], order[b]
+        a, b = order[a], order[in_runs(np.arange(first, last) + 1, repeats)]
         meets = ((low[a] <= high[b] + margin) & (low[b] <= high[a] + margin)).all(axis=1)
         yield a[meets], b[meets]
         first = last

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from octex.tree.octree import Octree
 
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
 NO_TABLE = np.empty(0, np.float32)
+
+#: A stored type for all channels, for some by their names, or the type that each has.
+Dtypes: TypeAlias = str | Mapping[str, str] | None
 
 #: Rows that are looked at together.
 _PIECE = 1 << 18
@@ -106,6 +109,32 @@ def as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Chan
             raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
         channel.check(name, tree)
     return {name: channel.locked() for name, channel in given.items()}
+
+
+def formats_as(forms: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFormat, ...]:
+    """Return channels' formats with other stored types: floats store linear light, integers sRGB.
+
+    Where ``dtype`` gives none, or the one that a channel has, its format stays. Raises ArgumentError for
+    unknown names and types. Whether an integer type holds a channel's values shows when these are read.
+    """
+    names = [form.name for form in forms]
+    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for name, chosen in wanted.items():
+        as_choice(name, names, "channel of dtype")
+        if chosen is not None:
+            as_choice(chosen, ONE, "dtype")
+    return tuple(_format_as(form, wanted.get(form.name)) for form in forms)
+
+
+def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:
+    if dtype is None or dtype == form.dtype:
+        return form
+    space = form.space
+    if dtype.startswith("float"):
+        space = "linear" if space == "srgb" else space
+    elif space == "linear" and form.dtype.startswith("float"):
+        space = "srgb"
+    return form._replace(space=space, dtype=dtype)
 
 
 def stored(channel: Channel) -> ChannelRows:

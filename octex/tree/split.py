@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint8s, bit_counts
+from octex.arrays import Bools, Int64s, Uint8s, bit_counts, in_runs
 from octex.tree.areas import shared_codes
 from octex.tree.layout import FACING_FLAGS, SplitTable
 
@@ -47,7 +47,7 @@ def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
         chosen = np.searchsorted(own, shared)
     counts = counts_of(split.facings)
     firsts, own = (np.cumsum(counts) - counts)[chosen], counts[chosen]
-    rows = np.repeat(firsts - (np.cumsum(own) - own), own) + np.arange(own.sum())
+    rows = in_runs(firsts, own)
     return Rows(rows, np.repeat(split.cells[chosen].astype(np.int64), own), bits_of(split.facings[chosen]))
 
 

@@ -20,7 +20,6 @@ from octex.channels import (
 )
 from octex.conversion.measure import (
     ErrorColumns,
-    all_near,
     are_apart_by_less,
     are_near,
     are_near_between,
@@ -48,11 +47,6 @@ def _apart_by_less(values: Array, columns: ErrorColumns, component: int, count: 
 @kernel
 def _near_between(differences: Array, count: int, most: float) -> bool:
     return are_near_between(differences, count, most)
-
-
-@kernel
-def _all_near(bounds: Array, columns: ErrorColumns, most: float) -> bool:
-    return all_near(bounds, columns, most)
 
 
 def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
@@ -113,21 +107,6 @@ def test_directions_count_as_unit_vectors_too():
     assert apart > 127.5 * 0.1
     assert far_rows(short, other, (NORMAL,), apart - 0.1)
     assert not far_rows(short, other, (NORMAL,), apart + 0.1)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_what_lies_between_near_bounds_is_near(seed: int):
-    random = np.random.default_rng(seed)
-    forms = (BASE_COLOR, NORMAL, ROUGHNESS)
-    middle, width = random.uniform(-0.5, 1.2, 7), random.random(7) * 10 ** -random.uniform(0.5, 3)
-    bounds = np.array([middle - width, middle + width], np.float32)
-    most = 10 ** random.uniform(-1, 2)
-    if _all_near(bounds, ErrorColumns.of(forms), most):
-        for _ in range(20):
-            rows = bounds[0] + random.choice([0, 1, random.random()], (2, 7)) * (bounds[1] - bounds[0])
-            assert not far_rows(*rows, forms, 1.001 * most + 1e-3)
-    assert _all_near(bounds[[0, 0]], ErrorColumns.of(forms), 0.0)
-    assert not _all_near(bounds, ErrorColumns.of(forms), -1.0)
 
 
 @given(st.integers(0, 2**32 - 1))

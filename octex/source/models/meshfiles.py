@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s
+from octex.arrays import Float32s, Float64s, Int64s, in_runs
 from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors, screen_colors
@@ -106,8 +106,7 @@ def load_off(path: Path, options: Options) -> Surface:
     sizes = whole_numbers(values[starts])
     if not ((sizes >= 0) & (sizes < counts)).all():
         raise damaged(f"{name}: a face has fewer corners than it says")
-    within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    indices = whole_numbers(values[np.repeat(starts + 1, sizes) + within])
+    indices = whole_numbers(values[in_runs(starts + 1, sizes)])
     part, _, numbers = cut_part(name, positions, indices, sizes)
     of_faces = _off_colors(values, starts + 1 + sizes, counts - 1 - sizes)
     part = with_colors(part, numbers, of_vertices, of_faces)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Int64s, Uint8s
+from octex.arrays import Array, Float32s, Float64s, Int64s, Uint8s, in_runs
 from octex.channels import ONE
 from octex.errors import ImageError, ModelError, damaged
 from octex.files import read_bytes, referred
@@ -146,8 +146,7 @@ class Ply:
         width = 1 if self._ascii else dtype.itemsize
         is_list = kind.count_type is not None
         if is_list:
-            within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-            starts = np.repeat(starts, sizes) + within * width
+            starts = np.repeat(starts, sizes) + in_runs(np.zeros_like(sizes), sizes) * width
         if self._ascii:
             values: Array = numbers[starts]
         else:
