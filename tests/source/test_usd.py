@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 import pytest
+import trimesh
 
 import octex
 from octex.channels import srgb_to_linear
@@ -371,11 +372,94 @@ def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path: 
         copy.GetPrim().SetInstanceable(True)
     UsdGeom.Imageable(made.square("/hidden", st=None)).MakeInvisible()
     made.square("/proxy", st=None).CreatePurposeAttr("proxy")
-    UsdGeom.PointInstancer.Define(made.stage, "/many")
-    with pytest.warns(ModelWarning, match="/many is a point instancer"):
-        read = made.read()
+    read = made.read()
     np.testing.assert_allclose(read.bounds, [[0, 0, 0], [3, 1, 0]])
     assert len(read.triangles) == 4
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize(
+    ("kind", "volume"),
+    [
+        ("Cube", 0.6**3),
+        ("Sphere", 4 / 3 * np.pi * 0.3**3),
+        ("Cylinder", np.pi * 0.3**2 * 0.8),
+        ("Cone", np.pi * 0.3**2 * 0.8 / 3),
+        ("Capsule", np.pi * 0.3**2 * (0.8 + 4 / 3 * 0.3)),
+    ],
+)
+def test_solids_are_closed_and_as_large_as_openusd_says(
+    tmp_path: Path, kind: str, volume: float, axis: str
+) -> None:
+    made = Stage(tmp_path)
+    prim = made.stage.DefinePrim("/solid", kind)
+    for name, value in (("size", 0.6), ("radius", 0.3), ("height", 0.8), ("axis", axis)):
+        if prim.HasAttribute(name):
+            prim.GetAttribute(name).Set(value)
+    UsdGeom.Gprim(prim).CreateDisplayColorAttr([(0.2, 0.4, 0.6)])
+    read = made.read()
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
+    np.testing.assert_allclose(read.bounds, np.array(extent), atol=1e-6)
+    solid = trimesh.Trimesh(read.vertices, read.triangles)
+    assert solid.is_watertight
+    assert volume * 0.99 < solid.volume < volume * (1 + 1e-9)  # positive: faces look outwards
+    np.testing.assert_allclose(read.evaluate(read.scatter(9)), [[0.2, 0.4, 0.6]] * 9, rtol=1e-6)
+    np.testing.assert_array_equal(made.read(normals=True).triangles, read.triangles)
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_planes_look_along_their_axis(tmp_path: Path, axis: str) -> None:
+    made = Stage(tmp_path)
+    plane = UsdGeom.Plane.Define(made.stage, "/plane")
+    plane.CreateWidthAttr(2.0), plane.CreateLengthAttr(3.0), plane.CreateAxisAttr(axis)
+    read = made.read()
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(plane, Usd.TimeCode.Default())
+    np.testing.assert_allclose(read.bounds, np.array(extent), atol=1e-6)
+    normals = trimesh.Trimesh(read.vertices, read.triangles, process=False).face_normals
+    np.testing.assert_allclose(normals, [np.eye(3)["XYZ".index(axis)]] * 2)
+
+
+def test_point_instancers_place_their_prototypes(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    group = UsdGeom.Xform.Define(made.stage, "/group")
+    group.AddTranslateOp().Set(Gf.Vec3d(0, 10, 0))
+    outer = UsdGeom.PointInstancer.Define(made.stage, "/group/outer")
+    inner = UsdGeom.PointInstancer.Define(made.stage, "/group/outer/prototypes/inner")
+    made.square("/group/outer/prototypes/inner/square", st=None)
+    cube = UsdGeom.Cube.Define(made.stage, "/group/outer/prototypes/cube")
+    cube.AddScaleOp().Set(Gf.Vec3f(0.1, 0.2, 0.3))
+    half = float(np.sqrt(0.5))
+    inner.CreatePositionsAttr([(0, 0, 0), (3, 0, 0)])
+    inner.CreateProtoIndicesAttr([0, 0])
+    inner.CreatePrototypesRel().SetTargets(["/group/outer/prototypes/inner/square"])
+    outer.CreatePositionsAttr([(0, 0, 0), (0, 0, 5), (7, 0, 0), (90, 0, 0)])
+    outer.CreateOrientationsAttr([Gf.Quath(1), Gf.Quath(half, 0, half, 0), Gf.Quath(1), Gf.Quath(1)])
+    outer.CreateScalesAttr([(1, 1, 1), (2, 2, 2), (1, 1, 1), (1, 1, 1)])
+    outer.CreateProtoIndicesAttr([0, 0, 1, 1])
+    outer.CreateIdsAttr([10, 11, 12, 13])
+    outer.InvisIds([13], Usd.TimeCode.Default())
+    outer.CreatePrototypesRel().SetTargets([inner.GetPath(), cube.GetPath()])
+    read = made.read()
+    assert len(read.triangles) == 4 * 2 + 12
+    cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"])
+    box = cache.ComputeWorldBound(made.stage.GetPseudoRoot()).ComputeAlignedRange()
+    np.testing.assert_allclose(read.bounds, np.array([box.GetMin(), box.GetMax()]), atol=2e-3)
+    area = 2 * 1 + 2 * 4 + 8 * (0.02 + 0.03 + 0.06)
+    np.testing.assert_allclose(read.areas().sum(), area, rtol=1e-3)
+
+
+def test_damaged_point_instancers_are_refused(tmp_path: Path) -> None:
+    made = Stage(tmp_path)
+    made.square("/many/square", st=None)
+    many = UsdGeom.PointInstancer.Define(made.stage, "/many")
+    many.CreatePrototypesRel().SetTargets(["/many/square"])
+    many.CreatePositionsAttr([(0, 0, 0), (3, 0, 0)])
+    many.CreateProtoIndicesAttr([0, 1])
+    with pytest.raises(ModelError, match="/many uses a prototype 1, but there are 1"):
+        made.read()
+    many.CreateProtoIndicesAttr([0, 0, 0])
+    with pytest.raises(ModelError, match="/many has 3 instances, places 0"):
+        made.read()
 
 
 def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) -> None:
@@ -463,7 +547,7 @@ def test_what_programs_write_besides_the_specification_is_read(
     (tmp_path / "image.png").rename(tmp_path / "maps/image.png")
     UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set(".\\maps\\image.png")
     mesh.GetPrim().RemoveAPI(UsdShade.MaterialBindingAPI)
-    UsdGeom.Sphere.Define(made.stage, "/ball")
+    UsdGeom.BasisCurves.Define(made.stage, "/hair")
     made.stage.DefinePrim("/part").GetReferences().AddReference("gone.usda")
     made.stage.GetRootLayer().Save()
     text = made.path.read_text().replace("metersPerUnit = 1", "metersPerUnit = 0.5")
@@ -475,7 +559,7 @@ def test_what_programs_write_besides_the_specification_is_read(
     with pytest.warns(ModelWarning) as said:
         read = octex.load_surface(made.path)
     texts = " ".join(str(each.message) for each in said)
-    assert "leaves out 1 Sphere" in texts
+    assert "leaves out 1 BasisCurves" in texts
     assert "gone.usda" in texts
     assert capfd.readouterr().err == ""
     np.testing.assert_allclose(read.bounds, [[0, 0, 0], [0.5, 0.5, 0]])

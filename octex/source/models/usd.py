@@ -1,4 +1,4 @@
-"""USD stages, .usd, .usda, .usdc and .usdz: meshes, their transforms, and UsdPreviewSurface materials.
+"""USD stages, .usd, .usda, .usdc and .usdz: meshes, shapes, transforms, and UsdPreviewSurface materials.
 
 OpenUSD (the extra ``usd``) composes the stage. It is read in metres with y up, as glTF has it. Meshes are
 taken as they are modelled: polygons of a subdivision surface are its cage, at the earliest time sampled.
@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from octex.source.models.reading import (
     warn,
     with_frames,
 )
+from octex.source.models.usd_shapes import shape_polygons
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
@@ -50,15 +52,17 @@ _CHANNELS = {
 #: What inputs may be connected to: images, and primvars that readers of them read for a channel.
 _READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
+#: Point instancers may have prototypes with point instancers, so many times.
+_NESTED = 8
 #: How a primvar's values are spread; as in UsdGeom's tokens.
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
 
 def load_usd(path: Path, options: Options) -> Surface:
-    """Read the meshes of a USD stage that are shown, with their materials.
+    """Read the meshes and shapes of a USD stage that are shown, with their materials.
 
-    Point instancers, shapes that are no meshes and materials other than UsdPreviewSurface are left out, with
-    ModelWarning; without coordinates images are read at (0, 0). ``uv`` is ``st`` or the first read.
+    Curves, points and materials other than UsdPreviewSurface are left out, with ModelWarning; without
+    coordinates images are read at (0, 0). ``uv`` is ``st`` or the first read.
     """
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
     try:
@@ -93,11 +97,13 @@ class _Scene:
 
     def surface(self) -> Surface:
         """Return all that is shown."""
-        prims = [(prim, *self._materials_of(prim)) for prim in self._shown()]
+        shown = self._shown()
+        bound = {prim: self._materials_of(prim) for prim, _ in shown}
         has_frames = self._options.normals or any(
-            each.material.normal_slot is not None for _, _, known in prims for each in known.values()
+            each.material.normal_slot is not None for _, known in bound.values() for each in known.values()
         )
-        parts = [part for prim in prims if len((part := self._part(*prim, has_frames=has_frames)).triangles)]
+        every = {prim: self._part(prim, *each, has_frames=has_frames) for prim, each in bound.items()}
+        parts = [every[prim]._replace(matrix=matrix) for prim, matrix in shown if len(every[prim].triangles)]
         for name, meshes in self._lacking.items():
             more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
             what = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
@@ -110,42 +116,75 @@ class _Scene:
             provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         )  # fmt: skip
 
-    def _shown(self) -> list[Any]:
-        meshes = []
+    def _shown(self) -> list[tuple[Any, Float64s]]:
+        """List the meshes and shapes that are shown, with the matrix (4, 4) that takes each to the world.
+
+        The world is in metres with y up.
+        """
+        world = np.eye(4)
+        if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
+            world = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+        # Some programs write single precision, which UsdGeom's own function refuses.
+        world[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
         others: Counter[str] = Counter()
-        every = iter(Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
-        for prim in every:
-            if prim.IsA(UsdGeom.PointInstancer):
-                every.PruneChildren()
-                warn(f"{self._name}: {prim.GetPath()} is a point instancer, which octex leaves out")
-            elif prim.IsA(UsdGeom.Gprim):
-                seen = UsdGeom.Imageable(prim)
-                purposes = UsdGeom.Tokens.default_, UsdGeom.Tokens.render
-                is_hidden = seen.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
-                if is_hidden or seen.ComputePurpose() not in purposes:
-                    continue
-                if prim.IsA(UsdGeom.Mesh):
-                    meshes.append(prim)
-                else:
-                    others[prim.GetTypeName()] += 1
+        shown = list(self._within(self._stage.GetPseudoRoot(), world, others))
         if others:
             listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
-            warn(f"{self._name}: of its shapes octex reads meshes, and leaves out {listing}; export meshes")
-        return meshes
+            warn(f"{self._name}: octex reads meshes and solids, and leaves out {listing}; export meshes")
+        return shown
 
-    def _placed(self, prim: Any) -> Float64s:
-        """Return the matrix (4, 4) that takes a mesh to the world, in metres with y up."""
-        placed = np.array(self._places.GetLocalToWorldTransform(prim)).T
-        if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
-            placed = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]) @ placed
-        # Some programs write single precision, which UsdGeom's own function refuses.
-        placed[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
-        return np.asarray(placed, np.float64)
+    def _within(
+        self, root: Any, outer: Float64s, others: Counter[str], depth: int = 0
+    ) -> Iterator[tuple[Any, Float64s]]:
+        """Yield what is shown of a prim and below it, placed by ``outer`` with respect to that prim."""
+        every = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+        for prim in every:
+            is_instancer = prim.IsA(UsdGeom.PointInstancer)
+            if is_instancer:
+                every.PruneChildren()
+            elif not prim.IsA(UsdGeom.Gprim):
+                continue
+            seen = UsdGeom.Imageable(prim)
+            purposes = UsdGeom.Tokens.default_, UsdGeom.Tokens.render
+            is_hidden = seen.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
+            if is_hidden or seen.ComputePurpose() not in purposes:
+                continue
+            matrix = outer @ self._placed(prim, root)
+            if is_instancer and depth < _NESTED:
+                for prototype, place in self._instances(prim):
+                    yield from self._within(prototype, matrix @ place, others, depth + 1)
+            elif prim.IsA(UsdGeom.Mesh) or shape_polygons(prim, self._time) is not None:
+                yield prim, matrix
+            else:
+                others[prim.GetTypeName()] += 1
+
+    def _placed(self, prim: Any, root: Any) -> Float64s:
+        """Return the matrix (4, 4) that takes a prim to the space of one above it."""
+        if root.IsPseudoRoot():
+            return np.array(self._places.GetLocalToWorldTransform(prim), np.float64).T
+        return np.array(self._places.ComputeRelativeTransform(prim, root)[0], np.float64).T
+
+    def _instances(self, prim: Any) -> Iterator[tuple[Any, Float64s]]:
+        """Yield the prototype and the matrix (4, 4) of each instance of a point instancer."""
+        instancer = UsdGeom.PointInstancer(prim)
+        prototypes = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
+        chosen = _rows(instancer.GetProtoIndicesAttr().Get(self._time)).astype(np.int64)
+        _check_below(chosen, len(prototypes), f"{self._name}: {prim.GetPath()} uses a prototype")
+        places = instancer.ComputeInstanceTransformsAtTime(
+            self._time, self._time, UsdGeom.PointInstancer.IncludeProtoXform,
+            UsdGeom.PointInstancer.IgnoreMask,
+        )  # fmt: skip
+        if len(places) != len(chosen):
+            raise damaged(f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(places)}")
+        is_shown = instancer.ComputeMaskAtTime(self._time) or [True] * len(chosen)
+        for number, place, shown in zip(chosen.tolist(), places, is_shown, strict=True):
+            if shown and prototypes[number]:
+                yield prototypes[number], np.array(place, np.float64).T
 
     def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
         """Return the faces of a mesh by their materials' numbers, and these; the mesh's own comes first."""
         api = UsdShade.MaterialBindingAPI(prim)
-        both = bool(UsdGeom.Mesh(prim).GetDoubleSidedAttr().Get(self._time))
+        both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
         default = self._materials.number(api.ComputeBoundMaterial()[0], both)
         faces: dict[int, Int64s] = {default: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
@@ -158,21 +197,27 @@ class _Scene:
     def _part(
         self, prim: Any, faces: dict[int, Int64s], known: dict[int, Description], *, has_frames: bool
     ) -> Part:
-        mesh, what = UsdGeom.Mesh(prim), f"{self._name}: {prim.GetPath()}"
-        positions = _rows(mesh.GetPointsAttr().Get(self._time), 3).astype(np.float64)
-        sizes = _rows(mesh.GetFaceVertexCountsAttr().Get(self._time)).astype(np.int64)
-        corners = _rows(mesh.GetFaceVertexIndicesAttr().Get(self._time)).astype(np.int64)
+        what, holes = f"{self._name}: {prim.GetPath()}", np.empty(0, np.int64)
+        shape = shape_polygons(prim, self._time)
+        if shape is not None:
+            positions, sizes, corners = shape
+        else:
+            mesh = UsdGeom.Mesh(prim)
+            positions = _rows(mesh.GetPointsAttr().Get(self._time), 3).astype(np.float64)
+            sizes = _rows(mesh.GetFaceVertexCountsAttr().Get(self._time)).astype(np.int64)
+            corners = _rows(mesh.GetFaceVertexIndicesAttr().Get(self._time)).astype(np.int64)
+            holes = _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64)
         if not self._options.finite and not np.isfinite(positions).all():
             raise ModelError(f"{what} has points that are not finite; repair the model")
         if sizes.min(initial=0) < 0 or sizes.sum() != len(corners):
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
         _check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
-        is_shown = ~np.isin(owners, _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64))
+        is_shown = ~np.isin(owners, holes)
         cut, owners = cut[is_shown], owners[is_shown]
         has_polygons = len(np.unique(owners)) < len(owners)
         polygons = cut_polygons(cut, owners, sizes) if has_polygons else None
-        if mesh.GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
+        if UsdGeom.Gprim(prim).GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
             cut, polygons = cut[:, ::-1], polygons and polygons._replace(corners=polygons.corners[:, ::-1])
         primvars = _Primvars(prim, self._time, what, corners, sizes, cut)
         triangles = corners[cut].astype(np.int32)
@@ -180,7 +225,7 @@ class _Scene:
         for number, chosen in faces.items():
             _check_below(chosen, len(sizes), f"{what} binds a material to a face")
             numbers[chosen] = number
-        part = Part(positions, triangles, numbers[owners], polygons=polygons, matrix=self._placed(prim))
+        part = Part(positions, triangles, numbers[owners], polygons=polygons)
         if not self._options.materials:
             return part._replace(materials=np.zeros(len(triangles), np.int32))
         nowhere = Corners(np.zeros((1, 2), np.float32), np.zeros_like(triangles))
@@ -224,7 +269,7 @@ class _Primvars:
         self, prim: Any, time: Any, what: str, corners: Int64s, sizes: Int64s, triangles: Int64s
     ) -> None:
         self.what = what
-        self._mesh, self._api, self._time = UsdGeom.Mesh(prim), UsdGeom.PrimvarsAPI(prim), time
+        self._mesh, self._api, self._time = UsdGeom.PointBased(prim), UsdGeom.PrimvarsAPI(prim), time
         self._rows = {
             "constant": np.zeros(triangles.shape, np.int64),
             "uniform": np.repeat(np.arange(len(sizes)), sizes)[triangles],
@@ -245,6 +290,8 @@ class _Primvars:
     def normals(self) -> Corners | None:
         """Return the normals, of which those that are a primvar come first."""
         primvar = self.corners("normals", 3)
+        if not self._mesh:  # a shape
+            return primvar
         values = self._mesh.GetNormalsAttr().Get(self._time)
         if primvar is not None or values is None or not len(values):
             return primvar
