@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 import octex
 from tests.conftest import needs_jit
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, SIZE, Studio, pictured
 
 
 @needs_jit
@@ -177,3 +178,27 @@ def test_keys_and_the_picker_set_the_brush(studio: Studio, page: Any) -> None:
     studio.drag(page, (0, 0))
     studio.is_done(page)
     assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
+
+
+@needs_jit
+@pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
+def test_each_tool_is_within_the_window_and_boxes_to_tick_are_of_one_size(
+    size: tuple[int, int], page: Any
+) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    boxes = page.locator("#tools button").evaluate_all(
+        "(all) => all.map((each) => each.getBoundingClientRect().toJSON())"
+    )
+    page.evaluate("document.getElementById('where').open = true")
+    widths = page.locator("#where input[type=checkbox]").evaluate_all(
+        "(all) => all.map((each) => each.offsetWidth)"
+    )
+    height, stage = page.evaluate("[viewer.canvas.clientHeight, viewer.canvas.clientWidth]")
+    page.evaluate("document.getElementById('where').open = false")
+    page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+    assert len(boxes) == 9
+    for box in boxes:
+        assert box["left"] >= 0 <= box["top"]
+        assert box["right"] <= stage
+        assert box["bottom"] <= height
+    assert len(set(widths)) == 1
