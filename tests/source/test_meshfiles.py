@@ -137,6 +137,16 @@ def test_ply_textures_are_bound_with_v_up(tmp_path: Path, names: str) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+def test_ply_textures_take_precedence_over_colours(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
+    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    properties |= {name: ("uchar", [192] * 4) for name in ("red", "green", "blue")}
+    properties["alpha"] = ("uchar", [128] * 4)
+    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile a.png"]))
+    assert [form.name for form in surface.channels] == ["base_color"]
+    np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.8), rtol=1e-5)
+
+
 def test_ply_textures_may_be_named_after_the_file(tmp_path: Path) -> None:
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
     properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}

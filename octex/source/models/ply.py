@@ -177,7 +177,7 @@ class Ply:
         return positions, colors, normals
 
     def surface(self, options: Options) -> Surface:
-        """Return the polygons, or strips, with colours of vertices, or else of faces, and images."""
+        """Return the polygons, or strips, with images, or else colours of vertices, or else of faces."""
         vertex, face = self._numbers("vertex"), self._numbers("face")
         positions = self._positions()
         indices, sizes = self._indices("face")
@@ -199,6 +199,8 @@ class Ply:
             what = f"{self.name} names the image {self.images[0]} but has no texture coordinates"
             warn(f"{what} to read it at, so it is left out; give it some")
             return colored_surface(self.name, options, part)
+        # What programs write beside an image is the same again, or a grey that means nothing.
+        part = part._replace(colors=None)
         textures = [Texture(self._image(image)) for image in self.images]
         if "texnumber" in face:
             chosen = whole_numbers(face["texnumber"].values)
