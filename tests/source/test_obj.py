@@ -117,6 +117,18 @@ def test_colours_of_vertices_are_srgb_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(large.evaluate(samples), small.evaluate(samples), atol=1e-6)
 
 
+def test_colours_of_vertices_count_only_where_a_material_has_no_image(tmp_path: Path) -> None:
+    (tmp_path / "grey.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
+    (tmp_path / "a.mtl").write_text("newmtl image\nmap_Kd grey.png\nnewmtl half\nKd 0.5 0.5 0.5\n")
+    vertices = "".join(f"v {x} {y} 0 0.6 0.6 0.6\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    faces = "vt 0 0\nusemtl image\nf 1/1 2/1 3/1\nusemtl half\nf 1/1 3/1 4/1\n"
+    surface = load_surface(obj(tmp_path / "a.obj", f"mtllib a.mtl\n{vertices}{faces}"))
+    samples = surface.scatter(50)
+    light = srgb_to_linear(np.array([0.8, 0.5, 0.6]))
+    expected = np.where(samples.triangles == 0, light[0], light[1] * light[2])
+    np.testing.assert_allclose(surface.evaluate(samples), np.repeat(expected[:, None], 3, 1), rtol=1e-4)
+
+
 def test_vertices_without_a_colour_beside_others_are_white(tmp_path: Path) -> None:
     path = obj(
         tmp_path / "a.obj",

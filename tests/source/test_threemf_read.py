@@ -149,6 +149,17 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path: Path) -> None
             },
             "a triangle uses a vertex that is not among the 0",
         ),
+        (
+            {"3D/3dmodel.model": f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}'},
+            "texture '9' is missing",
+        ),
+        (
+            {
+                "3D/3dmodel.model": '<resources><m:compositematerials id="5" matid="1" matindices="">'
+                f'<m:composite values="1"/></m:compositematerials></resources>{BUILD}'
+            },
+            "compositematerials '5' lacks what it blends",
+        ),
     ],
 )
 def test_damaged_packages_are_refused_in_one_line(

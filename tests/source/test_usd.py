@@ -448,7 +448,7 @@ def test_point_instancers_place_their_prototypes(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.areas().sum(), area, rtol=1e-3)
 
 
-def test_damaged_point_instancers_are_refused(tmp_path: Path) -> None:
+def test_damaged_point_instancers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = Stage(tmp_path)
     made.square("/many/square", st=None)
     many = UsdGeom.PointInstancer.Define(made.stage, "/many")
@@ -459,6 +459,18 @@ def test_damaged_point_instancers_are_refused(tmp_path: Path) -> None:
         made.read()
     many.CreateProtoIndicesAttr([0, 0, 0])
     with pytest.raises(ModelError, match="/many has 3 instances, places 0"):
+        made.read()
+    many.CreateProtoIndicesAttr([0, 0])
+    many.CreatePrototypesRel().SetTargets(["/many"])
+    with pytest.raises(ModelError, match="/many contains itself"):
+        made.read()
+    many.CreatePrototypesRel().SetTargets(["/many/square"])
+    few = UsdGeom.PointInstancer.Define(made.stage, "/few")
+    few.CreatePrototypesRel().SetTargets(["/many"])
+    few.CreatePositionsAttr([(0, 0, 0)] * 2**10)
+    few.CreateProtoIndicesAttr([0] * 2**10)
+    monkeypatch.setattr("octex.source.models.usd._PLACEMENTS", 2**11)
+    with pytest.raises(ModelError, match="/few has too many instances; export fewer"):
         made.read()
 
 

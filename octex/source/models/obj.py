@@ -21,6 +21,7 @@ from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
     Description,
     Options,
+    Part,
     assembled,
     cut_part,
     parse_numbers,
@@ -48,6 +49,7 @@ def load_obj(path: Path, options: Options) -> Surface:
     if options.materials and text.uses:
         known, numbers, files = _bind(text, path, polygons, len(sizes), options)
         part = part._replace(materials=numbers)
+        part = _white_below_images(part, known)
     rows = indices[corners, 1]
     described, uv = dict(enumerate(known)), None
     if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
@@ -239,6 +241,20 @@ def _bind(
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
     return known, numbers[polygons], library.files
+
+
+def _white_below_images(part: Part, known: list[Description]) -> Part:
+    """Return a part without colours of vertices where its materials have images of colour.
+
+    What programs write beside an image is the same again, or a grey that means nothing.
+    """
+    textured = np.array([each.material.inputs["base_color"].texture is not None for each in known])
+    is_white = textured[part.materials]
+    if part.colors is None or not is_white.any():
+        return part
+    values = np.append(part.colors.values, np.ones((1, 4), np.float32), axis=0)
+    rows = np.where(is_white[:, None], np.int32(len(values) - 1), part.colors.rows)
+    return part._replace(colors=Corners(values, rows))
 
 
 def _coordinates(

@@ -149,7 +149,10 @@ class _Package:
             codes = [_color(each.get(word, "#FFFFFFFF")) for each in rows]
             colors = screen_colors(np.array(codes, np.float64).reshape(-1, 4) / 255.0)
         elif kind == "texture2dgroup" and self._options.wants("base_color"):
-            texture = textures[group.get("texid", "")]
+            number = group.get("texid", "")
+            if number not in textures:
+                raise damaged(f"{self._name}: texture {number!r} is missing")
+            texture = textures[number]
             place = texture.get("path", "")
             texels = decode_image(self._read(place), f"{self._name}: {place}")
             texels[..., 3] = ONE[texels.dtype.name]
@@ -158,7 +161,10 @@ class _Package:
             self._images.append(Texture(texels, u, v))
             places = np.array([[each.get("u"), each.get("v")] for each in rows], np.float64).reshape(-1, 2)
         elif kind in ("multiproperties", "compositematerials"):
-            other, chosen = _chosen(group)
+            try:
+                other, chosen = _chosen(group)
+            except (IndexError, ValueError):
+                raise damaged(f"{self._name}: {kind} {key[1]!r} lacks what it blends") from None
             of = self._groups.get((key[0], other))
             if of is None:
                 return

@@ -52,8 +52,8 @@ _CHANNELS = {
 #: What inputs may be connected to: images, and primvars that readers of them read for a channel.
 _READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
-#: Point instancers may have prototypes with point instancers, so many times.
-_NESTED = 8
+#: Point instancers place so many meshes at most: those within prototypes of others multiply.
+_PLACEMENTS = 2**20
 #: How a primvar's values are spread; as in UsdGeom's tokens.
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
@@ -92,6 +92,7 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._places = UsdGeom.XformCache(self._time)
         self._materials = _Materials(name, options)
+        self._left = _PLACEMENTS
         # Meshes without coordinates that are asked for, by the coordinates' name.
         self._lacking: dict[str, dict[str, None]] = {}
 
@@ -134,9 +135,9 @@ class _Scene:
         return shown
 
     def _within(
-        self, root: Any, outer: Float64s, others: Counter[str], depth: int = 0
+        self, root: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...] = ()
     ) -> Iterator[tuple[Any, Float64s]]:
-        """Yield what is shown of a prim and below it, placed by ``outer`` with respect to that prim."""
+        """Yield what is shown of a prim, placed by ``outer``; ``above`` are the instancers that place it."""
         every = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
         for prim in every:
             is_instancer = prim.IsA(UsdGeom.PointInstancer)
@@ -150,9 +151,10 @@ class _Scene:
             if is_hidden or seen.ComputePurpose() not in purposes:
                 continue
             matrix = outer @ self._placed(prim, root)
-            if is_instancer and depth < _NESTED:
-                for prototype, place in self._instances(prim):
-                    yield from self._within(prototype, matrix @ place, others, depth + 1)
+            if is_instancer:
+                if prim in above:
+                    raise damaged(f"{self._name}: {prim.GetPath()} contains itself")
+                yield from self._instances(prim, matrix, others, (*above, prim))
             elif prim.IsA(UsdGeom.Mesh) or shape_polygons(prim, self._time) is not None:
                 yield prim, matrix
             else:
@@ -164,22 +166,27 @@ class _Scene:
             return np.array(self._places.GetLocalToWorldTransform(prim), np.float64).T
         return np.array(self._places.ComputeRelativeTransform(prim, root)[0], np.float64).T
 
-    def _instances(self, prim: Any) -> Iterator[tuple[Any, Float64s]]:
-        """Yield the prototype and the matrix (4, 4) of each instance of a point instancer."""
-        instancer = UsdGeom.PointInstancer(prim)
-        prototypes = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
-        chosen = _rows(instancer.GetProtoIndicesAttr().Get(self._time)).astype(np.int64)
-        _check_below(chosen, len(prototypes), f"{self._name}: {prim.GetPath()} uses a prototype")
-        places = instancer.ComputeInstanceTransformsAtTime(
-            self._time, self._time, UsdGeom.PointInstancer.IncludeProtoXform,
-            UsdGeom.PointInstancer.IgnoreMask,
-        )  # fmt: skip
+    def _instances(
+        self, prim: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...]
+    ) -> Iterator[tuple[Any, Float64s]]:
+        """Yield what each instance of a point instancer shows, placed by ``outer``."""
+        api, now = UsdGeom.PointInstancer, self._time
+        instancer = api(prim)
+        roots = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
+        chosen = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
+        _check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
+        places = instancer.ComputeInstanceTransformsAtTime(now, now, api.IncludeProtoXform, api.IgnoreMask)
         if len(places) != len(chosen):
             raise damaged(f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(places)}")
-        is_shown = instancer.ComputeMaskAtTime(self._time) or [True] * len(chosen)
+        is_shown = instancer.ComputeMaskAtTime(now) or [True] * len(chosen)
+        within = [list(self._within(root, np.eye(4), others, above)) if root else [] for root in roots]
         for number, place, shown in zip(chosen.tolist(), places, is_shown, strict=True):
-            if shown and prototypes[number]:
-                yield prototypes[number], np.array(place, np.float64).T
+            matrix = outer @ np.array(place, np.float64).T
+            for each, inner in within[number] if shown else ():
+                self._left -= 1
+                if self._left < 0:
+                    raise ModelError(f"{self._name}: {prim.GetPath()} has too many instances; export fewer")
+                yield each, matrix @ inner
 
     def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
         """Return the faces of a mesh by their materials' numbers, and these; the mesh's own comes first."""
