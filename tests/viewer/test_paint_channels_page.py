@@ -252,6 +252,36 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(
     page.close()
 
 
+@needs_jit
+def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_pictures_are(
+    browser: Any, tmp_path: Path
+) -> None:
+    size, base = (240, 180), ball(48)
+    normals = base.vertices + 0.3 * np.sin(4 * base.vertices[:, [1, 2, 0]])
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    turned = base.vertices @ (turn * np.linalg.det(turn)).T
+    pictures, lit = [], []
+    for number, own in enumerate((normals, None)):
+        still = octex.Surface.from_arrays(base.vertices, base.triangles, normals=own)
+        still = still.with_sources({"base_color": lambda p: np.full_like(p, 0.5), "roughness": 0.5})
+        posed, texture = still.with_pose(turned), octex.convert(still, depth=5)
+        path = tmp_path / f"{number}.html"
+        write_page(texture, path, posed)
+        page = opened(browser, file_url(path), (912, 480))
+        assert page.evaluate("Boolean(viewer.parts[0].header.mesh.posed)")
+        seen = Probe(page, texture, size).seen.reshape(size[1], size[0])[::-1]
+        lit.append(drawn(page, size).astype(int)[seen])
+        light = render_surface(
+            posed, camera_of(page, size), texture_shader(texture, materials=True), 1, Environment.studio()
+        )
+        pictures.append(encode(light, "uint8", "srgb").astype(int)[seen])
+        assert page.complaints == []
+        page.close()
+    assert np.sqrt(((pictures[0] - pictures[1]) ** 2).mean()) > 6
+    for found, expected in zip(lit, pictures, strict=True):
+        assert np.sqrt(((found - expected) ** 2).mean()) < 2
+
+
 #: Counts the textures of the program that shows all that there can be, of the most channels.
 _TEXTURES = """() => {
   const { gpu, parts: [part], look } = viewer, { gl } = gpu, channels = [];
