@@ -21,13 +21,16 @@ from octex.source.welding import first_equal, welded
 _PIECE = 4_000
 #: Charts in the order of their sizes fit at their scale, and not at one that is more than so much larger.
 _CLOSE = 1.02
-#: Then other orders are tried at a scale so much larger, as often as these many charts can be placed, and at most
-#: so often; sizes count so many times as much in them.
-_CLOSER, _TRIED, _MOST_TRIED, _SHUFFLED = 1.005, 5_000, 60, (0.7, 1.4)
+#: Then other orders are tried at a scale so much larger, in which sizes count so many times as much: as often as
+#: so many charts can be placed in so many blocks a side, and at most so often.
+_CLOSER, _SHUFFLED = 1.005, (0.7, 1.4)
+_TRIED, _TRIED_BLOCKS, _MOST_TRIED = 5_000, 256, 60
 #: Of so many of the largest charts the best of four ways to lie is taken.
 _MOST_TURNED = 100
-#: How much of a map charts fill at best, and how much at least where padding is chosen.
-_FULL, _ENOUGH = 0.92, 0.25
+#: How much of a map charts fill at best, usually, and at least where padding is chosen.
+_FULL, _USUAL, _ENOUGH = 0.92, 0.6, 0.25
+#: How much of a map padding takes at most where charts fill what they usually do.
+_GUTTERS = 0.2
 #: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
 _PADDINGS, _WIDE_PADDINGS = (8, 4, 2, 1, 0), (8, 4, 2)
 #: Charts start at multiples of so many texels. With 8 no texel of three smaller levels has parts of two.
@@ -47,8 +50,8 @@ def atlas_layout(
 
     Charts are those of `charts.laid_flat`, or of xatlas. The map has the first of ``sizes`` whose texels are
     at most ``texel`` wide, in rest units, or the last. Without a ``padding`` it is the widest, 8 to 2, with
-    which texels are that small; in the last size the widest, 8 to 0, with which charts fill a quarter of the
-    map. Raises ModelError if that size is too small for so many charts.
+    which texels are that small; in the last size the widest, 8 to 0, that takes at most a fifth of the map.
+    Raises ModelError if that size is too small for so many charts.
     """
     flat, charts, edges = _by_xatlas(mesh) if by_xatlas else laid_flat(mesh)
     outlines = _outlines(flat, charts, edges)
@@ -59,6 +62,8 @@ def atlas_layout(
         is_last = size == sizes[-1]
         least = 1.0 if is_last else wanted
         spacings = _spacings(size, padding, is_last)
+        if padding is None and is_last:
+            spacings = [each for each in spacings if _gutters(outlines, size, each[0]) <= _GUTTERS]
         for spacing in spacings:
             if is_last and area > 0.0:
                 least = size * (_ENOUGH / area) ** 0.5 if spacing != spacings[-1] else area**-0.5
@@ -89,6 +94,13 @@ def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, 
     return [(each, max(each, least)) for each in (_PADDINGS if is_last else _WIDE_PADDINGS)]
 
 
+def _gutters(outlines: _Outlines, size: int, padding: int) -> float:
+    """Return about how much of a map padding takes where charts fill what they usually do."""
+    area = max(float(outlines.areas.sum()), 1e-300)
+    around = 2.0 * float(outlines.reaches.sum()) * size * np.sqrt(_USUAL / area)
+    return float(around * padding + 4.0 * padding**2 * len(outlines.areas)) / size**2
+
+
 def _fitted(
     outlines: _Outlines, size: int, spacing: tuple[int, int], least: float
 ) -> tuple[float, Float64s, Float64s] | None:
@@ -114,7 +126,8 @@ def _fitted(
         else:
             low, placed = middle, tried
     random = np.random.default_rng(0)
-    for _ in range(min(_TRIED // len(sizes), _MOST_TRIED)):
+    tries = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 2)
+    for _ in range(min(tries, _MOST_TRIED)):
         shuffled = np.argsort(-sizes * random.uniform(*_SHUFFLED, sizes.size), kind="stable")
         tried = _packed(outlines, shuffled, low * _CLOSER, size, *spacing)
         if tried is not None:
