@@ -38,7 +38,14 @@ _ALIGNMENTS = (8, 4, 2, 1)
 #: Blocks of texels along a side of a map, at most, where charts start at multiples of less than 8.
 _MOST_BLOCKS = 1024
 #: Turns by quarters.
-_QUARTERS = np.array([[[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-1.0, 0.0], [0.0, -1.0]], [[0.0, -1.0], [1.0, 0.0]]])
+_QUARTERS = np.array(
+    [
+        [[1.0, 0.0], [0.0, 1.0]],
+        [[0.0, 1.0], [-1.0, 0.0]],
+        [[-1.0, 0.0], [0.0, -1.0]],
+        [[0.0, -1.0], [1.0, 0.0]],
+    ]
+)
 #: Seconds that xatlas may take.
 _PATIENCE = 60.0
 
@@ -63,7 +70,9 @@ def atlas_layout(
         least = 1.0 if is_last else wanted
         spacings = _spacings(size, padding, is_last)
         if padding is None and is_last:
-            spacings = [each for each in spacings if _gutters(outlines, size, each[0]) <= _GUTTERS]
+            spacings = [
+                each for each in spacings if each[0] <= 2 or _gutters(outlines, size, each[0]) <= _GUTTERS
+            ]
         for spacing in spacings:
             if is_last and area > 0.0:
                 least = size * (_ENOUGH / area) ** 0.5 if spacing != spacings[-1] else area**-0.5
@@ -126,7 +135,7 @@ def _fitted(
         else:
             low, placed = middle, tried
     random = np.random.default_rng(0)
-    tries = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 2)
+    tries = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 3)
     for _ in range(min(tries, _MOST_TRIED)):
         shuffled = np.argsort(-sizes * random.uniform(*_SHUFFLED, sizes.size), kind="stable")
         tried = _packed(outlines, shuffled, low * _CLOSER, size, *spacing)

@@ -184,7 +184,9 @@ def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
     scale = _BINS / 2.0 / np.maximum(np.abs(along), 1e-300)
     faces = 2 * axes + (along < 0.0)
     squares = [
-        np.clip((np.choose((axes + k) % 3, directions.T) * scale + _BINS / 2.0).astype(np.int64), 0, _BINS - 1)
+        np.clip(
+            (np.choose((axes + k) % 3, directions.T) * scale + _BINS / 2.0).astype(np.int64), 0, _BINS - 1
+        )
         for k in (1, 2)
     ]
     middles = np.empty((6, _BINS, _BINS, 3))
@@ -229,9 +231,7 @@ def _folded(corners: Float64s, flat: Float64s) -> Bools:
     return found
 
 
-def _unfolded(
-    pieces: _Pieces, rows: Int64s, positions: Float64s, charts: Int64s
-) -> tuple[Float64s, Int64s]:
+def _unfolded(pieces: _Pieces, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
     """Project charts, laid flat where they fold as a smoother surface lies; what folds even then is cut out.
 
     Triangles that fold change to a neighbour's chart if that shows them.
