@@ -4,34 +4,48 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Floats, Int64s
-from octex.baking.charts import SIDE, laid_flat
+from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
+from octex.baking.charts import SIDE, Flat, laid_flat
 from octex.baking.layout import Layout, charts_of, doubled_areas
 from octex.errors import ModelError
-from octex.jit import kernel
+from octex.jit import kernel, part
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal, welded
 
 #: Triangles that xatlas cuts into charts at once: of ten times as many each takes some four times as long.
 _PIECE = 4_000
-#: Charts fit at their scale, and not at one that is more than so much larger: few charts, and more than a
-#: thousand, whose packing takes long.
-_CLOSE, _CLOSE_OF_MANY, _MANY = 1.01, 1.05, 1000
+#: Charts in the order of their sizes fit at their scale, and not at one that is more than so much larger.
+_CLOSE = 1.02
+#: Then other orders are tried at a scale so much larger, in which sizes count so many times as much: as often as
+#: so many charts can be placed in so many blocks a side, and at most so often.
+_CLOSER, _SHUFFLED = 1.005, (0.7, 1.4)
+_TRIED, _TRIED_BLOCKS, _MOST_TRIED = 5_000, 256, 60
 #: Of so many of the largest charts the best of four ways to lie is taken.
 _MOST_TURNED = 100
-#: How much of a map charts fill at best, and how much at least where padding is chosen.
-_FULL, _ENOUGH = 0.92, 0.25
+#: How much of a map charts fill at best, usually, and at least where padding is chosen.
+_FULL, _USUAL, _ENOUGH = 0.92, 0.6, 0.25
+#: How much of a map padding takes at most where charts fill what they usually do.
+_GUTTERS = 0.2
 #: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
 _PADDINGS, _WIDE_PADDINGS = (8, 4, 2, 1, 0), (8, 4, 2)
 #: Charts start at multiples of so many texels. With 8 no texel of three smaller levels has parts of two.
 _ALIGNMENTS = (8, 4, 2, 1)
 #: Blocks of texels along a side of a map, at most, where charts start at multiples of less than 8.
 _MOST_BLOCKS = 1024
+#: Turns by quarters.
+_QUARTERS = np.array(
+    [
+        [[1.0, 0.0], [0.0, 1.0]],
+        [[0.0, 1.0], [-1.0, 0.0]],
+        [[-1.0, 0.0], [0.0, -1.0]],
+        [[0.0, -1.0], [1.0, 0.0]],
+    ]
+)
 #: Seconds that xatlas may take.
 _PATIENCE = 60.0
 
@@ -43,30 +57,31 @@ def atlas_layout(
 
     Charts are those of `charts.laid_flat`, or of xatlas. The map has the first of ``sizes`` whose texels are
     at most ``texel`` wide, in rest units, or the last. Without a ``padding`` it is the widest, 8 to 2, with
-    which texels are that small; in the last size the widest, 8 to 0, with which charts fill a quarter of the
-    map. Raises ModelError if that size is too small for so many charts.
+    which texels are that small; in the last size the widest, 8 to 0, that takes at most a fifth of the map.
+    Raises ModelError if that size is too small for so many charts.
     """
-    flat = _by_xatlas(mesh) if by_xatlas else laid_flat(mesh)
-    charts, edges = charts_of(mesh, flat)
-    order = np.argsort(charts, kind="stable")
-    starts = np.flatnonzero(np.diff(charts[order], prepend=-1))  # in that order, chart by chart
-    flat = _upright(flat[order], edges[order], starts)
-    area = _area(flat)
+    flat, charts, edges = _by_xatlas(mesh) if by_xatlas else laid_flat(mesh)
+    outlines = _outlines(flat, charts, edges)
+    area = float(outlines.areas.sum())
     low, high = mesh.bounds
     wanted = float((high - low).max()) / (SIDE * texel)
     for size in sizes:
         is_last = size == sizes[-1]
         least = 1.0 if is_last else wanted
         spacings = _spacings(size, padding, is_last)
+        if padding is None and is_last:
+            spacings = [
+                each for each in spacings if each[0] <= 2 or _gutters(outlines, size, each[0]) <= _GUTTERS
+            ]
         for spacing in spacings:
             if is_last and area > 0.0:
                 least = size * (_ENOUGH / area) ** 0.5 if spacing != spacings[-1] else area**-0.5
-            best, around = _fitted(flat, starts, area, size, spacing, least), spacing[0]
+            best, around = _fitted(outlines, size, spacing, least), spacing[0]
             if best is not None:
                 break
         if best is not None:
-            placed = np.empty_like(best)
-            placed[order] = best
+            scale, places, turns = best
+            placed = scale * (flat @ turns[charts]) + places[charts][:, None]
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
@@ -88,30 +103,49 @@ def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, 
     return [(each, max(each, least)) for each in (_PADDINGS if is_last else _WIDE_PADDINGS)]
 
 
+def _gutters(outlines: _Outlines, size: int, padding: int) -> float:
+    """Return about how much of a map padding takes where charts fill what they usually do."""
+    area = max(float(outlines.areas.sum()), 1e-300)
+    around = 2.0 * float(outlines.reaches.sum()) * size * np.sqrt(_USUAL / area)
+    return float(around * padding + 4.0 * padding**2 * len(outlines.areas)) / size**2
+
+
 def _fitted(
-    flat: Float64s, starts: Int64s, area: float, size: int, spacing: tuple[int, int], least: float
-) -> Float64s | None:
-    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale."""
+    outlines: _Outlines, size: int, spacing: tuple[int, int], least: float
+) -> tuple[float, Float64s, Float64s] | None:
+    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale.
+
+    Returns the scale, what is added to each chart (n, 2), and how each is turned before (n, 2, 2).
+    """
+    area = float(outlines.areas.sum())
+    sizes = outlines.reaches.max(axis=1)
+    order = np.argsort(-sizes, kind="stable")
     most = size * np.sqrt(_FULL / area) if area > 0.0 else least
-    low, placed = most, _packed(flat * most, starts, size, *spacing)
+    low, placed = most, _packed(outlines, order, most, size, *spacing)
     while placed is None:
         if low <= least:
             return None
         most, low = low, max(low / 2.0, least)
-        placed = _packed(flat * low, starts, size, *spacing)
-    close = _CLOSE if len(starts) <= _MANY else _CLOSE_OF_MANY
-    while most > low * close:
+        placed = _packed(outlines, order, low, size, *spacing)
+    while most > low * _CLOSE:
         middle = np.sqrt(low * most)
-        tried = _packed(flat * middle, starts, size, *spacing)
+        tried = _packed(outlines, order, middle, size, *spacing)
         if tried is None:
             most = middle
         else:
             low, placed = middle, tried
-    return placed
+    random = np.random.default_rng(0)
+    tries = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 3)
+    for _ in range(min(tries, _MOST_TRIED)):
+        shuffled = np.argsort(-sizes * random.uniform(*_SHUFFLED, sizes.size), kind="stable")
+        tried = _packed(outlines, shuffled, low * _CLOSER, size, *spacing)
+        if tried is not None:
+            low, placed = low * _CLOSER, tried
+    return low, *placed
 
 
-def _by_xatlas(mesh: Mesh) -> Float64s:
-    """Return flattened corners (m, 3, 2) by xatlas, `SIDE` for the longest side; charts lie apart.
+def _by_xatlas(mesh: Mesh) -> Flat:
+    """Lay a mesh flat by xatlas, `SIDE` for its longest side.
 
     Raises ModelError without the extra, and where it would take long.
     """
@@ -137,7 +171,7 @@ def _by_xatlas(mesh: Mesh) -> Float64s:
         needs = (time.perf_counter() - began) * len(triangles) / done
         if needs > _PATIENCE and done < len(triangles):
             raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
-    return corners
+    return Flat(corners, *charts_of(mesh, corners))
 
 
 def _pieces(middles: Floats, some: Int64s) -> list[Int64s]:
@@ -152,111 +186,140 @@ def _pieces(middles: Floats, some: Int64s) -> list[Int64s]:
     ]
 
 
-def _area(flat: Float64s) -> float:
-    return float(np.abs(doubled_areas(flat)).sum() / 2)
+class _Outlines(NamedTuple):
+    """The borders of charts, turned until their boxes are small and wide; each begins at 0."""
+
+    sides: Float64s  # (k, 2, 2)   from a point to the next, chart by chart
+    starts: Int64s  # (n + 1,)   where those of each chart begin
+    turns: Float64s  # (n, 2, 2)   what turned them
+    lows: Float64s  # (n, 2)   what was taken off then
+    reaches: Float64s  # (n, 2)   the largest coordinates
+    areas: Float64s  # (n,)
 
 
-def _upright(flat: Float64s, edges: Bools, starts: Int64s) -> Float64s:
-    """Turn charts until their boxes are small and wide; ``starts`` are their first triangles."""
+def _outlines(flat: Float64s, charts: Int32s, edges: Bools) -> _Outlines:
+    areas = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0)
+    is_closed = np.bincount(charts, edges.any(axis=1)) == 0
+    triangles, sides = np.nonzero(edges | is_closed[charts][:, None])  # what is closed has no area
+    order = np.argsort(charts[triangles], kind="stable")
+    triangles, sides = triangles[order], sides[order]
+    borders = np.stack([flat[triangles, sides], flat[triangles, (sides + 1) % 3]], axis=1)
+    starts = np.append(np.flatnonzero(np.diff(charts[triangles], prepend=-1)), len(triangles))
     turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
-    least = np.full(len(starts), np.inf)
-    best = np.zeros(len(starts), np.int64)
-    sizes = np.diff(starts, append=len(flat))
-    is_closed = ~np.logical_or.reduceat(edges.any(axis=1), starts)
-    edges = edges | np.repeat(is_closed, sizes)[:, None]  # without area
-    border = flat[edges]
-    firsts = np.searchsorted(np.nonzero(edges)[0], starts)
+    least, best = np.full(len(areas), np.inf), np.zeros(len(areas), np.int64)
     quarter = len(turns) // 2  # where sides change places
     for n, turn in enumerate(turns[:quarter]):
-        points = border @ turn
-        width, height = (np.maximum.reduceat(points, firsts) - np.minimum.reduceat(points, firsts)).T
+        points = borders[:, 0] @ turn
+        low, high = np.minimum.reduceat(points, starts[:-1]), np.maximum.reduceat(points, starts[:-1])
+        width, height = (high - low).T
         found = width * height < least
         least[found] = (width * height)[found]
         best[found] = np.where(width < height, n + quarter, n)[found]
-    turned = flat @ turns[np.repeat(best, sizes)]
-    low, _ = _boxes(turned, starts)
-    upright: Float64s = turned - np.repeat(low, sizes, axis=0)[:, None]
-    return upright
-
-
-def _boxes(flat: Float64s, starts: Int64s) -> tuple[Float64s, Float64s]:
-    """Return the least and the largest coordinates (n, 2) of charts."""
-    a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
-    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    return np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+    counts = np.diff(starts)
+    borders = borders @ turns[np.repeat(best, counts)]
+    lows = np.minimum.reduceat(borders.min(axis=1), starts[:-1])
+    borders -= np.repeat(lows, counts, axis=0)[:, None]
+    reaches = np.maximum.reduceat(borders.max(axis=1), starts[:-1])
+    return _Outlines(borders, starts, turns[best], lows, reaches, areas)
 
 
 def _turn(angle: float) -> Float64s:
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def _packed(flat: Float64s, starts: Int64s, size: int, padding: int, block: int) -> Float64s | None:
-    """Place charts (m, 3, 2), in texels, in a square map by blocks of texels; return None without room."""
+def _packed(
+    outlines: _Outlines, order: Int64s, scale: float, size: int, padding: int, block: int
+) -> tuple[Float64s, Float64s] | None:
+    """Place charts in a square map of texels, in an order, by blocks of texels; return None without room.
+
+    Returns what is added to each chart (n, 2), after it was turned (n, 2, 2) and scaled.
+    """
+    sides, starts, turns, lows, reaches, areas = outlines
     blocks = size // block
-    _, reaches = _boxes(flat, starts)
-    areas = np.add.reduceat(np.abs(doubled_areas(flat)) / 2.0, starts)
     # Padding adds at least as much to a chart as to a disc of its area (Brunn and Minkowski).
-    needed = (np.sqrt(areas) + np.sqrt(np.pi) * padding) ** 2
-    if (reaches + 2 * padding > size).any() or needed.sum() > size**2:
+    needed = (scale * np.sqrt(areas) + np.sqrt(np.pi) * padding) ** 2
+    if (scale * reaches + 2 * padding > size).any() or needed.sum() > size**2:
         return None
-    groups = [slice(*ends) for ends in pairwise([*starts.tolist(), len(flat)])]
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
-    placed = np.empty_like(flat)
-    for n, group in enumerate(np.argsort(-reaches.max(axis=1), kind="stable").tolist()):
-        own = groups[group]
+    places, turned = np.empty((len(areas), 2)), turns.copy()
+    for n, chart in enumerate(order.tolist()):
+        own = scale * sides[starts[chart] : starts[chart + 1]]
         best: tuple[int, ...] = ()
-        for turn in range(4 if n < _MOST_TURNED else 1):
-            corners = _turned(flat[own], reaches[group], turn)
-            across, down = (corners.max(axis=(0, 1)) + 2 * padding) // block + 1
+        for spin in _QUARTERS if n < _MOST_TURNED else _QUARTERS[:1]:
+            reach = scale * reaches[chart] @ spin
+            begin = np.minimum(reach, 0.0) - padding
+            across, down = ((np.abs(reach) + 2 * padding) // block + 1).astype(np.int64)
             if max(across, down) > blocks:
                 continue
             mask = np.zeros((int(down), int(across)), np.bool_)
-            _mark((corners + padding) / block, padding / block, mask)
+            _mark((own @ spin - begin) / block, padding / block, mask)
             last, before = tried.get(mask.shape, (-1, mask))
             at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
             if at >= 0 and (not best or (at // blocks + len(mask), at % blocks) < best):
                 row, column = divmod(at, blocks)
                 best, chosen = (row + len(mask), column), mask
-                placed[own] = np.array([column, row]) * block + padding + corners
+                turned[chart] = turns[chart] @ spin
+                places[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
         if not best:
             return None
         row = best[0] - len(chosen)
         tried[chosen.shape] = row * blocks + best[1], chosen
         _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
-    return placed
-
-
-def _turned(corners: Float64s, reach: Float64s, quarters: int) -> Float64s:
-    """Turn a chart by quarters; it reaches from 0 to ``reach`` (2,)."""
-    for _ in range(quarters):
-        corners = np.stack([reach[1] - corners[..., 1], corners[..., 0]], axis=-1)
-        reach = reach[::-1]
-    return corners
+    return places, turned
 
 
 @kernel
-def _mark(corners: Float64s, around: float, mask: Bools) -> None:
-    """Mark the blocks that triangles (m, 3, 2), in blocks, reach, and what is so near ``around`` them."""
-    for triangle in range(corners.shape[0]):
-        a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
-        x0 = max(int(np.floor(min(a[0], min(b[0], c[0])) - around)), 0)
-        x1 = min(int(np.floor(max(a[0], max(b[0], c[0])) + around)), mask.shape[1] - 1)
-        y0 = max(int(np.floor(min(a[1], min(b[1], c[1])) - around)), 0)
-        y1 = min(int(np.floor(max(a[1], max(b[1], c[1])) + around)), mask.shape[0] - 1)
-        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        sign = 1.0 if doubled >= 0.0 else -1.0
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                apart = False
-                for k in range(3):
-                    p, q = corners[triangle, k], corners[triangle, (k + 1) % 3]
-                    across, down = sign * (p[1] - q[1]), sign * (q[0] - p[0])
-                    length = np.sqrt(across * across + down * down)
-                    most = across * (x - p[0]) + down * (y - p[1]) + max(across, 0.0) + max(down, 0.0)
-                    apart |= most < -around * length * 1.5
-                if not apart:
-                    mask[y, x] = True
+def _mark(sides: Float64s, around: float, mask: Bools) -> None:
+    """Mark the blocks that an outline (k, 2, 2), in blocks, encloses, and what is so near ``around`` it."""
+    height, width = mask.shape
+    winding = np.zeros((height, width + 1), np.int32)
+    for n in range(sides.shape[0]):
+        x, y = sides[n, 0, 0], sides[n, 0, 1]
+        right, down = sides[n, 1, 0] - x, sides[n, 1, 1] - y
+        for row in range(int(np.ceil(min(y, y + down) - 0.5)), int(np.ceil(max(y, y + down) - 0.5))):
+            at = x + right * (row + 0.5 - y) / down
+            winding[row, int(np.ceil(at - 0.5))] += 1 if down > 0.0 else -1
+        squared = right * right + down * down
+        first, last = max(int(min(x, x + right) - around), 0), int(max(x, x + right) + around)
+        for row in range(
+            max(int(min(y, y + down) - around), 0), min(int(max(y, y + down) + around), height - 1) + 1
+        ):
+            for column in range(first, min(last, width - 1) + 1):
+                mask[row, column] |= _is_near(x - column, y - row, right, down, squared, around)
+    for row in range(height):
+        turns = 0
+        for column in range(width):
+            turns += winding[row, column]
+            mask[row, column] |= turns != 0
+
+
+@part
+def _is_near(x: float, y: float, right: float, down: float, squared: float, around: float) -> bool:
+    """Say whether a side comes so near ``around`` the unit square, from a point by so much."""
+    first, last = 0.0, 1.0  # which part of it lies within the square
+    for at, step in ((x, right), (y, down)):
+        if step == 0.0:
+            if at < 0.0 or at > 1.0:
+                last = -1.0
+        else:
+            one, two = -at / step, (1.0 - at) / step
+            first, last = max(first, min(one, two)), min(last, max(one, two))
+    if first <= last:
+        return True
+    most = around * around
+    for n in range(2):
+        across, over = max(-x, max(x - 1.0, 0.0)), max(-y, max(y - 1.0, 0.0))
+        if across * across + over * over <= most:
+            return True
+        x, y = x + right, y + down
+    x, y = x - 2.0 * right, y - 2.0 * down
+    for n in range(4):
+        across, over = n % 2 - x, n // 2 - y
+        along = min(max((across * right + over * down) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+        if (across - along * right) ** 2 + (over - along * down) ** 2 <= most:
+            return True
+    return False
 
 
 @kernel

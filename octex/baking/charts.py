@@ -8,13 +8,13 @@ Cohen-Steiner, Alliez and Desbrun (2004) do. Neighbours are merged while they fa
 from __future__ import annotations
 
 from heapq import heappop, heappush
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.layout import doubled_areas, neighbors, steps_between
-from octex.baking.texels import draw_texels
+from octex.baking.layout import doubled_areas, neighbors_of, steps_between
 from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
@@ -24,28 +24,36 @@ from octex.source.welding import first_equal
 SIDE = 1024.0
 #: The least cosine between averaged normals and a chart's axis, where charts grow one by one and at once.
 _LEAST, _WIDEST = 0.6, 0.5
-#: Charts are merged while their axis shows so much of their area, and triangles lie within this angle of it;
+#: Charts are merged while their axis shows so much of their area, and all but a little of it within this angle;
 #: those of less than this doubled area within a larger one alone.
-_SHOWN, _MERGED = 0.8, np.radians(65.0)
+_SHOWN, _MERGED, _LITTLE = 0.8, np.radians(65.0), 0.0
 _SMALL, _MERGED_SMALL = 2.0 * 256.0 / SIDE**2, np.radians(78.0)
+#: Charts of less than this doubled area, and than this part of what they are connected with, are merged anyhow.
+_TINY, _TINY_PART = 2.0 * 16.0 / SIDE**2, 0.01
+#: Directions are counted in so many bins a side of a cube's faces.
+_BINS = 6
+#: Pairs of charts of which angles are found at once.
+_PAIRS = 16_384
 #: How often charts grow from their middles.
 _ROUNDS = 2
 #: How much longer the way to a triangle is that faces at right angles to the chart's axis.
 _BEND = 2.0
 #: Normals are averaged over this part of the model's longest side, in at most so many rounds.
-_AVERAGED, _MOST_AVERAGED = 0.02, 60
+_AVERAGED, _MOST_AVERAGED = 0.02, 25
 #: The power of the cosine between normals with which they average.
 _SHARP = 2
-#: Positions of charts that fold are smoothed in so many rounds, and in so many more.
-_SMOOTHED = (3, 6, 12)
-#: What shows less than this part of its area is on edge.
-_ON_EDGE = 0.3
-#: How often triangles that their chart does not show go to a neighbour's.
-_PASSED = 8
+#: Around folds the surface is smoothed so often, then the chart.
+_PASSED, _RELAXED = 3, 4
+#: What shows less than this part of its area is on edge; where that is little, it may show so much less.
+_ON_EDGE, _LEAST_SHOWN = 0.3, 0.02
+#: What is cut out takes in so many rings of triangles around, while it is tiny.
+_WIDENED = 4
 #: How far a position moves to the mean of its neighbours at once.
 _STEP = 0.6
-#: Overlaps are looked for in a map of so many texels a side, and are there if a chart covers so much less.
+#: Overlaps are looked for at so many points a side, and are there if a chart covers so much twice.
 _PROBE, _OVERLAPPING = 256, 0.01
+#: Where these points lie in their squares.
+_ASIDE = 0.4142135, 0.7320508
 #: Triangles of a chart up to which every two of them are compared first.
 _FEW = 64
 #: Charts that overlap themselves are halved so often; then their triangles lie apart.
@@ -62,27 +70,31 @@ class _Pieces(NamedTuple):
     facings: Float64s  # (m, 3)   normals averaged over neighbours
 
 
-def laid_flat(mesh: Mesh) -> Float64s:
-    """Return flattened corners (m, 3, 2), `SIDE` for the longest side, y down; charts lie apart."""
+class Flat(NamedTuple):
+    """Triangles laid flat."""
+
+    corners: Float64s  # (m, 3, 2)   y down; charts lie over each other
+    charts: Int32s  # (m,)   connected, counting from 0
+    edges: Bools  # (m, 3)   which sides are edges of charts
+
+
+def laid_flat(mesh: Mesh) -> Flat:
+    """Lay a mesh flat, `SIDE` for its longest side."""
     low, high = mesh.bounds
     rows = first_equal(mesh.rest)[mesh.triangles]
     positions = (mesh.rest - low) / (float((high - low).max()) or 1.0)
     corners = positions[rows]
     crosses = area_vectors(corners)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
-    others, _ = neighbors(mesh)
+    others, _ = neighbors_of(rows)
     side = max(float(np.sqrt(areas @ areas / max(areas.sum(), 1e-300))), 1e-9)  # of triangles, by area
     facings = normals.copy()
     _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
     pieces = _Pieces(corners, others, areas, normals, facings)
-    charts = _clustered(pieces)
-    _pass_on(pieces, charts)
-    flat = _projected(corners, _axes(pieces, charts)[charts])
-    flat, charts = _unfolded(pieces, rows, positions, flat, charts)
+    flat, charts = _unfolded(pieces, rows, positions, _clustered(pieces))
     flat, charts = _without_overlaps(pieces, flat, charts)
-    across = float(np.ptp(flat, axis=(0, 1)).max()) + 1.0  # what is apart must not look joined
-    moved: Float64s = flat + (charts * across * 2.0)[:, None, None] * (1.0, 0.0)
-    return moved
+    charts = _connected(others, charts)
+    return Flat(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
 
 
 def _clustered(pieces: _Pieces) -> Int64s:
@@ -97,33 +109,13 @@ def _clustered(pieces: _Pieces) -> Int64s:
         centers = _sums(charts, middles * areas[:, None]) / weights[:, None]
         apart = ((middles - centers[charts]) ** 2).sum(axis=1)
         apart += np.where(areas > 0.0, 1e-3 * (1.0 - (facings * axes[charts]).sum(axis=1)), np.inf)
-        order = np.lexsort((apart, charts))
-        seeds = order[np.flatnonzero(np.diff(charts[order], prepend=-1))]
+        seeds = _least(charts, apart, count)
         _grow_at_once(others, facings, areas, middles, axes, seeds, charts)
         is_taken = charts >= 0
-        numbers = np.unique(charts[is_taken], return_inverse=True)[1]
-        charts[is_taken] = numbers
-        first = int(numbers.max(initial=-1)) + 1
+        charts[is_taken] = _numbered(charts[is_taken])
+        first = int(charts.max()) + 1
         count = _grow(others, facings, areas, np.flatnonzero(~is_taken), _LEAST, first, charts)
     return _merged(pieces, charts)
-
-
-def _pass_on(pieces: _Pieces, charts: Int64s) -> None:
-    """Give triangles that lie on edge or upside down in their chart to a neighbour's that shows them."""
-    axes = _axes(pieces, charts)
-    for _ in range(_PASSED):
-        shown = np.einsum("mx,mx->m", pieces.normals, axes[charts])
-        folded = np.flatnonzero((shown < _ON_EDGE) & (pieces.areas > 0.0))
-        others = pieces.others[folded]
-        nearby = charts[others]
-        better = np.einsum("mx,mkx->mk", pieces.normals[folded], axes[nearby])
-        better[others < 0] = -1.0
-        best = better.argmax(axis=1)
-        rows = np.arange(folded.size)
-        is_better = better[rows, best] > np.maximum(shown[folded], _ON_EDGE)
-        if not is_better.any():
-            return
-        charts[folded[is_better]] = nearby[rows, best][is_better]
 
 
 def _axes(pieces: _Pieces, charts: Int64s) -> Float64s:
@@ -136,40 +128,90 @@ def _sums(charts: Int64s, values: Float64s) -> Float64s:
 
 
 def _merged(pieces: _Pieces, charts: Int64s) -> Int64s:
-    """Merge charts with the neighbour along the longest border while all triangles face about one way."""
+    """Merge charts with the neighbour along the longest border while their triangles face about one way."""
     _, others, areas, _, facings = pieces
-    corners = pieces.corners
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    sums, sizes = _sums(charts, facings * areas[:, None]), np.bincount(charts, areas)
+    bins, directions = _binned(facings)
+    shares = np.bincount(charts * len(directions) + bins, areas, sizes.size * len(directions))
+    shares = shares.reshape(sizes.size, -1) > _LITTLE  # which ways each chart faces
+    triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
+    one, two = charts[triangles], charts[others[triangles, sides]]
+    ends = pieces.corners[triangles, sides], pieces.corners[triangles, (sides + 1) % 3]
+    borders = np.linalg.norm(ends[1] - ends[0], axis=1)
+    whole = _connected(others, np.zeros_like(charts))
+    tiny = np.empty(sizes.size)
+    tiny[charts] = np.minimum(_TINY, _TINY_PART * np.bincount(whole, areas))[whole]
+    made = np.arange(sizes.size)  # of the charts that there were
     while True:
-        sums = _sums(charts, facings * areas[:, None])
-        axes, sizes = unit(sums), np.bincount(charts, areas)
-        dots = np.where(areas > 0.0, (facings * axes[charts]).sum(axis=1), 1.0)
-        cones = np.full(len(sizes), -1.0)
-        np.maximum.at(cones, charts, np.arccos(np.clip(dots, -1.0, 1.0)))
-        triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
-        one, two = charts[triangles], charts[others[triangles, sides]]
-        pairs, rows = np.unique(one * len(sizes) + two, return_inverse=True)
-        borders = np.bincount(rows, lengths[triangles, sides])
-        one, two = pairs // len(sizes), pairs % len(sizes)
+        pairs, rows = np.unique(one * sizes.size + two, return_inverse=True)
+        borders = np.bincount(rows, borders, pairs.size)
+        one, two = pairs // sizes.size, pairs % sizes.size
         both = sums[one] + sums[two]
-        shown = np.linalg.norm(both, axis=1)
+        is_shown = np.linalg.norm(both, axis=1) >= _SHOWN * (sizes[one] + sizes[two])
         is_small = np.minimum(sizes[one], sizes[two]) < _SMALL
-        both = unit(both)
-        turns = [np.arccos(np.clip((both * axes[each]).sum(axis=1), -1.0, 1.0)) for each in (one, two)]
-        widest = np.maximum(turns[0] + cones[one], turns[1] + cones[two])
-        fits = (widest <= _MERGED) & (shown >= _SHOWN * (sizes[one] + sizes[two]))
-        fits |= is_small & (widest <= _MERGED_SMALL)
-        one, two, borders = one[fits], two[fits], borders[fits]
-        if not one.size:
-            return charts
-        order = np.lexsort((two, -borders, one))
+        fits = (sizes < tiny)[one] | (sizes < tiny)[two]
+        some = np.flatnonzero((is_shown | is_small) & ~fits)
+        widest = _widest(unit(both[some]), shares, one[some], two[some], directions)
+        fits[some] = (widest <= _MERGED) & is_shown[some] | (widest <= _MERGED_SMALL) & is_small[some]
+        order = np.flatnonzero(fits)
+        if not order.size:
+            return made[charts]
+        order = order[np.lexsort((two[order], -borders[order], one[order]))]
         firsts = order[np.flatnonzero(np.diff(one[order], prepend=-1))]
-        best = np.full(len(sizes), -1)
+        best = np.full(sizes.size, -1)
         best[one[firsts]] = two[firsts]
-        numbers = np.arange(len(sizes))
+        numbers = np.arange(sizes.size)
         is_mutual = (best >= 0) & (best[best] == numbers) & (numbers > best)
         numbers[is_mutual] = best[is_mutual]
-        charts = np.unique(numbers[charts], return_inverse=True)[1]
+        numbers = _numbered(numbers)
+        made = numbers[made]
+        last = np.flatnonzero(~is_mutual)
+        first, second = best[is_mutual], np.flatnonzero(is_mutual)
+        for each in (sums, sizes):
+            each[first] += each[second]
+        shares[first] |= shares[second]
+        tiny[first] = np.minimum(tiny[first], tiny[second])
+        sums, sizes, shares, tiny = sums[last], sizes[last], shares[last], tiny[last]
+        one, two = numbers[one], numbers[two]
+        is_border = one != two
+        one, two, borders = one[is_border], two[is_border], borders[is_border]
+
+
+def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
+    """Return the bin of each direction (m,), and the middle of each bin (n, 3): squares on a cube's faces."""
+    axes = np.abs(directions).argmax(axis=1)
+    along = np.take_along_axis(directions, axes[:, None], axis=1)[:, 0]
+    scale = _BINS / 2.0 / np.maximum(np.abs(along), 1e-300)
+    faces = 2 * axes + (along < 0.0)
+    squares = [
+        np.clip(
+            (np.choose((axes + k) % 3, directions.T) * scale + _BINS / 2.0).astype(np.int64), 0, _BINS - 1
+        )
+        for k in (1, 2)
+    ]
+    middles = np.empty((6, _BINS, _BINS, 3))
+    across = (np.arange(_BINS) + 0.5) * 2.0 / _BINS - 1.0
+    for face in range(6):
+        middles[face, ..., face // 2] = 1.0 - 2.0 * (face % 2)
+        middles[face, ..., (face // 2 + 1) % 3] = across[:, None]
+        middles[face, ..., (face // 2 + 2) % 3] = across
+    return (faces * _BINS + squares[0]) * _BINS + squares[1], unit(middles.reshape(-1, 3))
+
+
+def _widest(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions: Float64s) -> Float64s:
+    """Return the angle from an axis each (n, 3) within which two charts (n,) face."""
+    found = np.empty(one.size)
+    for first in range(0, one.size, _PAIRS):
+        some = slice(first, first + _PAIRS)
+        dots = np.where(shares[one[some]] | shares[two[some]], axes[some] @ directions.T, 1.0)
+        found[some] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
+    return found
+
+
+def _numbered(charts: Int64s) -> Int64s:
+    """Number charts from 0 up, in their order."""
+    numbers: Int64s = (np.cumsum(np.bincount(charts) > 0) - 1)[charts]
+    return numbers
 
 
 def _projected(corners: Float64s, directions: Float64s) -> Float64s:
@@ -189,69 +231,165 @@ def _folded(corners: Float64s, flat: Float64s) -> Bools:
     return found
 
 
-def _unfolded(
-    pieces: _Pieces, rows: Int64s, positions: Float64s, flat: Float64s, charts: Int64s
-) -> tuple[Float64s, Int64s]:
-    """Lay charts with folds flat as a smoother surface lies; what folds even then is cut out."""
+def _unfolded(pieces: _Pieces, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
+    """Project charts, laid flat where they fold as a smoother surface lies; what folds even then is cut out.
+
+    Triangles that fold change to a neighbour's chart if that shows them.
+    """
+    corners, others, areas, normals, _ = pieces
     axes = _axes(pieces, charts)
-    folded = _folded(pieces.corners, flat)
-    for rounds in _SMOOTHED:
-        counts = np.bincount(charts, folded)
-        if not counts.any():
-            return flat, charts
-        own = (counts > 0)[charts]
-        _smooth(rows, pieces.others, rounds, positions)
-        smooth = _projected(positions[rows[own]], axes[charts[own]])
-        still = _folded(pieces.corners[own], smooth)
-        is_better = (np.bincount(charts[own], still, counts.size) < counts)[charts[own]]
-        chosen = np.flatnonzero(own)[is_better]
-        flat[chosen], folded[chosen] = smooth[is_better], still[is_better]
-    charts = np.where(folded, -1, charts)
-    order = np.flatnonzero(folded)
-    _grow(pieces.others, pieces.normals, pieces.areas, order, _LEAST, len(axes), charts)
-    flat[folded] = _projected(pieces.corners[folded], _axes(pieces, charts)[charts[folded]])
+    flat = _projected(corners, axes[charts])
+    folded = _folded(corners, flat)
+    for n in range(_PASSED):
+        own = np.flatnonzero(folded)
+        before = charts.copy()
+        _pass_on(others, unit(area_vectors(positions[rows[own]])), axes, own, charts)
+        _absorb(others, areas, charts)
+        some, near = _around(rows, folded | (charts != before), len(positions), n)
+        _smooth(rows[some], others[some], near, 2, positions)
+        flat[some] = _projected(positions[rows[some]], axes[charts[some]])
+        folded[some] = _folded(corners[some], flat[some])
+    for n in range(_RELAXED):
+        if not folded.any():
+            break
+        some, _ = _around(rows, folded, len(positions), n + 1)
+        keys = charts[some, None] * len(positions) + rows[some]
+        known, numbers = np.unique(keys, return_inverse=True)
+        places = np.empty((known.size, 2))
+        numbers = numbers.reshape(-1, 3)
+        places[numbers] = flat[some]
+        _, near = _around(numbers, folded[some], known.size, n)
+        joined = np.where(charts[others[some]] == charts[some, None], others[some], -1)
+        _smooth(numbers, joined, near, 4, places)
+        flat[some] = places[numbers]
+        folded[some] = _folded(corners[some], flat[some])
+    folded = _cut(pieces, flat, folded, charts)
+    flat[folded] = _projected(corners[folded], _axes(pieces, charts)[charts[folded]])
     return flat, charts
+
+
+def _around(rows: Int64s, chosen: Bools, count: int, rings: int) -> tuple[Int64s, Bools]:
+    """Return the vertices (n,) of chosen triangles and of so many rings around, and all triangles there."""
+    near = np.zeros(count, np.bool_)
+    near[rows[chosen]] = True
+    for _ in range(rings):
+        near[rows[near[rows].any(axis=1)]] = True
+    return np.flatnonzero(near[rows].any(axis=1)), near
+
+
+def _cut(pieces: _Pieces, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
+    """Make charts of what folds, and of some of what lies around; return what these are of.
+
+    Few triangles on edge stay.
+    """
+    _, others, areas, normals, _ = pieces
+    upside = folded & (doubled_areas(flat) >= -_LEAST_SHOWN * SIDE**2 * areas)
+    groups = _connected(others, folded.astype(np.int64))
+    is_cut = folded & ((np.bincount(groups, areas)[groups] >= _TINY) | upside)
+    count = int(charts.max()) + 1
+    cut = np.where(is_cut, -1, charts)
+    end = _grow(others, normals, areas, np.flatnonzero(is_cut), _LEAST, count, cut)
+    for _ in range(_WIDENED):
+        is_new = cut >= count
+        sizes = np.bincount(cut[is_new] - count, areas[is_new], end - count)
+        own = np.flatnonzero(~is_new & ((others >= 0) & is_new[others]).any(axis=1))
+        if not own.size:
+            break
+        axes = unit(_sums(cut[is_new] - count, normals[is_new] * areas[is_new, None]))
+        nearby = np.where(others[own] >= 0, cut[others[own]], -1) - count
+        is_none, nearby = nearby < 0, np.maximum(nearby, 0)
+        shown = np.einsum("mx,mkx->mk", normals[own], axes[nearby])
+        shown[is_none | (sizes[nearby] >= _TINY)] = -1.0
+        best = shown.argmax(axis=1)
+        joins = np.take_along_axis(shown, best[:, None], axis=1)[:, 0] > _LEAST
+        cut[own[joins]] = nearby[joins, best[joins]] + count
+    charts[:] = cut
+    return cut >= count
+
+
+def _absorb(others: Int32s, areas: Float64s, charts: Int64s) -> None:
+    """Give tiny pieces of charts to the chart that they have most sides with."""
+    groups = _connected(others, charts)
+    is_tiny = (np.bincount(groups, areas) < _TINY)[groups]
+    nearby = charts[others]
+    triangles, sides = np.nonzero(is_tiny[:, None] & (others >= 0) & (nearby != charts[:, None]))
+    pairs, counts = np.unique(
+        groups[triangles] * (int(charts.max()) + 1) + nearby[triangles, sides], return_counts=True
+    )
+    one, two = np.divmod(pairs, int(charts.max()) + 1)
+    order = np.lexsort((two, -counts, one))
+    firsts = order[np.flatnonzero(np.diff(one[order], prepend=-1))]
+    chosen = np.full(int(groups.max()) + 1, -1)
+    chosen[one[firsts]] = two[firsts]
+    is_moved = chosen[groups] >= 0
+    charts[is_moved] = chosen[groups[is_moved]]
+
+
+def _pass_on(others: Int32s, normals: Float64s, axes: Float64s, own: Int64s, charts: Int64s) -> None:
+    """Give some triangles, of these normals, to the neighbour's chart that shows them best."""
+    nearby = charts[others[own]]
+    shown = np.einsum("mx,mkx->mk", normals, axes[nearby])
+    shown[others[own] < 0] = -1.0
+    best = shown.argmax(axis=1)
+    every = np.arange(own.size)
+    is_better = shown[every, best] > np.einsum("mx,mx->m", normals, axes[charts[own]])
+    charts[own[is_better]] = nearby[every, best][is_better]
 
 
 def _without_overlaps(pieces: _Pieces, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
     """Halve charts that overlap themselves until none does; in the end their triangles lie apart."""
-    charts = np.unique(charts, return_inverse=True)[1]
-    doubted = np.arange(int(charts.max()) + 1)
+    charts = _connected(pieces.others, charts)
+    order = np.argsort(charts, kind="stable")
+    starts = np.append(np.flatnonzero(np.diff(charts[order], prepend=-1)), charts.size)
+    doubted = [order[first:end] for first, end in pairwise(starts.tolist())]
+    count = len(doubted)
     for n in range(_MOST_HALVED + 1):
-        doubted = _overlapping(flat, charts, doubted)
-        made = []
-        for chart in doubted.tolist():
-            own = np.flatnonzero(charts == chart)
-            count = int(charts.max()) + 1
+        doubted = [own for own in doubted if _overlaps(flat[own])]
+        halves = []
+        for own in doubted:
             if n == _MOST_HALVED:
                 charts[own[1:]] = count + np.arange(own.size - 1)
+                count += own.size - 1
                 flat[own] = _projected(pieces.corners[own], pieces.normals[own])
                 continue
             _farthest_last(pieces.others, charts, own)
             _farthest_last(pieces.others, charts, own[::-1])
-            charts[own[: own.size // 2]] = count
-            made += [chart, count]
-        doubted = np.array(made, np.int64)
+            half = own.size // 2
+            charts[own[:half]] = count
+            count += 1
+            halves += [own[:half], own[half:]]
+        doubted = halves
     return flat, charts
 
 
-def _overlapping(flat: Float64s, charts: Int64s, doubted: Int64s) -> Int64s:
-    """Return those of some charts that overlap themselves."""
-    found = []
-    order = np.argsort(charts, kind="stable")
-    starts = np.searchsorted(charts[order], np.stack([doubted, doubted + 1]))
-    for chart, first, end in zip(doubted.tolist(), *starts.tolist(), strict=True):
-        own = order[first:end]
-        if own.size < 2 or (own.size <= _FEW and not _cross(flat[own])):
-            continue
-        corners = flat[own] - flat[own].min(axis=(0, 1))
-        corners *= _PROBE / max(float(corners.max()), 1e-300)
-        every = np.ones((own.size, 3), np.bool_)
-        drawn = draw_texels(corners, np.zeros(own.size, np.int32), every, _PROBE + 1, 0, _PROBE + 1)
-        area = float(np.abs(doubled_areas(corners)).sum() / 2)
-        if area - float(drawn.areas.sum()) > _OVERLAPPING * area:
-            found.append(chart)
-    return np.array(found, np.int64)
+def _overlaps(flat: Float64s) -> bool:
+    """Say whether a chart's triangles (m, 3, 2) overlap."""
+    if len(flat) < 2 or (len(flat) <= _FEW and not _cross(flat)):
+        return False
+    corners = flat - flat.min(axis=(0, 1))
+    corners *= _PROBE / max(float(corners.max()), 1e-300)
+    return bool(_twice(corners) > _OVERLAPPING * np.abs(doubled_areas(corners)).sum() / 2.0)
+
+
+@kernel
+def _twice(corners: Float64s) -> int:
+    """Return how many points of a grid are covered again by triangles (m, 3, 2)."""
+    is_covered = np.zeros((_PROBE + 1, _PROBE + 1), np.bool_)
+    count = 0
+    for triangle in range(corners.shape[0]):
+        a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
+        x0, x1 = int(min(a[0], min(b[0], c[0]))), int(max(a[0], max(b[0], c[0])))
+        y0, y1 = int(min(a[1], min(b[1], c[1]))), int(max(a[1], max(b[1], c[1])))
+        for row in range(y0, y1 + 1):
+            for column in range(x0, x1 + 1):
+                x, y = column + _ASIDE[0], row + _ASIDE[1]  # on no edge
+                first = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+                second = (c[0] - b[0]) * (y - b[1]) - (c[1] - b[1]) * (x - b[0])
+                third = (a[0] - c[0]) * (y - c[1]) - (a[1] - c[1]) * (x - c[0])
+                if min(first, min(second, third)) > 0.0 or max(first, max(second, third)) < 0.0:
+                    count += is_covered[row, column]
+                    is_covered[row, column] = True
+    return count
 
 
 @kernel
@@ -281,6 +419,17 @@ def _parts(triangle: Float64s, other: Float64s) -> bool:
 
 
 @kernel
+def _least(charts: Int64s, values: Float64s, count: int) -> Int64s:
+    """Return the triangle of the least value in each chart."""
+    found = np.full(count, -1, np.int64)
+    for triangle in range(charts.size):
+        best = found[charts[triangle]]
+        if best < 0 or values[triangle] < values[best]:
+            found[charts[triangle]] = triangle
+    return found
+
+
+@kernel
 def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, averaged: Float64s) -> None:
     """Average normals (m, 3) over neighbours, by area and less across sharp edges, so many times."""
     before, sums = normals.copy(), np.empty(3)
@@ -307,29 +456,53 @@ def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, av
 
 
 @kernel
-def _smooth(rows: Int64s, others: Int32s, rounds: int, positions: Float64s) -> None:
-    """Move positions (n, 3) toward the means of their neighbours, so many times; borders stay."""
-    stays = np.zeros(len(positions), np.bool_)
+def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: Float64s) -> None:
+    """Move positions (n, 3 or 2) that are ``near`` toward the means of their neighbours; borders stay."""
     for triangle in range(len(rows)):
         for side in range(3):
             if others[triangle, side] < 0:
-                stays[rows[triangle, side]] = stays[rows[triangle, (side + 1) % 3]] = True
-    sums, counts = np.empty_like(positions), np.empty(len(positions))
+                near[rows[triangle, side]] = near[rows[triangle, (side + 1) % 3]] = False
+    sums, counts = np.zeros_like(positions), np.zeros(len(positions))
     for _ in range(rounds):
-        sums[:] = 0.0
-        counts[:] = 0.0
         for triangle in range(len(rows)):
             for side in range(3):
                 a, b = rows[triangle, side], rows[triangle, (side + 1) % 3]
-                for axis in range(3):
+                for axis in range(positions.shape[1]):
                     sums[a, axis] += positions[b, axis]
                     sums[b, axis] += positions[a, axis]
                 counts[a] += 1.0
                 counts[b] += 1.0
-        for n in range(len(positions)):
-            if counts[n] > 0.0 and not stays[n]:
-                for axis in range(3):
-                    positions[n, axis] += _STEP * (sums[n, axis] / counts[n] - positions[n, axis])
+        for triangle in range(len(rows)):
+            for side in range(3):
+                n = rows[triangle, side]
+                if counts[n] > 0.0 and near[n]:
+                    for axis in range(positions.shape[1]):
+                        positions[n, axis] += _STEP * (sums[n, axis] / counts[n] - positions[n, axis])
+                counts[n] = sums[n, 0] = sums[n, 1] = sums[n, -1] = 0.0
+
+
+@kernel
+def _connected(others: Int32s, charts: Int64s) -> Int64s:
+    """Number the connected pieces of charts (m,) from 0 up."""
+    numbers, queue = np.full(charts.size, -1, np.int64), np.empty(charts.size, np.int64)
+    count = 0
+    for start in range(charts.size):
+        if numbers[start] >= 0:
+            continue
+        queue[0] = start
+        numbers[start] = count
+        first, end = 0, 1
+        while first < end:
+            triangle = queue[first]
+            first += 1
+            for side in range(3):
+                other = others[triangle, side]
+                if other >= 0 and numbers[other] < 0 and charts[other] == charts[start]:
+                    numbers[other] = count
+                    queue[end] = other
+                    end += 1
+        count += 1
+    return numbers
 
 
 @kernel

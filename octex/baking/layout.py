@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s
+from octex.arrays import Bools, Float64s, Int32s, Int64s
 from octex.errors import ModelError
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
@@ -102,7 +102,11 @@ def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
 
 def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
     """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
-    faces = first_equal(mesh.rest)[mesh.triangles]
+    return neighbors_of(first_equal(mesh.rest)[mesh.triangles])
+
+
+def neighbors_of(faces: Int64s) -> tuple[Int32s, Int32s]:
+    """Return the same for the vertices of triangles (m, 3), where each position is one vertex."""
     found = sides_across(faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1))
     others = np.where(found < 0, -1, found // 3).astype(np.int32).reshape(-1, 3)
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import octex
 from octex.baking import atlas
 from octex.baking.charts import SIDE, laid_flat
-from octex.baking.layout import charts_of, doubled_areas
+from octex.baking.layout import doubled_areas
 from octex.baking.texels import draw_texels
 from octex.errors import ModelError
 from octex.source.mesh import Mesh
@@ -59,8 +59,7 @@ def overlapping(flat: Floats, charts: npt.NDArray[np.int32]) -> list[int]:
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.006])
 def test_noise_does_not_tear_charts_apart(noise: float) -> None:
     mesh = noisy(5, noise)
-    flat = laid_flat(mesh)
-    charts, _ = charts_of(mesh, flat)
+    flat, charts, _ = laid_flat(mesh)
     assert charts.max() < 20
     assert stretched(mesh, flat) < 1.06
     assert (doubled_areas(flat) < 0.0).all()
@@ -76,15 +75,15 @@ def test_what_is_flat_is_one_chart_and_keeps_its_lengths() -> None:
     quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-1)
     triangles = quads.reshape(-1, 4)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     mesh = Mesh(np.column_stack([points, 0.3 * points[:, 0]]), triangles)
-    flat = laid_flat(mesh)
-    assert charts_of(mesh, flat)[0].max() == 0
+    flat, charts, _ = laid_flat(mesh)
+    assert charts.max() == 0
     np.testing.assert_allclose(stretched(mesh, flat), 1.0, atol=1e-9)
 
 
 def test_a_box_has_a_chart_for_each_face() -> None:
     box = trimesh.creation.box()
     mesh = Mesh(box.vertices, np.asarray(box.faces))
-    assert charts_of(mesh, laid_flat(mesh))[0].max() == 5
+    assert laid_flat(mesh).charts.max() == 5
 
 
 def test_a_sheet_that_lies_over_itself_is_cut() -> None:
@@ -93,8 +92,7 @@ def test_a_sheet_that_lies_over_itself_is_cut() -> None:
     points = np.concatenate([ring, ring * (2.0, 2.0, 1.0)])
     quads = np.stack([steps[:-1], steps[:-1] + 200, steps[1:] + 200, steps[1:]], axis=1)
     mesh = Mesh(points, quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3))
-    flat = laid_flat(mesh)
-    charts, _ = charts_of(mesh, flat)
+    flat, charts, _ = laid_flat(mesh)
     assert 3 <= charts.max() + 1 <= 12
     assert overlapping(flat, charts) == []
 
@@ -105,13 +103,13 @@ def test_any_triangles_are_laid_flat_without_folds(seed: int) -> None:
     points = rng.integers(0, 4, (int(rng.integers(3, 30)), 3)).astype(np.float64)
     triangles = rng.integers(0, len(points), (int(rng.integers(1, 60)), 3))
     mesh = Mesh(points + (0.0, 0.0, 1.0) * (np.arange(len(points)) == 0)[:, None], triangles)
-    flat = laid_flat(mesh)
+    flat, charts, _ = laid_flat(mesh)
     assert np.isfinite(flat).all()
     areas = np.linalg.norm(
         np.cross(*np.moveaxis(mesh.rest[triangles][:, 1:] - mesh.rest[triangles][:, :1], 1, 0)), axis=1
     )
     assert (doubled_areas(flat)[areas > 0.0] < 0.0).all()
-    assert overlapping(flat, charts_of(mesh, flat)[0]) == []
+    assert overlapping(flat, charts) == []
     atlas.atlas_layout(mesh, [1024], None, 1e-9)
 
 
