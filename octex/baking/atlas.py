@@ -198,7 +198,7 @@ class _Outlines(NamedTuple):
 
 
 def _outlines(flat: Float64s, charts: Int32s, edges: Bools) -> _Outlines:
-    areas: Float64s = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0)
+    areas = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0).astype(np.float64)
     is_closed = np.bincount(charts, edges.any(axis=1)) == 0
     triangles, sides = np.nonzero(edges | is_closed[charts][:, None])  # what is closed has no area
     order = np.argsort(charts[triangles], kind="stable")
