@@ -21,10 +21,10 @@ from octex.source.welding import first_equal, welded
 _PIECE = 4_000
 #: Charts in the order of their sizes fit at their scale, and not at one that is more than so much larger.
 _CLOSE = 1.02
-#: Then other orders are tried at a scale so much larger, in which sizes count so many times as much: as often as
-#: so many charts can be placed in so many blocks a side, and at most so often.
+#: Then other orders, in which sizes count so many times as much, are tried at a scale so much larger: as
+#: often as so many charts can be placed in so many blocks a side, and at most so often.
 _CLOSER, _SHUFFLED = 1.005, (0.7, 1.4)
-_TRIED, _TRIED_BLOCKS, _MOST_TRIED = 5_000, 256, 60
+_TRIED, _TRIED_BLOCKS, _MOST_TRIED = 2_000, 256, 30
 #: Of so many of the largest charts the best of four ways to lie is taken.
 _MOST_TURNED = 100
 #: How much of a map charts fill at best, usually, and at least where padding is chosen.
@@ -198,7 +198,7 @@ class _Outlines(NamedTuple):
 
 
 def _outlines(flat: Float64s, charts: Int32s, edges: Bools) -> _Outlines:
-    areas = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0)
+    areas = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0).astype(np.float64)
     is_closed = np.bincount(charts, edges.any(axis=1)) == 0
     triangles, sides = np.nonzero(edges | is_closed[charts][:, None])  # what is closed has no area
     order = np.argsort(charts[triangles], kind="stable")
@@ -308,7 +308,7 @@ def _is_near(x: float, y: float, right: float, down: float, squared: float, arou
     if first <= last:
         return True
     most = around * around
-    for n in range(2):
+    for _ in range(2):
         across, over = max(-x, max(x - 1.0, 0.0)), max(-y, max(y - 1.0, 0.0))
         if across * across + over * over <= most:
             return True

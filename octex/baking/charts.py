@@ -24,11 +24,11 @@ from octex.source.welding import first_equal
 SIDE = 1024.0
 #: The least cosine between averaged normals and a chart's axis, where charts grow one by one and at once.
 _LEAST, _WIDEST = 0.6, 0.5
-#: Charts are merged while their axis shows so much of their area, and all but a little of it within this angle;
+#: Charts are merged while their axis shows so much of their area, and triangles lie within this angle;
 #: those of less than this doubled area within a larger one alone.
-_SHOWN, _MERGED, _LITTLE = 0.8, np.radians(65.0), 0.0
+_SHOWN, _MERGED = 0.8, np.radians(65.0)
 _SMALL, _MERGED_SMALL = 2.0 * 256.0 / SIDE**2, np.radians(78.0)
-#: Charts of less than this doubled area, and than this part of what they are connected with, are merged anyhow.
+#: Charts of less than this doubled area, and this part of their connected mesh, are merged anyhow.
 _TINY, _TINY_PART = 2.0 * 16.0 / SIDE**2, 0.01
 #: Directions are counted in so many bins a side of a cube's faces.
 _BINS = 6
@@ -132,8 +132,8 @@ def _merged(pieces: _Pieces, charts: Int64s) -> Int64s:
     _, others, areas, _, facings = pieces
     sums, sizes = _sums(charts, facings * areas[:, None]), np.bincount(charts, areas)
     bins, directions = _binned(facings)
-    shares = np.bincount(charts * len(directions) + bins, areas, sizes.size * len(directions))
-    shares = shares.reshape(sizes.size, -1) > _LITTLE  # which ways each chart faces
+    counts = np.bincount(charts * len(directions) + bins, areas > 0.0, sizes.size * len(directions))
+    shares = counts.reshape(sizes.size, -1) > 0.0  # which ways each chart faces
     triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
     one, two = charts[triangles], charts[others[triangles, sides]]
     ends = pieces.corners[triangles, sides], pieces.corners[triangles, (sides + 1) % 3]
@@ -209,7 +209,7 @@ def _widest(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions:
 
 
 def _numbered(charts: Int64s) -> Int64s:
-    """Number charts from 0 up, in their order."""
+    """Return numbers for charts (m,) from 0 up, in their order."""
     numbers: Int64s = (np.cumsum(np.bincount(charts) > 0) - 1)[charts]
     return numbers
 
@@ -236,7 +236,7 @@ def _unfolded(pieces: _Pieces, rows: Int64s, positions: Float64s, charts: Int64s
 
     Triangles that fold change to a neighbour's chart if that shows them.
     """
-    corners, others, areas, normals, _ = pieces
+    corners, others, areas = pieces.corners, pieces.others, pieces.areas
     axes = _axes(pieces, charts)
     flat = _projected(corners, axes[charts])
     folded = _folded(corners, flat)
@@ -483,7 +483,7 @@ def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: F
 
 @kernel
 def _connected(others: Int32s, charts: Int64s) -> Int64s:
-    """Number the connected pieces of charts (m,) from 0 up."""
+    """Return the connected piece of a chart that each triangle (m,) is in, counting from 0."""
     numbers, queue = np.full(charts.size, -1, np.int64), np.empty(charts.size, np.int64)
     count = 0
     for start in range(charts.size):
