@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.charts import SIDE, Flat, laid_flat
+from octex.baking.charts import Flat, laid_flat
 from octex.baking.layout import Layout, charts_of, doubled_areas
+from octex.baking.unfold import SIDE
 from octex.errors import ModelError
 from octex.jit import kernel, part
 from octex.source.corners import Corners
