@@ -60,7 +60,7 @@ class Run:
               ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel, merging some 700 MB
     folder    for these files. Default: that of ``path``, or the folder of temporary files
     resume    a folder that stores finished stages of painting. A later call with the same folder reuses what
-              has not changed. It holds 41 bytes a pixel; you may delete it
+              has not changed. It holds 29 bytes a pixel; you may delete it
     progress  called with a stage's name, the units done and the units in all
 
     Other functions refuse memory, folder and resume. The shortcuts ``threads=`` and ``progress=`` of a

@@ -180,8 +180,9 @@ def cell_levels(
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     taken = [part.taken for part in parts if part.taken is not None]
-    samples = join(depth, channels, codes, taken) if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
+    del parts
+    samples = join(depth, channels, codes, taken) if has_samples else None
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
     return CellLevels(depth, codes, levels, samples, deepest, degenerate, gaps)
 

@@ -149,10 +149,12 @@ def join(
     depth: int,
     channels: tuple[ChannelFormat, ...],
     codes: Int64s,
-    taken: Sequence[Taken],
+    taken: list[Taken],
 ) -> Samples:
-    """Lay the samples of all runs end to end."""
-    counts, places, normals, shares, values = (large.joined(arrays) for arrays in zip(*taken, strict=True))
+    """Lay the samples of all runs end to end; ``taken`` is emptied, which saves memory."""
+    columns = [list(arrays) for arrays in zip(*taken, strict=True)]
+    taken.clear()
+    counts, places, normals, shares, values = (large.joined(columns.pop(0)) for _ in Taken._fields)
     firsts = large.zeros(len(codes) + 1, np.int64)
     for begin in range(0, len(codes), _RUN):  # a sum over all of them would be made in memory first
         end = min(begin + _RUN, len(codes))

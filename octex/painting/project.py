@@ -16,7 +16,7 @@ from octex.conversion import large
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips
 from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow, pixels_under
-from octex.painting.sight import Shot, has_paint, most_ahead, near_paint, renamed
+from octex.painting.sight import Shot, has_paint, most_ahead, near_paint
 from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
 from octex.view.shading import face_normals
@@ -87,14 +87,19 @@ class Projected(PaintSource):
         """Return how many pixels of a shot triangles (m,) own; or at most, where hidden ones are painted."""
         if self.terms.hidden:
             return pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
-        counts = np.bincount(shot.seen.triangle.ravel() + 1, minlength=len(self.triangles) + 1)
-        return counts[1:].astype(np.int32)
+        counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
+        pixels = np.bincount(seen.rows.ravel() + 1, minlength=len(seen.triangles) + 1)[1:]
+        counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
+        return counts
 
     def on(self, chosen: Int32s) -> Projected:
         """Return the same paint for some of the triangles, among them all that own a pixel."""
         names = np.full(len(self.triangles) + 1, -1, np.int32)  # none, −1, is the last
         names[chosen] = np.arange(len(chosen), dtype=np.int32)
-        shots = [renamed(shot, names[shot.seen.triangle]) for shot in self.shots]
+        shots = [
+            shot._replace(seen=shot.seen._replace(triangles=names[shot.seen.triangles]))
+            for shot in self.shots
+        ]
         return replace(
             self,
             shots=self.shots if self.terms.hidden else shots,
@@ -222,7 +227,7 @@ class Projected(PaintSource):
 
 def _summed(shot: Shot) -> Int32s:
     """Return how many pixels that see something are above and left of others (height + 1, width + 1)."""
-    return _sums_of(shot.seen.triangle >= 0)
+    return _sums_of(shot.seen.rows >= 0)
 
 
 def _sums_of(chosen: Bools) -> Int32s:

@@ -162,7 +162,7 @@ def _read_beside(
     """
     (u, v), (x, y) = place, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
-    height, width = shot.seen.triangle.shape
+    height, width = shot.seen.rows.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
     of_x, of_y = catmull_rom(np.float32(u - 0.5 - left)), catmull_rom(np.float32(v - 0.5 - top))
     none = np.float32(0.0)
@@ -176,8 +176,10 @@ def _read_beside(
         i, j = int(np.floor(y + dy)), int(np.floor(x + dx))
         if not (0 <= i < height and 0 <= j < width):
             continue
-        other = shot.seen.triangle[i, j]
-        if other < 0 or (other != triangle and parts(shot.seen, i, j, pixel, plane, slack)):
+        other = shot.seen.rows[i, j]
+        if other < 0 or (
+            shot.seen.triangles[other] != triangle and parts(shot.seen, i, j, pixel, plane, slack)
+        ):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
         own = np.float32(1.0) / (far * far)
@@ -198,13 +200,13 @@ def _read_beside(
 def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
     """Say whether a pixel, which sees pixel (i, j), is beside background that the picture has transparent."""
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
-    height, width = shot.seen.triangle.shape
+    height, width = shot.seen.rows.shape
     for side in range(4):
         down, right = (side & 1) * (side - 2), (1 - (side & 1)) * (side - 1)
         inside = 0 <= row + down < rows and 0 <= column + right < columns
         inside = inside and 0 <= i + down < height and 0 <= j + right < width
         at = (row + down) * columns + column + right
-        if inside and shot.seen.triangle[i + down, j + right] < 0 and shot.mips.pixels[at, 3] == 0.0:
+        if inside and shot.seen.rows[i + down, j + right] < 0 and shot.mips.pixels[at, 3] == 0.0:
             return True
     return False
 
@@ -225,7 +227,7 @@ def add_paint(
 ) -> None:
     """Add a shot's paint to weighted sums (n, 4), and take its coverage from what is ``clear`` (n,)."""
     view = shot.camera
-    height, width = shot.seen.triangle.shape
+    height, width = shot.seen.rows.shape
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     last = -1
     a = b = c = of_a = of_b = of_c = (0.0, 0.0, 0.0)

@@ -64,7 +64,8 @@ class Sight(NamedTuple):
         shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
         K = shift @ self.camera.K
         camera = self.camera._replace(K=K, inverse_k=np.linalg.inv(K).astype(np.float64))
-        seen = Visibility(*(np.ascontiguousarray(window.of(each)) for each in self.seen))
+        corner = self.seen.corner + np.array([window.left, window.top])
+        seen = self.seen._replace(rows=np.ascontiguousarray(window.of(self.seen.rows)), corner=corner)
         margins = np.ascontiguousarray(window.of(self.margins))
         return Sight(camera, shift @ self.K, self.lens, seen, margins)
 
@@ -95,18 +96,20 @@ def sight_of(
     def seen() -> dict[str, Array]:
         if hidden:
             size = pinhole.height, pinhole.width
-            found = Visibility(np.zeros(size, np.int32), np.zeros((*size, 3), np.float32))
+            none = np.zeros(1, np.int32), np.zeros((1, 3)), np.zeros(2, np.int64)
+            found = Visibility(np.zeros(size, np.int32), *none)
         else:
             found = visibility_of(vertices, triangles, pinhole, executor)
         return {**found._asdict(), "margins": distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)}
 
     def is_sound(arrays: Mapping[str, Array]) -> bool:
-        triangle = arrays["triangle"]
-        return bool(triangle.min() >= -1 and triangle.max() < len(triangles))
+        rows, seen = arrays["rows"], arrays["triangles"]
+        is_in = rows.min() >= -1 and rows.max() < len(seen) == len(arrays["planes"])
+        return bool(is_in and ((seen >= 0) & (seen < len(triangles))).all())
 
     own = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather, hidden])
     found = own.arrays("sight", seen, is_sound)
-    visibility = Visibility(found["triangle"], found["planes"])
+    visibility = Visibility(*(found[name] for name in Visibility._fields))
     sight = Sight(view, camera.K, camera.lens, visibility, found["margins"])
     return stages.placed(sight)
 
@@ -165,7 +168,8 @@ def near_paint(shot: Shot, reach: int) -> Shot:
     painted = has_paint(shot)
     if is_bent(shot.lens) or painted.all():
         return shot
-    return renamed(shot, np.where(_spread(painted, reach), shot.seen.triangle, np.int32(-1)))
+    rows = np.where(_spread(painted, reach), shot.seen.rows, np.int32(-1))
+    return shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
 
 
 def has_paint(shot: Shot) -> Bools:
@@ -173,11 +177,6 @@ def has_paint(shot: Shot) -> Bools:
     width, height = shot.mips.sizes[0, 1:]
     painted: Bools = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
     return painted
-
-
-def renamed(shot: Shot, triangle: Int32s) -> Shot:
-    """Return a shot whose pixels see other triangles (height, width); −1 for none."""
-    return shot._replace(seen=shot.seen._replace(triangle=large.moved(triangle)))
 
 
 @kernel

@@ -69,7 +69,7 @@ def misfits(
     if not small:
         return {}, None  # painting says what is wrong
     source = _seen_on(surface, small, executor)
-    is_blind = [bool((shot.seen.triangle < 0).all()) for shot in source.shots]
+    is_blind = [bool((shot.seen.rows < 0).all()) for shot in source.shots]
     if all(is_blind):
         return found, better_placed(surface, small, 0.0, executor)
     found |= {

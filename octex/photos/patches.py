@@ -43,10 +43,10 @@ def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s
         slopes = np.empty_like(bent)
         undistort(shot.lens, np.ascontiguousarray(bent), slopes)
         places = slopes @ shot.camera.K[:2, :2].T + shot.camera.K[:2, 2]
-    high, wide = shot.seen.triangle.shape
+    high, wide = shot.seen.rows.shape
     inside = np.asarray(np.logical_and(places >= 0, places < [wide, high]).all(axis=1))
     i, j = np.where(inside[:, None], places, 0.0).astype(np.int64).T
-    triangles = shot.seen.triangle[j, i]
+    triangles = shot.seen.triangle(shot.seen.rows[j, i])
     found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
     found = found[np.argsort(triangles[found], kind="stable")]
     seen = triangles[found]

@@ -1,8 +1,8 @@
 """Which points of a surface a camera sees, decided point by point against what its pixels see.
 
-Every pixel keeps the plane of the triangle that it sees, as the *nearness* of that plane over the picture: 1
-over depth for pinhole cameras, minus depth for orthographic ones. Nearness is linear in pixel coordinates, so
-that the plane of a pixel can be read at a point beside it, and the plane of a point at a pixel.
+Every triangle that a pixel sees keeps its plane, as the *nearness* of that plane over the picture: 1 over
+depth for pinhole cameras, minus depth for orthographic ones. Nearness is linear in pixel coordinates, so that
+the plane of a pixel can be read at a point beside it, and the plane of a point at a pixel.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s
+from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.cameras.camera import Camera
 from octex.jit import inlined, kernel
 from octex.source.vectors import Vector, cross_product, dot_product, minus
@@ -33,8 +33,17 @@ Pixel = tuple[float, float]
 class Visibility(NamedTuple):
     """What the pixels of a camera without distortion see; row 0 is the top of the picture."""
 
-    triangle: Int32s  # (height, width)   −1: none
-    planes: Float32s  # (height, width, 3)   nearness, and its slopes to the right and down
+    rows: Int32s  # (height, width)   the row of the triangle that a pixel sees; −1: none
+    triangles: Int32s  # (k,)   those that pixels see
+    planes: Float64s  # (k, 3)   nearness at pixel coordinates (0, 0), and its slopes to the right and down
+    corner: Int64s  # (2,)   pixel coordinates, x and y, of the corner of the first pixel
+
+    def triangle(self, rows: Int32s) -> Int32s:
+        """Return the triangles of rows of any shape; −1 for −1."""
+        found = np.full(rows.shape, -1, np.int32)
+        sees = rows >= 0
+        found[sees] = self.triangles[rows[sees]]
+        return found
 
 
 class View(NamedTuple):
@@ -58,10 +67,10 @@ def visibility_of(
     vertices: Float64s, triangles: Int32s, camera: Camera, executor: Executor | None = None
 ) -> Visibility:
     """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3)."""
-    seen = z_buffer(vertices, triangles, camera, executor).triangle
-    planes = np.zeros((*seen.shape, 3), np.float32)
-    _find_planes(vertices, triangles, view_of(camera), seen, planes)
-    return Visibility(seen, planes)
+    rows = z_buffer(vertices, triangles, camera, executor).triangle
+    seen = _number(rows, len(triangles))
+    planes = _planes_of(vertices, triangles[seen], view_of(camera))
+    return Visibility(rows, seen, planes, np.zeros(2, np.int64))
 
 
 def straight(camera: Camera) -> Camera:
@@ -124,23 +133,43 @@ def nearness(view: View, plane: tuple[float, float, float, float]) -> Vector:
 
 
 @kernel
-def _find_planes(vertices: Float64s, triangles: Int32s, view: View, seen: Int32s, planes: Float32s) -> None:
-    last = -1
-    base = right = down = 0.0
-    for row in range(seen.shape[0]):
-        for column in range(seen.shape[1]):
-            triangle = int(seen[row, column])
+def _number(seen: Int32s, count: int) -> Int32s:
+    """Return the triangles, of ``count``, that pixels see; put their rows in place of them."""
+    rows, found, size = np.full(count, -1, np.int32), np.empty(min(count, seen.size), np.int32), 0
+    for i in range(seen.shape[0]):
+        for j in range(seen.shape[1]):
+            triangle = seen[i, j]
             if triangle < 0:
                 continue
-            if triangle != last:
-                last = triangle
-                a = transformed(view, vertices, triangles[triangle, 0])
-                b = transformed(view, vertices, triangles[triangle, 1])
-                c = transformed(view, vertices, triangles[triangle, 2])
-                base, right, down = nearness(view, plane_through(a, b, c))
-            planes[row, column, 0] = base + right * (column + 0.5) + down * (row + 0.5)
-            planes[row, column, 1] = right
-            planes[row, column, 2] = down
+            if rows[triangle] < 0:
+                rows[triangle], found[size] = size, triangle
+                size += 1
+            seen[i, j] = rows[triangle]
+    return found[:size].copy()
+
+
+@kernel
+def _planes_of(vertices: Float64s, triangles: Int32s, view: View) -> Float64s:
+    planes = np.empty((len(triangles), 3))
+    for n in range(len(triangles)):
+        a = transformed(view, vertices, triangles[n, 0])
+        b = transformed(view, vertices, triangles[n, 1])
+        c = transformed(view, vertices, triangles[n, 2])
+        planes[n, 0], planes[n, 1], planes[n, 2] = nearness(view, plane_through(a, b, c))
+    return planes
+
+
+@inlined
+def _plane_at(seen: Visibility, row: int, column: int) -> Vector:
+    """Return the nearness of what a pixel sees in its middle, and its slopes."""
+    at = seen.rows[row, column]
+    base, right, down = seen.planes[at, 0], seen.planes[at, 1], seen.planes[at, 2]
+    x, y = seen.corner[0] + column + 0.5, seen.corner[1] + row + 0.5
+    return (
+        np.float64(np.float32(base + right * x + down * y)),
+        np.float64(np.float32(right)),
+        np.float64(np.float32(down)),
+    )
 
 
 @inlined
@@ -156,11 +185,12 @@ def hides(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, 
 
     Either alone errs: the planes of the two faces of a crease, drawn out, pass before each other.
     """
-    (x, y), (near, right, down), planes = pixel, plane, seen.planes
-    dx, dy, there = column + 0.5 - x, row + 0.5 - y, planes[row, column, 0]
+    (x, y), (near, right, down) = pixel, plane
+    there, across, along = _plane_at(seen, row, column)
+    dx, dy = column + 0.5 - x, row + 0.5 - y
     if near + right * dx + down * dy >= there - slack:
         return False
-    return bool(there - planes[row, column, 1] * dx - planes[row, column, 2] * dy > near + slack)
+    return bool(there - across * dx - along * dy > near + slack)
 
 
 @inlined
@@ -168,16 +198,16 @@ def parts(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, 
     """Say whether what a pixel sees hides a point, or goes on behind it; see `hides`."""
     (x, y), (near, right, down) = pixel, plane
     dx, dy = column + 0.5 - x, row + 0.5 - y
-    there = seen.planes[row, column, 0]
+    there, across, along = _plane_at(seen, row, column)
     own = near + right * dx + down * dy - there
-    other = near - (there - seen.planes[row, column, 1] * dx - seen.planes[row, column, 2] * dy)
+    other = near - (there - across * dx - along * dy)
     return bool((own < -slack and other < -slack) or (own > slack and other > slack))
 
 
 @inlined
 def visible_part(seen: Visibility, triangle: int, pixel: Pixel, plane: Vector, slack: float) -> float:
     """Return how much of the four pixels around a point sees it, 0 … 1, by their bilinear weights."""
-    (x, y), (height, width) = pixel, seen.triangle.shape
+    (x, y), (height, width) = pixel, seen.rows.shape
     left, top = np.floor(x - 0.5), np.floor(y - 0.5)
     part_x, part_y = x - 0.5 - left, y - 0.5 - top
     total = 0.0
@@ -185,8 +215,12 @@ def visible_part(seen: Visibility, triangle: int, pixel: Pixel, plane: Vector, s
         weight = (part_x if corner & 1 else 1.0 - part_x) * (part_y if corner & 2 else 1.0 - part_y)
         column = min(max(int(left) + (corner & 1), 0), width - 1)
         row = min(max(int(top) + (corner >> 1), 0), height - 1)
-        other = seen.triangle[row, column]
-        if other < 0 or other == triangle or not hides(seen, row, column, pixel, plane, slack):
+        other = seen.rows[row, column]
+        if (
+            other < 0
+            or seen.triangles[other] == triangle
+            or not hides(seen, row, column, pixel, plane, slack)
+        ):
             total += weight
     return total
 
@@ -198,13 +232,13 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
     It ends at the rim, at the background, and where a part hides another. Steps to 8 neighbours: at most 8 %
     too long.
     """
-    height, width = seen.triangle.shape
+    height, width = seen.rows.shape
     distances = np.empty((height, width), np.float32)
     for row in range(height):
         for column in range(width):
             rim = min(min(row, height - 1 - row), min(column, width - 1 - column)) + 0.5
             distances[row, column] = min(rim, reach)
-            if seen.triangle[row, column] < 0:
+            if seen.rows[row, column] < 0:
                 distances[row, column] = 0.0
             elif (column + 1 < width and _parts(seen, view, row, column, row, column + 1)) or (
                 row + 1 < height and _parts(seen, view, row, column, row + 1, column)
@@ -238,7 +272,7 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
 @inlined
 def _parts(seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
     """Say whether two pixels beside each other see what does not hang together."""
-    here, there = seen.triangle[row, column], seen.triangle[other_row, other_column]
+    here, there = seen.rows[row, column], seen.rows[other_row, other_column]
     if here == there:
         return False
     if here < 0 or there < 0:
@@ -253,8 +287,6 @@ def _is_hidden(
     seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int
 ) -> bool:
     """Say whether what the second pixel sees goes on behind what the first one sees."""
-    near = np.float64(seen.planes[other_row, other_column, 0])
-    right = np.float64(seen.planes[other_row, other_column, 1])
-    down = np.float64(seen.planes[other_row, other_column, 2])
+    near, right, down = _plane_at(seen, other_row, other_column)
     slack = tolerance(view, near, right, down, 0.0)
     return hides(seen, row, column, (other_column + 0.5, other_row + 0.5), (near, right, down), slack)

@@ -266,8 +266,8 @@ def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
     surface, camera = ball(), above(4.0, 80, 120.0)
     found = visibility_of(surface.vertices, surface.triangles, camera)
     distances = distances_to_edges(found, view_of(camera), 50.0)
-    row, column = np.nonzero(found.triangle < 0)
-    inside = np.argwhere(found.triangle >= 0)
+    row, column = np.nonzero(found.rows < 0)
+    inside = np.argwhere(found.rows >= 0)
     for r, c in inside[:: len(inside) // 50]:
         expected = np.hypot(row - r, column - c).min()
         rim = min(r, c, 79 - r, 79 - c) + 0.5
