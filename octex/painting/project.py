@@ -175,7 +175,7 @@ class Projected(PaintSource):
         for shot in self.shots:
             counts = self._counts(shot)[touched]
             edges = flat.with_shots([shot]).texel_edges(touched)
-            some = np.flatnonzero(outside & (counts >= shot.seen.triangle.size / (2 * _STEPS**2)))
+            some = np.flatnonzero(outside & (counts >= shot.seen.rows.size / (2 * _STEPS**2)))
             if some.size:
                 inner = self._inner_places(shot, touched[some])
                 edges[some] = flat.with_shots([shot]).widths(touched[some], inner)
@@ -193,7 +193,7 @@ class Projected(PaintSource):
 
     def _inner_places(self, shot: Shot, triangles: Int32s) -> Float64s:
         """Return barycentric coordinates (n, 3) of the nearest points that some of a shot's pixels see."""
-        height, width = shot.seen.triangle.shape
+        height, width = shot.seen.rows.shape
         steps = (np.arange(_STEPS) + 0.5) / _STEPS
         pixels = np.stack([*np.meshgrid(width * steps, height * steps), np.ones((_STEPS, _STEPS))])
         rays = shot.camera.inverse_k @ pixels.reshape(3, -1)
