@@ -33,10 +33,9 @@ from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 
-#: Charts are merged while their axis shows so much of their area, and triangles lie within this angle;
-#: those of less than this doubled area within a larger one alone.
-_SHOWN, _MERGED = 0.8, np.radians(65.0)
-_SMALL, _MERGED_SMALL = 2.0 * 256.0 / SIDE**2, np.radians(78.0)
+#: Charts are merged while their axis shows so much of their area, or one of them has less than this doubled
+#: area, and triangles lie within this angle.
+_SHOWN, _SMALL, _MERGED = 0.8, 2.0 * 256.0 / SIDE**2, np.radians(65.0)
 #: Directions are counted in so many bins a side of a cube's faces.
 _BINS = 6
 #: Pairs of charts of which angles are found at once.
@@ -125,8 +124,7 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
         is_small = np.minimum(sizes[one], sizes[two]) < _SMALL
         fits = (sizes < tiny)[one] | (sizes < tiny)[two]
         some = np.flatnonzero((is_shown | is_small) & ~fits)
-        widest = _widest(unit(both[some]), shares, one[some], two[some], directions)
-        fits[some] = (widest <= _MERGED) & is_shown[some] | (widest <= _MERGED_SMALL) & is_small[some]
+        fits[some] = _widest(unit(both[some]), shares, one[some], two[some], directions) <= _MERGED
         order = np.flatnonzero(fits)
         if not order.size:
             return made[charts]
