@@ -21,7 +21,7 @@ TINY, TINY_PART = 2.0 * 16.0 / SIDE**2, 0.01
 #: Around folds the surface is smoothed so often, then the chart.
 _PASSED, _RELAXED = 3, 4
 #: What shows less than this part of its area is on edge; where that is little, it may show so much less.
-_ON_EDGE, _LEAST_SHOWN = 0.1, 0.02
+_ON_EDGE, _LEAST_SHOWN = 0.25, 0.02
 #: What is cut out takes in so many rings of triangles around, while it is tiny.
 _WIDENED = 4
 #: How far a position moves to the mean of its neighbours at once.
