@@ -108,7 +108,7 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
     counts = np.bincount(charts * len(directions) + bins, areas > 0.0, sizes.size * len(directions))
     shares = counts.reshape(sizes.size, -1) > 0.0  # which ways each chart faces
     triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
-    one, two = charts[triangles], charts[others[triangles, sides]]
+    one, two = charts[triangles], charts[others[triangles, sides]]  # both ways
     ends = pieces.corners[triangles, sides], pieces.corners[triangles, (sides + 1) % 3]
     borders = np.linalg.norm(ends[1] - ends[0], axis=1)
     whole = connected(others, np.zeros_like(charts))
@@ -116,7 +116,7 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
     tiny[charts] = np.minimum(TINY, TINY_PART * np.bincount(whole, areas))[whole]
     made = np.arange(sizes.size)  # of the charts that there were
     while True:
-        pairs, rows = np.unique(one * sizes.size + two, return_inverse=True)
+        pairs, rows = np.unique(np.minimum(one, two) * sizes.size + np.maximum(one, two), return_inverse=True)
         borders = np.bincount(rows, borders, pairs.size)
         one, two = pairs // sizes.size, pairs % sizes.size
         both = sums[one] + sums[two]
@@ -125,13 +125,13 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
         fits = (sizes < tiny)[one] | (sizes < tiny)[two]
         some = np.flatnonzero((is_shown | is_small) & ~fits)
         fits[some] = _widest(unit(both[some]), shares, one[some], two[some], directions) <= _MERGED
-        order = np.flatnonzero(fits)
-        if not order.size:
+        if not fits.any():
             return made[charts]
-        order = order[np.lexsort((two[order], -borders[order], one[order]))]
-        firsts = order[np.flatnonzero(np.diff(one[order], prepend=-1))]
+        ways = np.concatenate([np.stack([one, two], axis=1)[fits], np.stack([two, one], axis=1)[fits]])
+        order = np.lexsort((ways[:, 1], -np.tile(borders[fits], 2), ways[:, 0]))
+        firsts = order[np.flatnonzero(np.diff(ways[order, 0], prepend=-1))]
         best = np.full(sizes.size, -1)
-        best[one[firsts]] = two[firsts]
+        best[ways[firsts, 0]] = ways[firsts, 1]  # two choose each other: those with the longest border of all
         numbers = np.arange(sizes.size)
         is_mutual = (best >= 0) & (best[best] == numbers) & (numbers > best)
         numbers[is_mutual] = best[is_mutual]

@@ -107,6 +107,11 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         if options.unwrap is not None:
             patch, shots = flat_shots(options, whole, texture, progress)
             surface = patch.surface
+        for shot in shots:
+            if shot.since is not None and shot.path.suffix.lower() in (".jpg", ".jpeg"):
+                progress.note(
+                    f"{shot.path} is a JPEG: what compression changed is painted, too; save views as PNG"
+                )
         with workers() as executor:
             painting = Painting(options, surface, executor, progress)
             if by_camera:

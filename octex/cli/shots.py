@@ -59,8 +59,6 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
             shots.append(Shot(path, frame.camera(size), mask, _since(options, frame, size), frame.name))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
-        if shots[-1].since is not None and path.suffix.lower() in (".jpg", ".jpeg"):
-            progress.note(f"{path} is a JPEG: what compression changed is painted, too; save views as PNG")
     return shots, [*missing, *(path.name for path in damaged)]
 
 

@@ -197,10 +197,13 @@ def camera(surface: Surface, seed: int, width: int, height: int) -> octex.Camera
             if pose is not None
             else fitted
         )
+    points = surface.vertices
+    if seed % 5 == 1:  # a part that may lie within one triangle
+        reach = float(np.ptp(points, axis=0).max()) * random.uniform(0.1, 0.4)
+        points = surface.scatter(1, seed=seed).points + reach * (np.array(list(np.ndindex(2, 2, 2))) - 0.5)
     return octex.Camera.fitted(
-        surface.vertices, direction, size=(width, height), fov=random.uniform(15, 90),
-        margin=random.uniform(0, 0.3),
-    )  # fmt: skip
+        points, direction, size=(width, height), fov=random.uniform(15, 90), margin=random.uniform(0, 0.3)
+    )
 
 
 def beyond(axis: int, place: float, width: float) -> Callable[[Array], Array]:
