@@ -76,8 +76,10 @@ _COARSE = """Object.defineProperty(globalThis, "viewer", {
 
 
 @contextmanager
-def started() -> Iterator[Any]:
+def started(*more: str) -> Iterator[Any]:
     """Start the browser that OCTEX_TEST_BROWSER names, by default chromium; skip where there is none.
+
+    ``more`` are options of chromium.
 
     Firefox is driven by WebDriver BiDi. Without a GPU it has WebGL2 on a screen only (Xvfb).
     """
@@ -86,7 +88,7 @@ def started() -> Iterator[Any]:
     program = next(filter(None, map(shutil.which, _PROGRAMS[name])), None)
     if program is None:
         pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS[name])}")
-    options: dict[str, Any] = {"args": _OPTIONS}
+    options: dict[str, Any] = {"args": [*_OPTIONS, *more]}
     if name == "firefox":
         options = {"channel": "moz-firefox", "headless": "DISPLAY" not in os.environ}
         options["firefox_user_prefs"] = {"webgl.force-enabled": True}

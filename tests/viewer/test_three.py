@@ -1,13 +1,10 @@
-"""Web files in three.js: pixels are samples. OCTEX_TEST_THREE names the folder of three's package."""
+"""Web files in three.js: pixels are samples."""
 
 from __future__ import annotations
 
-import http.server
-import os
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,15 +15,10 @@ from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.painted import ball
+from tests.make.three import SIZE, needs_three, opened, pixel_points, square, waves
 
-THREE = os.environ.get("OCTEX_TEST_THREE", "")
-pytestmark = [needs_jit, pytest.mark.skipif(not THREE, reason="OCTEX_TEST_THREE names no package of three")]
-VIEWER = Path(octex.__file__).parent / "viewer"
-SIZE = 64
-PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
-<script type="importmap">{"imports": {"three": "/three/build/three.module.js",
-"three/addons/": "/three/examples/jsm/", "octex-three": "/viewer/three/index.js"}}</script>
-<script type="module">
+pytestmark = [needs_jit, needs_three]
+SCRIPT = """
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { GLTFOctreeTexture, OctreeTextureLoader } from "octex-three";
@@ -52,65 +44,13 @@ const unlit = ({ textures: [texture], group }) => {
 };
 const own = { OctreeTextureLoader, GLTFOctreeTexture, renderer };
 globalThis.told = { THREE, GLTFLoader, ...own, pictured, read, unlit, camera };
-</script>"""
-
-
-class Handler(http.server.SimpleHTTPRequestHandler):
-    folder = Path()
-    asked: ClassVar[list[int]]
-    gate: ClassVar[threading.Event]
-    extensions_map = {**http.server.SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}  # noqa: RUF012
-
-    def translate_path(self, path: str) -> str:
-        _, first, *rest = path.split("?")[0].split("/")
-        root = {"three": Path(THREE), "viewer": VIEWER}.get(first, self.folder / (first or "index.html"))
-        return str(root.joinpath(*rest))
-
-    def do_GET(self) -> None:
-        """Answer range requests for files in the folder ranged/; what lies behind the first bytes waits."""
-        found, given = Path(self.translate_path(self.path)), self.headers.get("Range")
-        if found.parent.name != "ranged" or given is None:
-            return super().do_GET()
-        begin, end = map(int, given.removeprefix("bytes=").split("-"))
-        self.asked.append(begin)
-        if begin:
-            self.gate.wait(60)
-        content = found.read_bytes()
-        self.send_response(206)
-        self.send_header("Content-Length", str(len(content[begin : end + 1])))
-        self.end_headers()
-        self.wfile.write(content[begin : end + 1])
-        return None
-
-    def log_message(self, *_: object) -> None:
-        """Tests have no use for lines of requests."""
+"""
 
 
 @pytest.fixture
 def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
-    (tmp_path / "index.html").write_text(PAGE)
-    kind = type("Own", (Handler,), {"folder": tmp_path, "asked": [], "gate": threading.Event()})
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        page = browser.new_page(viewport={"width": SIZE, "height": SIZE})
-        page.complaints, page.server = [], kind
-        page.on("pageerror", lambda error: page.complaints.append(str(error)))
-        page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
-        page.goto(f"http://127.0.0.1:{server.server_port}/")
-        page.wait_for_function("globalThis.told")
-        yield page
-        assert page.complaints == []
-        page.close()
-        server.shutdown()
-
-
-def waves(points: Any) -> Any:
-    return 0.5 + 0.4 * np.sin(points * [19.0, 13.0, 7.0] + [0.0, 1.0, 2.0])
-
-
-def square() -> Surface:
-    corners = np.array([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3], [1, 1, 0.3]], float)
-    return Surface.from_arrays(corners, [[0, 1, 2], [1, 3, 2]]).with_sources({"base_color": waves})
+    with opened(browser, tmp_path, SCRIPT) as found:
+        yield found
 
 
 def codes(found: list[int]) -> Any:
@@ -125,9 +65,7 @@ def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) 
     page.evaluate(
         "async () => { told.own = await told.read('/square.octw'); told.scene = told.unlit(told.own); }"
     )
-    centres = (np.arange(SIZE) + 0.5) / SIZE
-    x, y = np.meshgrid(centres, centres)
-    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+    points = pixel_points()
     for filter in ("nearest", "linear", "quadratic"):
         asked = """filter => {
           Object.assign(told.own.textures[0], { filter, footprints: false });
@@ -200,9 +138,7 @@ def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, endin
           };
         }""",
     )
-    centres = (np.arange(SIZE) + 0.5) / SIZE
-    x, y = np.meshgrid(centres, centres)
-    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2)
+    points = pixel_points().reshape(SIZE, SIZE, 3)
     for knows, model in ((True, path), (False, path), (True, tmp_path / "posed.glb")):
         found = codes(page.evaluate("given => told.seen(...given)", [f"/{model.name}", knows]))
         own = points if model == path else (points - [0.25, 0.25, 0.0]) * [2.0, 2.0, 1.0]
@@ -340,9 +276,7 @@ def test_the_first_bytes_show_a_picture(page: Any, tmp_path: Path) -> None:
           told.scene = told.unlit(told.own);
         }"""
     )
-    centres = (np.arange(SIZE) + 0.5) / SIZE
-    x, y = np.meshgrid(centres, centres)
-    points = np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+    points = pixel_points()
     page.wait_for_function("told.own.textures[0].octree.depth >= 4")
     while len(page.server.asked) < 2:
         page.wait_for_timeout(20)  # ms

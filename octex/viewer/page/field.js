@@ -1,6 +1,5 @@
 // How shaders read an octree: what stands in walk.glsl for the planes and channels of a part, and its uniforms.
 
-export const FILTERS = ["nearest", "linear", "quadratic"];
 const LANES = "xyzw";
 
 // How shaders read a plane, with a place in braces.
@@ -32,7 +31,8 @@ export function planeLines({ channels, flags: [plane, slot], planes: all }, plan
 
 // Lines that define which walk an octree needs; with `facing` cells show the side that is looked at.
 export function walkLines({ isMixed, split, kept }, facing, filter) {
-  const flags = { MIXED: isMixed, KEPT: isMixed && kept > 0, LINEAR_MIXED: isMixed && filter === "linear", FACING: facing, SPLIT: facing && split[0] > 0 };
+  const flags = { MIXED: isMixed, KEPT: isMixed && kept > 0, FACING: facing, SPLIT: facing && split[0] > 0 };
+  Object.assign(flags, { NEAREST: filter === "nearest", LINEAR: filter === "linear" });
   return Object.keys(flags).filter((name) => flags[name]).map((name) => `#define ${name}`);
 }
 
@@ -42,7 +42,7 @@ export function repeated(text, planes) {
 }
 
 // The uniforms of an octree's walk.
-export function walkUniforms({ cells, nodes, depth, entries, tables: { kept, split } }, level, filter) {
+export function walkUniforms({ cells, nodes, depth, entries, tables: { kept, split } }, level) {
   const nCells = cells.at(-1);
   return {
     u_kept: [0, kept, nCells],
@@ -50,6 +50,5 @@ export function walkUniforms({ cells, nodes, depth, entries, tables: { kept, spl
     u_split: [kept, split, nCells + kept],
     u_leafRoot: nodes.at(-1) === 0 ? 1 : 0,
     u_depth: Math.min(level, depth),
-    u_filter: FILTERS.indexOf(filter),
   };
 }

@@ -94,7 +94,7 @@ export class Gpu {
     part.stores.forEach(({ name, kind, texture }, unit) => bind(unit, texture, name, kind));
     Object.entries(places).forEach(([name, texture], n) => bind(part.stores.length + n, texture, name));
     gl.activeTexture(gl.TEXTURE0);
-    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest), look.filter))) {
+    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest)))) {
       if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
       else gl.uniform1i(program.at(name), value);
     }

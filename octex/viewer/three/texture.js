@@ -4,9 +4,10 @@ import {
   BufferAttribute, BufferGeometry, DataArrayTexture, DataTexture, Matrix3, Matrix4, Mesh, MeshStandardMaterial,
   NearestFilter, NoColorSpace, RGBAFormat, RGIntegerFormat, SRGBColorSpace, UnsignedByteType, UnsignedIntType, Vector3,
 } from "three";
-import { FILTERS, planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
+import { planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
 import { Octree, ROW } from "../page/octree.js";
 
+const FILTERS = ["nearest", "linear", "quadratic"];
 // Where materials of three.js take what is looked up: after which chunk, and what then is done.
 const PLACES = [
   ["map_fragment", "BASE_COLOR", "diffuseColor.rgb *= BASE_COLOR;"],
@@ -22,14 +23,7 @@ const OWN = {
 };
 // Materials without light have none of these.
 const LIT = ["roughness", "metallic", "emissive", "occlusion", "normal"];
-const NORMAL = `
-{
-  vec3 stored = 2.0 * (NORMAL) - 1.0;
-  if (dot(stored, stored) > 1e-4) {
-    stored = turned(stored, octexSide, carried(tangent(octexSide), vOctexRest, -vViewPosition), normal);
-    normal = normalize(dot(stored, normal) < 0.0 ? -stored : stored);
-  }
-}`;
+const NORMAL = "normal = shownNormal(2.0 * (NORMAL) - 1.0, octexSide, vOctexRest, -vViewPosition, normal);";
 const VARYINGS = "varying vec3 vOctexRest;\nvarying vec3 vOctexNormal;\nvarying float vOctexMirror;\n";
 const VERTEX_HEAD = `attribute vec3 octexRest;\nattribute vec3 octexNormal;\n${VARYINGS}`;
 const VERTEX = `
@@ -88,7 +82,7 @@ export class OctreeTexture {
     const isWords = format === RGIntegerFormat, rows = arrays[0].length / size / ROW;
     const whole = isWords ? arrays[0] : new Uint8Array(arrays.length * arrays[0].length);
     const made = isWords ? new DataTexture(whole, ROW, rows, format, UnsignedIntType) : new DataArrayTexture(whole, ROW, rows, arrays.length);
-    if (isWords) made.internalFormat = "RG32UI";
+    if (isWords) made.internalFormat = "RG32UI"; // three before 0.170 does not find it
     else Object.assign(made, { type: UnsignedByteType, colorSpace: isSrgb ? SRGBColorSpace : NoColorSpace });
     Object.assign(made, { magFilter: NearestFilter, minFilter: NearestFilter, generateMipmaps: false, unpackAlignment: 1 });
     return made;
@@ -143,9 +137,7 @@ export class OctreeTexture {
   }
 
   update() {
-    const { octree, level, filter } = this;
-    const values = walkUniforms(octree, level, filter);
-    for (const [name, value] of Object.entries(values)) {
+    for (const [name, value] of Object.entries(walkUniforms(this.octree, this.level))) {
       (this.uniforms[name] ??= { value: null }).value = Array.isArray(value) ? new Vector3(...value) : value;
     }
   }
@@ -153,15 +145,7 @@ export class OctreeTexture {
   // Have a material take its channels from this texture instead of its own maps and values; returns the material.
   applyTo(material) {
     if (this.materials.has(material)) return material;
-    const before = material.onBeforeCompile, key = material.customProgramCacheKey, isLit = !material.isMeshBasicMaterial;
-    const names = Object.keys(OWN).filter((name) => this.channel(name) && (isLit || !LIT.includes(name)));
-    if (names.includes("base_color")) material.vertexColors = false;
-    for (const name of names) {
-      const [map, value, plain] = OWN[name];
-      if (map in material) material[map] = null;
-      if (material[value]?.isColor) material[value].set(plain);
-      else if (value in material) material[value] = plain;
-    }
+    const before = material.onBeforeCompile, key = material.customProgramCacheKey, names = this.claim(material);
     const defines = () => this.lines(names).join("\n");
     material.onBeforeCompile = (shader, renderer) => {
       before.call(material, shader, renderer);
@@ -170,10 +154,24 @@ export class OctreeTexture {
       this.compile(shader, names, defines());
     };
     material.customProgramCacheKey = () => `${key.call(material)} ${defines()}`;
-    if (this.channel("alpha")) material.transparent = true;
     material.needsUpdate = true;
     this.materials.add(material);
     return material;
+  }
+
+  // Take away what a material has of the texture's channels itself; returns their names.
+  claim(material) {
+    const isLit = !material.isMeshBasicMaterial && !material.isMeshBasicNodeMaterial;
+    const names = Object.keys(OWN).filter((name) => this.channel(name) && (isLit || !LIT.includes(name)));
+    if (names.includes("base_color")) material.vertexColors = false;
+    for (const name of names) {
+      const [map, value, plain] = OWN[name];
+      if (map in material) material[map] = null;
+      if (material[value]?.isColor) material[value].set(plain);
+      else if (value in material) material[value] = plain;
+    }
+    if (this.channel("alpha")) material.transparent = true;
+    return names;
   }
 
   // Refuse a GPU whose textures are too small.

@@ -9,13 +9,14 @@
 //
 // The 3×3×3 cells around a point are children of a block of 2×2×2 nodes of the level above. The walk goes down
 // from block to block, eight nodes at a time, in two vectors: x varies first, then y; z is 0 in `low`.
+//
+// NEAREST, LINEAR or else quadratic is the filter. three/wgsl.js translates all this and says what that asks for.
 
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
-const int NEAREST = 0, LINEAR = 1, QUADRATIC = 2;
 const uint ROW = 4095u;  // texels in a row, less one
 const float FINEST = 8388608.0;  // 2²³: positions in fixed point
 
@@ -25,7 +26,6 @@ uniform highp sampler2DArray u_srgb;
 uniform highp sampler2DArray u_linear;
 vec4 g_sum{N} = vec4(0.0);
 uniform int u_depth;  // the deepest level that is looked up
-uniform int u_filter;
 uniform bool u_leafRoot;  // the root is a leaf
 #if defined(SPLIT) || defined(KEPT)
 uniform usampler2D u_entries;  // a texel an entry: a cell, and the first of its rows
@@ -41,8 +41,8 @@ struct Eight {
 };
 
 // The first becomes the last.
-Eight turned(Eight of) {
-  return Eight(uvec4(of.low.yzw, of.high.x), uvec4(of.high.yzw, of.low.x));
+Eight rotated(Eight all) {
+  return Eight(uvec4(all.low.yzw, all.high.x), uvec4(all.high.yzw, all.low.x));
 }
 
 // What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
@@ -61,9 +61,13 @@ void add(float weight) {
   g_sum{N} += weight * r_sum{N};
 }
 
+ivec2 texelOf(uint row) {
+  return ivec2(uvec2(row & ROW, row >> 12u));
+}
+
 // Add a row of the planes to what a cell adds.
 void readRow(uint row, float weight) {
-  ivec2 at = ivec2(row & ROW, row >> 12u);
+  ivec2 at = texelOf(row);
   vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
   r_cover += weight;
@@ -88,7 +92,7 @@ uint tableRow(uint cell, uint first, uint count) {
   while (low + 1u < high) {
     uint middle = (low + high) >> 1u;
     g_fetches++;
-    if (texelFetch(u_entries, ivec2(first + middle & ROW, first + middle >> 12u), 0).x <= cell) low = middle;
+    if (texelFetch(u_entries, texelOf(first + middle), 0).x <= cell) low = middle;
     else high = middle;
   }
   return low;
@@ -113,10 +117,10 @@ float ramp(float cosine) {
 
 // The cosines with those facings of a cell that are seen, and what it weighs by them.
 vec3 seenOf(uint flags) {
-  return g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & 1u);
+  return g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & uvec3(1u));
 }
 
-float weightOf(uint flags, vec3 seen) {
+float sideWeight(uint flags, vec3 seen) {
   return ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
 }
 #endif
@@ -130,10 +134,10 @@ bool isSplit(uint flags, vec3 seen) {
 bool readSides(uint cell, uint flags, vec3 seen, float weight) {
   if (!isSplit(flags, seen)) return false;
   float most = max(seen.x, max(seen.y, seen.z));
-  vec3 shares = max(seen - (most - 0.2), 0.0) * vec3(greaterThan(seen, vec3(0.0)));
+  vec3 shares = max(seen - (most - 0.2), vec3(0.0)) * vec3(greaterThan(seen, vec3(0.0)));
   shares /= shares.x + shares.y + shares.z;
   uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
-  uint first = u_split.z + texelFetch(u_entries, ivec2(entry & ROW, entry >> 12u), 0).y;
+  uint first = u_split.z + texelFetch(u_entries, texelOf(entry), 0).y;
   for (uint axis = 0u; axis < 3u; axis++) {
     uint below = (1u << (2u * axis + g_away[axis])) - 1u;
     if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);
@@ -143,7 +147,7 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
 #endif
 
 // What an average weighs: the root of its area.
-float weightOf(float area) {
+float areaWeight(float area) {
   float code = round(area * 255.0);
   return code > 0.0 ? exp2((code - 207.0) / 16.0) : 1.0;
 }
@@ -152,13 +156,13 @@ float weightOf(float area) {
 void read(uint cell, bool averages) {
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
-  ivec2 at = ivec2(cell & ROW, cell >> 12u);
-  float weight = averages ? weightOf(PLANE0(at).a) : 1.0;
+  ivec2 at = texelOf(cell);
+  float weight = averages ? areaWeight(PLANE0(at).a) : 1.0;
 #ifdef FACING
   uint flags = FLAGS_AT(at);
   g_fetches++;
   vec3 seen = seenOf(flags);
-  weight *= weightOf(flags, seen);
+  weight *= sideWeight(flags, seen);
 #ifdef SPLIT
   if (readSides(cell, flags, seen, weight)) return;
 #endif
@@ -173,9 +177,9 @@ void readKept(uint cell) {
   r_sum{N} = vec4(0.0);
   float weight = 1.0;
 #ifdef FACING
-  uint flags = FLAGS_AT(ivec2(cell & ROW, cell >> 12u));
+  uint flags = FLAGS_AT(texelOf(cell));
   vec3 seen = seenOf(flags);
-  weight = weightOf(flags, seen);
+  weight = sideWeight(flags, seen);
 #ifdef SPLIT
   if (readSides(cell, flags, seen, weight)) return;
 #endif
@@ -191,14 +195,14 @@ void tap(uint cell, float weight, bool averages) {
 
 // Add one cell at once, unless it is split; says whether it is.
 bool addWhole(uint cell, float weight, bool averages) {
-  ivec2 at = ivec2(cell & ROW, cell >> 12u);
+  ivec2 at = texelOf(cell);
   bool isLeft = false;
   vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
-  weight *= averages ? weightOf(value0.a) : 1.0;
+  weight *= averages ? areaWeight(value0.a) : 1.0;
 #ifdef FACING
   vec3 seen = seenOf(FLAGS);
-  weight *= weightOf(FLAGS, seen);
+  weight *= sideWeight(FLAGS, seen);
 #ifdef SPLIT
   isLeft = isSplit(FLAGS, seen);
   if (isLeft) weight = 0.0;
@@ -217,18 +221,19 @@ bool addWhole(uint cell, float weight, bool averages) {
 // Weights of the four cells along an axis that a block has, from their distances to the point.
 vec4 kernel(vec4 away) {
   vec4 d = abs(away);
-  if (u_filter == QUADRATIC) {
-    vec4 rim = max(1.5 - d, 0.0);
-    return mix(0.5 * rim * rim, 0.75 - d * d, lessThan(d, vec4(0.5)));
-  }
-  return max(1.0 - d, 0.0);
+#ifdef LINEAR
+  return max(1.0 - d, vec4(0.0));
+#else
+  vec4 rim = max(1.5 - d, vec4(0.0));
+  return mix(0.5 * rim * rim, 0.75 - d * d, vec4(lessThan(d, vec4(0.5))));
+#endif
 }
 
 uvec2 nodeAt(uint number) {
   if (number == 0u) return uvec2(0u);
   g_fetches++;
   number -= 1u;
-  return texelFetch(u_nodes, ivec2(number & ROW, number >> 12u), 0).xy;
+  return texelFetch(u_nodes, texelOf(number), 0).xy;
 }
 
 // The children of a block that are left to be taken, a bit each, and their weights by their places along the axes.
@@ -245,13 +250,13 @@ uint joined(uvec4 masks) {
 }
 
 Taps tapsOf(Eight first, Eight second, vec4 x, vec4 y, vec4 z) {
-  Eight masks = Eight((first.low | second.low) & 255u, (first.high | second.high) & 255u);
+  Eight masks = Eight((first.low | second.low) & uvec4(255u), (first.high | second.high) & uvec4(255u));
   uvec4 alongX = uvec4(greaterThan(x, vec4(0.0))) * uvec4(0x55u, 0xAAu, 0x55u, 0xAAu);
   uvec4 alongY = uvec4(greaterThan(y, vec4(0.0))) * uvec4(0x33u, 0xCCu, 0x33u, 0xCCu);
   uvec4 alongZ = uvec4(greaterThan(z, vec4(0.0))) * uvec4(0x0Fu, 0xF0u, 0x0Fu, 0xF0u);
   uvec2 nodesX = alongX.xz | alongX.yw, nodesY = alongY.xz | alongY.yw, nodesZ = alongZ.xz | alongZ.yw;
   uvec4 plane = nodesX.xyxy & nodesY.xxyy;
-  uvec2 left = uvec2(joined(masks.low & plane & nodesZ.x), joined(masks.high & plane & nodesZ.y));
+  uvec2 left = uvec2(joined(masks.low & plane & uvec4(nodesZ.x)), joined(masks.high & plane & uvec4(nodesZ.y)));
   return Taps(first, masks, left, x, y, z);
 }
 
@@ -259,7 +264,7 @@ Taps tapsOf(Eight first, Eight second, vec4 x, vec4 y, vec4 z) {
 uvec2 take(inout Taps taps, out uint cell, out float weight) {
   bool isUpper = taps.left.x == 0u;
   uint left = isUpper ? taps.left.y : taps.left.x, lowest = left & (~left + 1u);
-  uvec4 is = uvec4(notEqual(lowest & uvec4(0xFFu, 0xFF00u, 0xFF0000u, 0xFF000000u), uvec4(0u)));
+  uvec4 is = uvec4(notEqual(uvec4(lowest) & uvec4(0xFFu, 0xFF00u, 0xFF0000u, 0xFF000000u), uvec4(0u)));
   uvec4 cells = is * (isUpper ? taps.cells.high : taps.cells.low), masks = is * (isUpper ? taps.masks.high : taps.masks.low);
   uint number = is.y + 2u * is.z + 3u * is.w, child = lowest >> (8u * number);
   uint mask = masks.x | masks.y | masks.z | masks.w;
@@ -288,8 +293,8 @@ void nearestChild(uvec2 words, vec2 x, vec2 y, vec2 z, inout float least, inout 
 
 // Squared distances along an axis from the point to the four cells; beyond the 27: none is that near.
 vec4 distances(vec4 away) {
-  vec4 d = max(abs(away) - 0.5, 0.0);
-  return mix(d * d, vec4(1e6), greaterThan(abs(away), vec4(1.5)));
+  vec4 d = max(abs(away) - 0.5, vec4(0.0));
+  return mix(d * d, vec4(1e6), vec4(greaterThan(abs(away), vec4(1.5))));
 }
 
 // Take the cells around a point that is `inside` the cell in their middle, 0 to 1, whose numbers have `parity`.
@@ -298,24 +303,7 @@ void gather(Eight first, Eight second, vec3 inside, uvec3 parity, float share, b
   vec3 begin = vec3(parity) - 1.5 - inside;
   vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
   vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
-  if (u_filter != NEAREST) {
-    Taps taps = tapsOf(first, second, kernel(x), kernel(y), kernel(z) * share);
-    uvec2 split = uvec2(0u);
-    uint cell;
-    float weight;
-    while ((taps.left.x | taps.left.y) != 0u) {
-      uvec2 bit = take(taps, cell, weight);
-      if (addWhole(cell, weight, averages)) split |= bit;
-    }
-#ifdef SPLIT
-    taps.left = split;
-    while ((taps.left.x | taps.left.y) != 0u) {
-      take(taps, cell, weight);
-      tap(cell, weight, averages);
-    }
-#endif
-    return;
-  }
+#ifdef NEAREST
   x = distances(x), y = distances(y), z = distances(z);
   float least = 1e5;
   uint nearest = 0u;
@@ -323,24 +311,42 @@ void gather(Eight first, Eight second, vec3 inside, uvec3 parity, float share, b
     // Vectors are turned, as components chosen by a number take long.
     uvec2 words = uvec2(first.low.x, second.low.x);
     nearestChild(words, x.xy, y.xy, z.xy, least, nearest);
-    first = turned(first);
-    second = turned(second);
+    first = rotated(first);
+    second = rotated(second);
     x = x.zwxy;
     if ((parent & 1) == 1) y = y.zwxy;
     if (parent == 3) z = z.zwxy;
   }
   if (least < 1e5) tap(nearest, share, averages);
+#else
+  Taps taps = tapsOf(first, second, kernel(x), kernel(y), kernel(z) * share);
+  uvec2 split = uvec2(0u);
+  uint cell;
+  float weight;
+  while ((taps.left.x | taps.left.y) != 0u) {
+    uvec2 bit = take(taps, cell, weight);
+    if (addWhole(cell, weight, averages)) split |= bit;
+  }
+#ifdef SPLIT
+  taps.left = split;
+  while ((taps.left.x | taps.left.y) != 0u) {
+    take(taps, cell, weight);
+    tap(cell, weight, averages);
+  }
+#endif
+#endif
 }
 
 // Read those nodes of a block that are needed.
 void readBlock(Eight block, uint needed, out Eight first, out Eight second) {
   const uvec4 bits = uvec4(1u, 2u, 4u, 8u);
-  first = second = Eight(uvec4(0u), uvec4(0u));
-  uvec4 there = uvec4(notEqual(block.low, uvec4(0u))) * bits + uvec4(notEqual(block.high, uvec4(0u))) * (bits << 4u);
+  first = Eight(uvec4(0u), uvec4(0u));
+  second = first;
+  uvec4 there = uvec4(notEqual(block.low, uvec4(0u))) * bits + uvec4(notEqual(block.high, uvec4(0u))) * (bits * 16u);
   needed &= there.x + there.y + there.z + there.w;
   while (needed != 0u) {
     uint lowest = needed & (~needed + 1u);
-    uvec4 low = uvec4(equal(bits, uvec4(lowest))), high = uvec4(equal(bits << 4u, uvec4(lowest)));
+    uvec4 low = uvec4(equal(bits, uvec4(lowest))), high = uvec4(equal(bits * 16u, uvec4(lowest)));
     uvec4 number = low * block.low + high * block.high;
     uvec2 words = nodeAt(number.x + number.y + number.z + number.w);
     first.low += low * words.x;
@@ -352,30 +358,31 @@ void readBlock(Eight block, uint needed, out Eight first, out Eight second) {
 }
 
 // For each child of the block below, the word of its parent.
-Eight parents(Eight of, bvec3 other, uvec3 side) {
+Eight parents(Eight all, bvec3 other, uvec3 side) {
   if (other.x) {
-    of.low = side.x == 0u ? of.low.xxzz : of.low.yyww;
-    of.high = side.x == 0u ? of.high.xxzz : of.high.yyww;
+    all.low = side.x == 0u ? all.low.xxzz : all.low.yyww;
+    all.high = side.x == 0u ? all.high.xxzz : all.high.yyww;
   }
   if (other.y) {
-    of.low = side.y == 0u ? of.low.xyxy : of.low.zwzw;
-    of.high = side.y == 0u ? of.high.xyxy : of.high.zwzw;
+    all.low = side.y == 0u ? all.low.xyxy : all.low.zwzw;
+    all.high = side.y == 0u ? all.high.xyxy : all.high.zwzw;
   }
   if (other.z) {
-    if (side.z == 0u) of.high = of.low;
-    else of.low = of.high;
+    if (side.z == 0u) all.high = all.low;
+    else all.low = all.high;
   }
-  return of;
+  return all;
 }
 
 // Numbers of child nodes, counted from 1; 0 for none.
 uvec4 childNodes(uvec4 first, uvec4 second, uvec4 octants) {
-  uvec4 mask = first & 255u;
+  const uvec4 pairs = uvec4(0x33u);
+  uvec4 mask = first & uvec4(255u);
   uvec4 below = mask & ((uvec4(1u) << octants) - 1u);
-  below -= below >> 1u & 0x55u;
-  below = (below & 0x33u) + (below >> 2u & 0x33u);
-  below = (below + (below >> 4u)) & 0x0Fu;
-  return (mask >> octants & 1u) * ((second >> 8u) + below + 1u);
+  below -= below >> uvec4(1u) & uvec4(0x55u);
+  below = (below & pairs) + (below >> uvec4(2u) & pairs);
+  below = (below + (below >> uvec4(4u))) & uvec4(0x0Fu);
+  return (mask >> octants & uvec4(1u)) * ((second >> uvec4(8u)) + below + 1u);
 }
 
 Eight blockBelow(Eight first, Eight second, bvec3 other, uvec3 side) {
@@ -399,40 +406,57 @@ Eight blockOf(uint node, uvec3 parity) {
   return Eight(none, at);
 }
 
+// Where a point lies, in fixed point, and the parity there of the cells of a level.
+uvec3 fixedAt(vec3 point) {
+  return min(uvec3(clamp(point, vec3(0.0), vec3(1.0)) * FINEST), uvec3(vec3(FINEST - 1.0)));
+}
+
+uvec3 cellOf(uvec3 place, int level) {
+  return place >> uvec3(uint(23 - level));
+}
+
+uvec3 parityOf(uvec3 place, int level) {
+  return cellOf(place, level) & uvec3(1u);
+}
+
 // Add the looks at two levels: `shares` of them, `levels` of which the second is not coarser.
 void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
-  uvec3 fixedPoint = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  uvec3 fixedPoint = fixedAt(point);
   if (levels.x == 0) {
     vec3 away = abs(point - 0.5);
-    float weight = u_filter == NEAREST ? 1.0 : kernel(away.xxxx).x * kernel(away.yyyy).x * kernel(away.zzzz).x;
+#ifdef NEAREST
+    float weight = 1.0;
+#else
+    float weight = kernel(away.xxxx).x * kernel(away.yyyy).x * kernel(away.zzzz).x;
+#endif
     if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
   }
   // The parents of the cells that the first look takes; above them only what they descend from is read.
-  ivec3 low = (ivec3(fixedPoint >> uint(23 - levels.x)) - 1) >> 1;
+  ivec3 low = (ivec3(cellOf(fixedPoint, levels.x)) - 1) >> uvec3(1u);
   // Begin with the last node that all of them descend from.
-  ivec3 least = max(low, 0), most = min(low + 1, (1 << max(levels.x - 1, 0)) - 1);
+  ivec3 least = max(low, ivec3(0)), most = min(low + 1, ivec3((1 << uint(max(levels.x - 1, 0))) - 1));
   uint node = 1u;
   int begin = 1;
   for (; begin < levels.x && node != 0u; begin++) {
-    int up = levels.x - 1 - begin;
-    if (least >> up != most >> up) break;
+    uvec3 up = uvec3(uint(levels.x - 1 - begin));
+    if (any(notEqual(least >> up, most >> up))) break;
     uvec2 words = nodeAt(node);
-    uvec3 bit = fixedPoint >> uint(23 - begin) & 1u;
+    uvec3 bit = parityOf(fixedPoint, begin);
     uint octant = bit.x | bit.y << 1u | bit.z << 2u;
     uint isNode = words.x >> octant & 1u;
     node = isNode * ((words.y >> 8u) + bitsOf(words.x & ((1u << octant) - 1u) & 255u) + 1u);
   }
-  uvec3 parity = fixedPoint >> uint(23 - begin) & 1u;
+  uvec3 parity = parityOf(fixedPoint, begin);
   Eight block = blockOf(node, parity);
   for (int level = begin; level <= levels.y; level++) {
     bool looks = level == levels.x || level == levels.y;
-    uvec3 side = level < 23 ? fixedPoint >> uint(22 - level) & 1u : uvec3(0u);
+    uvec3 side = level < 23 ? parityOf(fixedPoint, level + 1) : uvec3(0u);
     bvec3 other = notEqual(side, parity);
     uint needed = 255u;
     if (!looks) {
       // The block above a level begins one node before the point's, or with it where the level's number is odd.
-      ivec3 corner = ivec3(fixedPoint >> uint(24 - level)) - 1 + ivec3(parity);
-      int up = levels.x - level;
+      ivec3 corner = ivec3(cellOf(fixedPoint, level - 1)) - 1 + ivec3(parity);
+      uvec3 up = uvec3(uint(levels.x - level));
       bvec3 lower = equal(low >> up, corner), upper = equal((low + 1) >> up, corner + 1);
       needed = (lower.x ? 0x55u : 0u) | (upper.x ? 0xAAu : 0u);
       needed &= (lower.y ? 0x33u : 0u) | (upper.y ? 0xCCu : 0u);
@@ -442,36 +466,36 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     readBlock(block, needed, first, second);
     if (looks) {
       float share = level == levels.x ? shares.x : shares.y;
-      vec3 inside = point * float(1 << level) - vec3(fixedPoint >> uint(23 - level));
+      vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(fixedPoint, level));
       if (share > 0.0) gather(first, second, inside, parity, share, level < leaves);
     }
     if (level == levels.y) break;
     block = blockBelow(first, second, other, side);
-    if (block.low == uvec4(0u) && block.high == uvec4(0u)) break;
+    if (all(equal(block.low | block.high, uvec4(0u)))) break;
     parity = side;
   }
 }
 
 // The leaf that holds a point, or the deepest cell above it: its number, its level, and 1 if it is a node.
 uvec3 leafAt(vec3 point, int last) {
-  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
-  uvec3 found = uvec3(0u, 0u, !u_leafRoot);
+  uvec3 place = fixedAt(point);
+  uvec3 found = uvec3(0u, 0u, uint(!u_leafRoot));
   uint node = 1u;
   for (int level = 1; level <= last; level++) {
     uvec2 words = nodeAt(node);
-    uvec3 bit = place >> uint(23 - level) & 1u;
+    uvec3 bit = parityOf(place, level);
     uint octant = bit.x | bit.y << 1u | bit.z << 2u;
     uint mask = (words.x | words.y) & 255u;
     if ((mask >> octant & 1u) == 0u) break;
     uint below = (1u << octant) - 1u;
-    found = uvec3((words.x >> 8u) + bitsOf(mask & below), level, words.x >> octant & 1u);
+    found = uvec3((words.x >> 8u) + bitsOf(mask & below), uint(level), words.x >> octant & 1u);
     if (found.z == 0u) break;
     node = (words.y >> 8u) + bitsOf(words.x & below) + 1u;
   }
   return found;
 }
 
-#ifdef MIXED
+#if defined(MIXED) && !defined(NEAREST)
 // Leaves of several depths. Each cell of the 3×3×3 around the point has what it adds to the sums; what it has is
 // refined from level to level, and leaves replace it, until none of them is a node.
 float m_total[27], m_cover[27], m_alpha[27];
@@ -481,7 +505,7 @@ uint m_node[27];  // numbers of nodes, counted from 1; 0: none
 float m_weight[27];  // the coefficients' weights
 bool m_keeps[27];  // nodes that keep a coefficient
 #endif
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
 // Linear interpolation refines leaves alone: what lies below them is made of leaves, and of nothing else.
 float m_color[27];  // how much of a cell comes from such
 bool m_leaf[27];  // leaves, and what lies below them
@@ -514,7 +538,7 @@ void refine(uvec3 parity) {
 #ifdef KEPT
       LINE(m_weight, float)
 #endif
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
       LINE(m_color, float)
 #endif
       LINE(m_sum{N}, vec4)
@@ -523,12 +547,12 @@ void refine(uvec3 parity) {
   }
 }
 
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
 // Leave in refined cells what lies below leaves: which are those of the level above.
 void keepBelow(bool leaves[27], uvec3 parity) {
   for (int at = 0; at < 27; at++) {
-    ivec3 from = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> 1;
-    m_leaf[at] = leaves[from.x + 3 * from.y + 9 * from.z];
+    ivec3 owner = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> uvec3(1u);
+    m_leaf[at] = leaves[owner.x + 3 * owner.y + 9 * owner.z];
     float scale = m_leaf[at] && m_color[at] > 0.0 ? 1.0 / m_color[at] : 0.0;
     m_total[at] *= scale;
     m_cover[at] *= scale;
@@ -541,7 +565,7 @@ void keepBelow(bool leaves[27], uvec3 parity) {
 
 // Go down to the first level, at most `last`, without nodes around the point; add what is there.
 void addMixed(vec3 point, int last, float share, bool averages) {
-  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
+  uvec3 place = fixedAt(point);
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
   for (int at = 0; at < 27; at++) {
@@ -550,7 +574,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 #ifdef KEPT
     m_keeps[at] = false;
 #endif
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
     m_color[at] = 0.0;
     m_leaf[at] = false;
 #endif
@@ -559,7 +583,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
   if (isRootLeaf) {
     read(0u, averages);
     put(13, 1.0);
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
     m_color[13] = 1.0;
     m_leaf[13] = true;
 #endif
@@ -570,16 +594,16 @@ void addMixed(vec3 point, int last, float share, bool averages) {
   int level = 0;
   while (goesOn) {
     level++;
-    uvec3 parity = place >> uint(23 - level) & 1u;
+    uvec3 parity = parityOf(place, level);
     uint above[27] = m_node;
 #ifdef KEPT
     bool kept[27] = m_keeps;
 #endif
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
     bool leaves[27] = m_leaf;
 #endif
     if (filled) refine(parity);
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
     keepBelow(leaves, parity);
 #endif
     goesOn = false;
@@ -591,19 +615,19 @@ void addMixed(vec3 point, int last, float share, bool averages) {
     }
     for (int parent = 0; parent < 8; parent++) {
       // The two parents along an axis: the cell before and that in the middle, or this and the one after.
-      ivec3 from = ivec3(parent & 1, parent >> 1 & 1, parent >> 2) + ivec3(parity);
-      int owner = from.x + 3 * from.y + 9 * from.z;
+      ivec3 corner = ivec3(parent & 1, parent >> 1 & 1, parent >> 2) + ivec3(parity);
+      int owner = corner.x + 3 * corner.y + 9 * corner.z;
       uint number = above[owner];
       if (number == 0u) continue;
       uvec2 words = nodeAt(number);
       uint cell = words.x >> 8u, node = words.y >> 8u;
       bool below = false;
-#if defined(KEPT) && !defined(LINEAR_MIXED)
+#if defined(KEPT) && !defined(LINEAR)
       below = kept[owner];
 #endif
       for (int octant = 0; octant < 8; octant++) {
         bool isNode = (words.x >> uint(octant) & 1u) != 0u, isLeaf = (words.y >> uint(octant) & 1u) != 0u;
-        ivec3 to = 2 * (from - 1) + ivec3(octant & 1, octant >> 1 & 1, octant >> 2) - ivec3(parity) + 1;
+        ivec3 to = 2 * (corner - 1) + ivec3(octant & 1, octant >> 1 & 1, octant >> 2) - ivec3(parity) + 1;
         if (all(greaterThanEqual(to, ivec3(0))) && all(lessThanEqual(to, ivec3(2)))) {
           int at = to.x + 3 * to.y + 9 * to.z;
 #ifdef KEPT
@@ -615,7 +639,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
             read(cell, averages && isNode);
             put(at, weight);
             filled = true;
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
             m_color[at] = 1.0;
             m_leaf[at] = true;
 #endif
@@ -623,14 +647,14 @@ void addMixed(vec3 point, int last, float share, bool averages) {
             bool keeps = false;
 #ifdef KEPT
             if (isNode) {
-              ivec2 texel = ivec2(cell & ROW, cell >> 12u);
+              ivec2 texel = texelOf(cell);
               keeps = (FLAGS_AT(texel) & 64u) != 0u && u_kept.y > 0u;
               m_keeps[at] = keeps;
               if (keeps) {
                 readKept(cell);
                 put(at, weight);
                 filled = true;
-#ifdef LINEAR_MIXED
+#ifdef LINEAR
                 m_color[at] = 1.0;
 #endif
               }
@@ -648,9 +672,9 @@ void addMixed(vec3 point, int last, float share, bool averages) {
       }
     }
   }
-  vec3 inside = point * float(1 << level) - vec3(place >> uint(23 - level));
-#ifdef LINEAR_MIXED
-  vec3 low = max(0.5 - inside, 0.0), high = max(inside - 0.5, 0.0), middle = 1.0 - low - high;
+  vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
+#ifdef LINEAR
+  vec3 low = max(0.5 - inside, vec3(0.0)), high = max(inside - 0.5, vec3(0.0)), middle = 1.0 - low - high;
 #else
   vec3 low = 0.5 * (1.0 - inside) * (1.0 - inside), high = 0.5 * inside * inside, middle = 1.0 - low - high;
 #endif
@@ -664,13 +688,11 @@ void addMixed(vec3 point, int last, float share, bool averages) {
     g_sum{N} += weight * m_sum{N}[at];
   }
 }
-#endif
 
-#ifdef MIXED
 // Add what is around a point if all of that is of one level, as it is far from changes of depth; else say that it is not.
 bool addAlike(vec3 point, int last, float share, bool averages) {
-  uvec3 place = min(uvec3(clamp(point, 0.0, 1.0) * FINEST), uvec3(FINEST - 1.0));
-  uvec3 parity = place >> 22u & 1u;
+  uvec3 place = fixedAt(point);
+  uvec3 parity = parityOf(place, 1);
   Eight block = blockOf(1u, parity);
   for (int level = 1; level <= last; level++) {
     Eight first, second;
@@ -678,19 +700,19 @@ bool addAlike(vec3 point, int last, float share, bool averages) {
     // Which children of each node of the block are among the 27 cells.
     uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
     plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
-    uvec4 low = plane & (parity.z == 1u ? 0xFFu : 0xF0u), high = plane & (parity.z == 1u ? 0x0Fu : 0xFFu);
-    bool hasNodes = (first.low & low | first.high & high) != uvec4(0u);
-    bool hasLeaves = (second.low & low | second.high & high) != uvec4(0u);
+    uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
+    bool hasNodes = any(notEqual(first.low & low | first.high & high, uvec4(0u)));
+    bool hasLeaves = any(notEqual(second.low & low | second.high & high, uvec4(0u)));
     if (hasNodes && hasLeaves) return false;
     if (!hasNodes || level == last) {
-      vec3 inside = point * float(1 << level) - vec3(place >> uint(23 - level));
+      vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
       gather(first, second, inside, parity, share, averages && hasNodes);
       return true;
     }
 #ifdef KEPT
     if (level >= u_keptLevel) return false;
 #endif
-    uvec3 side = place >> uint(22 - level) & 1u;
+    uvec3 side = parityOf(place, level + 1);
     block = blockBelow(first, second, notEqual(side, parity), side);
     parity = side;
   }
@@ -704,12 +726,12 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   for (int look = 0; look < 2; look++) {
     if (shares[look] <= 0.0) continue;
     bool averages = levels[look] < leaves;
-    if (u_filter == NEAREST) {
-      uvec3 cell = leafAt(point, levels[look]);
-      tap(cell.x, shares[look], averages && cell.z == 1u);
-    } else if (!addAlike(point, levels[look], shares[look], averages)) {
-      addMixed(point, levels[look], shares[look], averages);
-    }
+#ifdef NEAREST
+    uvec3 cell = leafAt(point, levels[look]);
+    tap(cell.x, shares[look], averages && cell.z == 1u);
+#else
+    if (!addAlike(point, levels[look], shares[look], averages)) addMixed(point, levels[look], shares[look], averages);
+#endif
   }
 #else
   addLooks(point, levels, shares, leaves);
@@ -718,13 +740,17 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
 
 // Look the field up; `width` is the side of the square to average over, 0 for none.
 void lookUp(vec3 point, float width) {
-  point = clamp(point, 0.0, 1.0);
+  point = clamp(point, vec3(0.0), vec3(1.0));
   g_sum{N} = vec4(0.0);
   g_total = g_alpha = g_cover = 0.0;
   ivec2 levels = ivec2(u_depth);
   vec2 shares = vec2(1.0, 0.0);
   if (width > 0.0) {
-    float level = log2(1.0 / width) + (u_filter == LINEAR ? 0.6 : 0.85);
+#ifdef LINEAR
+    float level = log2(1.0 / width) + 0.6;
+#else
+    float level = log2(1.0 / width) + 0.85;
+#endif
     float whole = floor(level);
     level = whole + clamp((level - whole - 0.1501) / (1.0 - 2.0 * 0.1501), 0.0, 1.0);
     level = clamp(level, 0.0, float(u_depth));

@@ -46,3 +46,11 @@ vec3 turned(vec3 way, vec3 side, vec3 across, vec3 normal) {
   across = normalize(across - dot(across, normal) * normal);
   return dot(way, x) * across + dot(way, y) * cross(normal, across) + dot(way, side) * normal;
 }
+
+// A stored normal as it is posed, on the side that is seen; the surface's where none is stored. `rest` and `seen` are where
+// the pixel is at rest and in view space.
+vec3 shownNormal(vec3 stored, vec3 side, vec3 rest, vec3 seen, vec3 normal) {
+  vec3 way = turned(stored, side, carried(tangent(side), rest, seen), normal);
+  if (dot(stored, stored) <= 1e-4) return normal;
+  return normalize(dot(way, normal) < 0.0 ? -way : way);
+}

@@ -1,0 +1,92 @@
+// Octree textures as nodes of TSL, for WebGPURenderer: as WGSL, or as GLSL where it draws by WebGL2.
+
+import { Node } from "three/webgpu";
+import { attribute, code, faceDirection, normalView, positionView, reference, texture as bound, varying, vec2 } from "three/tsl";
+import { repeated, sumOf } from "../page/field.js";
+import { wgslOf } from "./wgsl.js";
+
+const NODES = {
+  base_color: "colorNode", roughness: "roughnessNode", metallic: "metalnessNode", emissive: "emissiveNode", occlusion: "aoNode",
+  normal: "normalNode",
+};
+const UNIFORMS = { u_kept: "vec3", u_split: "vec3", u_keptLevel: "float", u_leafRoot: "float", u_depth: "float", u_footprints: "float" };
+// The look itself; functions of channels follow it. Numbers of cells are exact in floats: they have 24 bits.
+const LOOK = `
+float octexLook(vec3 rest, vec3 side, vec3 kept, vec3 split, float keptLevel, float leafRoot, float depth, float footprints) {
+#if defined(SPLIT) || defined(KEPT)
+  u_kept = uvec3(kept);
+  u_split = uvec3(split);
+  u_keptLevel = int(keptLevel);
+#endif
+  u_leafRoot = leafRoot > 0.5;
+  u_depth = int(depth);
+#ifdef FACING
+  face(side);
+#endif
+  lookUp(rest, footprints * footprint(rest));
+  return g_cover;
+}
+
+float octex_alpha(float look) {
+  return g_alpha;
+}
+`;
+
+// A call of a function of the walk. What it reads of the look is built before it, as its first input.
+class Call extends Node {
+  constructor(type, name, inputs) {
+    super(type);
+    Object.assign(this, { name, inputs });
+  }
+
+  generate(builder) {
+    return `${this.name}(${this.inputs.map((each) => each.build(builder)).join(", ")})`;
+  }
+}
+
+class Look extends Call {
+  constructor(octree, names, inputs) {
+    super("float", "octexLook", inputs);
+    this.textures = octree.stores.filter(([name]) => octree.uniforms[name]).map(([name]) => {
+      const { value } = octree.uniforms[name];
+      value.internalFormat = null; // WebGPU's names differ
+      return bound(value, vec2(0)).setName(name);
+    });
+    Object.assign(this, { octree, names });
+  }
+
+  generate(builder) {
+    const { backend } = builder.renderer, { octree } = this, isWebGl = Boolean(backend.isWebGLBackend);
+    octree.check(isWebGl ? backend.gl.getParameter(backend.gl.MAX_TEXTURE_SIZE) : backend.device.limits.maxTextureDimension2D);
+    for (const each of this.textures) each.build(builder, "texture");
+    const text = this.text();
+    code(isWebGl ? text.replace(/^uniform .*sampler.*$/gm, "").replace(/^uniform /gm, "") : wgslOf(text)).build(builder);
+    return super.generate(builder);
+  }
+
+  text() {
+    const { octree, names } = this, defines = octree.lines(names).join("\n"), planes = Number(/PLANES (\d+)/.exec(defines)[1]);
+    const sums = names.map((name) => `vec3 octex_${name}(float look) {\n  return vec3(${sumOf(octree.channel(name))});\n}`);
+    const normal = "vec3 octexNormal(float look, vec3 rest, vec3 side, vec3 seen, vec3 normal) {\n  return shownNormal(2.0 * (NORMAL) - 1.0, side, rest, seen, normal);\n}";
+    return [defines, repeated(octree.walk + LOOK, planes), ...sums, ...(names.includes("normal") ? [normal] : [])].join("\n");
+  }
+}
+
+// Have a material of WebGPURenderer take its channels from a texture, with the filter that it has now; returns the material.
+export function applyNodes(octree, material) {
+  const rest = varying(attribute("octexRest", "vec3")), side = varying(attribute("octexNormal", "vec3")).normalize().mul(faceDirection);
+  const uniforms = Object.entries(UNIFORMS).map(([name, type]) => reference("value", type, octree.uniforms[name]));
+  const names = octree.claim(material);
+  const look = new Look(octree, names, [rest, side, ...uniforms]).toVar();
+  for (const name of names) {
+    const value = new Call("vec3", `octex_${name}`, [look]);
+    material[NODES[name]] = ["base_color", "emissive"].includes(name) ? value : value.x;
+    if (name === "normal") material.normalNode = new Call("vec3", "octexNormal", [look, rest, side, positionView, normalView]);
+  }
+  if (octree.channel("alpha")) material.opacityNode = new Call("float", "octex_alpha", [look]);
+  // Of materials that are no node materials three takes this alone for the key of their programs.
+  const key = material.customProgramCacheKey;
+  material.customProgramCacheKey = () => `${key.call(material)} ${look.id}`;
+  material.needsUpdate = true;
+  return material;
+}

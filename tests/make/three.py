@@ -1,0 +1,99 @@
+"""Pages of three.js for tests, from a server of their own.
+
+OCTEX_TEST_THREE names the folder of three's package.
+"""
+
+from __future__ import annotations
+
+import http.server
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import octex
+from octex.source.surface import Surface
+
+THREE = os.environ.get("OCTEX_TEST_THREE", "")
+VIEWER = Path(octex.__file__).parent / "viewer"
+needs_three = pytest.mark.skipif(not THREE, reason="OCTEX_TEST_THREE names no package of three")
+#: Pixels along a side of the canvas.
+SIZE = 64
+_HEAD = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
+<script type="importmap">{"imports": {"three": "/three/build/three.%s.js",
+"three/webgpu": "/three/build/three.webgpu.js", "three/tsl": "/three/build/three.tsl.js",
+"three/addons/": "/three/examples/jsm/", "octex-three": "/viewer/three/index.js",
+"octex-three/nodes": "/viewer/three/nodes.js"}}</script>
+<script type="module">%s</script>"""
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    folder = Path()
+    asked: ClassVar[list[int]]
+    gate: ClassVar[threading.Event]
+    extensions_map = {**http.server.SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}  # noqa: RUF012
+
+    def translate_path(self, path: str) -> str:
+        _, first, *rest = path.split("?")[0].split("/")
+        root = {"three": Path(THREE), "viewer": VIEWER}.get(first, self.folder / (first or "index.html"))
+        return str(root.joinpath(*rest))
+
+    def do_GET(self) -> None:
+        """Answer range requests for files in the folder ranged/; what lies behind the first bytes waits."""
+        found, given = Path(self.translate_path(self.path)), self.headers.get("Range")
+        if found.parent.name != "ranged" or given is None:
+            return super().do_GET()
+        begin, end = map(int, given.removeprefix("bytes=").split("-"))
+        self.asked.append(begin)
+        if begin:
+            self.gate.wait(60)
+        content = found.read_bytes()
+        self.send_response(206)
+        self.send_header("Content-Length", str(len(content[begin : end + 1])))
+        self.end_headers()
+        self.wfile.write(content[begin : end + 1])
+        return None
+
+    def log_message(self, *_: object) -> None:
+        """Tests have no use for lines of requests."""
+
+
+@contextmanager
+def opened(browser: Any, folder: Path, script: str, build: str = "module") -> Iterator[Any]:
+    """Serve files of a folder beside a page that runs a script, which sets ``told``; it must not complain."""
+    (folder / "index.html").write_text(_HEAD % (build, script))
+    kind = type("Own", (Handler,), {"folder": folder, "asked": [], "gate": threading.Event()})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page = browser.new_page(viewport={"width": SIZE, "height": SIZE})
+        page.complaints, page.server = [], kind
+        page.on("pageerror", lambda error: page.complaints.append(str(error)))
+        page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+        page.goto(f"http://127.0.0.1:{server.server_port}/")
+        page.wait_for_function("globalThis.told")
+        yield page
+        assert page.complaints == []
+        page.close()
+        server.shutdown()
+
+
+def waves(points: Any) -> Any:
+    return 0.5 + 0.4 * np.sin(points * [19.0, 13.0, 7.0] + [0.0, 1.0, 2.0])
+
+
+def square() -> Surface:
+    """Return a square of side 1, which fills the canvas."""
+    corners = np.array([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3], [1, 1, 0.3]], float)
+    return Surface.from_arrays(corners, [[0, 1, 2], [1, 3, 2]]).with_sources({"base_color": waves})
+
+
+def pixel_points() -> Any:
+    """Return where pixels see the square, (n, 3)."""
+    centres = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(centres, centres)
+    return np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
