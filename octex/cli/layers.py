@@ -91,26 +91,31 @@ class Painting:
         octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
         return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
 
-    def begun(self, layer: OctreeTexture, has_layers: bool) -> OctreeTexture:
-        """Return a new texture for a layer to be merged into; its unseen part may be filled."""
-        from octex.painting import holes
+    def started(self, layer: OctreeTexture, has_layers: bool) -> tuple[OctreeTexture, bool]:
+        """Return a new texture, whose unseen part may be filled, and whether a layer is in it already."""
+        from octex.painting import first
+        from octex.painting.surface import PaintedSurface
 
-        chosen = self._options.holes
+        chosen, surface = self._options.holes, PaintedSurface(self._surface)
         mode: Any = "leave" if has_layers else chosen if isinstance(chosen, str) else "smooth"
-        return holes.begun(layer, self._surface, mode, self._executor, self._progress)
+        task = mode, self._opacity, self._blend, self._executor, self._progress
+        return first.started(layer, surface, *task)
 
     def merged(
-        self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path]
+        self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path], first: int
     ) -> OctreeTexture:
-        """Merge layers, those of ``files`` if any; return the same texture if they paint nothing."""
-        painting = [number for number, layer in enumerate(layers) if layer.tree.n_leaves]
+        """Merge layers, those of ``files`` if any, from the ``first`` on that is not in the texture.
+
+        Returns the same texture if they paint nothing.
+        """
+        painting = [number for number, layer in enumerate(layers) if layer.tree.n_leaves and number >= first]
         blending = {"opacity": self._opacity, "blend": self._blend, "run": self._run}
         for number in painting:
             try:
                 texture = octex.merge(texture, layers[number], self._surface, **blending)
             except ArgumentError as error:
                 raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
-        if self._options.coverage and painting:
+        if self._options.coverage and any(layer.tree.n_leaves for layer in layers):
             from octex.painting.holes import with_coverage
 
             texture = with_coverage(texture, layers)

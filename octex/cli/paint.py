@@ -123,9 +123,9 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 layers = [open_texture(path) for path in options.IMAGE]
             else:
                 texture, layers = painting.projected(texture, shots)
-            base = painting.begun(layers[0], has_layers) if texture is None else texture
-            made = painting.merged(base, layers, options.IMAGE if has_layers else [])
-        if made is base:
+            base, is_in = painting.started(layers[0], has_layers) if texture is None else (texture, False)
+            made = painting.merged(base, layers, options.IMAGE if has_layers else [], int(is_in))
+        if made is base and not is_in:
             return _nothing_painted(options, program, any(shot.since for shot in shots))
         entries = painting.entries([shot.path for shot in shots] or options.IMAGE, layers[0])
         made = with_entries(made, surface, entries)

@@ -196,10 +196,11 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     report("build", 0, 1)
     tree, values = assemble(plan.stored, filled)
     report("build", 1, 1)
-    known = Remaining(tree, values, filled.samples, filled.wanted, 0)
-    degenerate = filled.degenerate
     if surface.source.has_gaps:
         known = _without_gaps(plan, tree, values, filled, pool, report)
+    else:
+        known = Remaining(tree, values, filled.samples(plan.stored), filled.wanted, 0)
+    degenerate = filled.degenerate
     del filled, tree, values  # they hold all values once more
     fit = split = None
     if known.samples is not None and plan.fit:

@@ -91,10 +91,14 @@ class CellLevels(NamedTuple):
     depth: int
     codes: Int64s  # of the finest cells
     levels: list[list[LevelCells]]  # from the root down, each in parts
-    samples: Samples | None
+    taken: list[Taken] | None  # samples in the finest cells, in parts; `samples` takes them out
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
     gaps: Int64s  # finest cells in what was left out
+
+    def samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
+        """Return the samples of ``channels``, as they were converted, laid end to end."""
+        return None if self.taken is None else join(self.depth, tuple(channels), self.codes, self.taken)
 
 
 class Job(NamedTuple):
@@ -179,12 +183,10 @@ def cell_levels(
     upper, _ = climb(tops, block_level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
-    taken = [part.taken for part in parts if part.taken is not None]
+    taken = [part.taken for part in parts if part.taken is not None] if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
-    del parts
-    samples = join(depth, channels, codes, taken) if has_samples else None
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return CellLevels(depth, codes, levels, samples, deepest, degenerate, gaps)
+    return CellLevels(depth, codes, levels, taken, deepest, degenerate, gaps)
 
 
 def _outside(pieces: Fragments, chosen: Bools, columns: SumColumns) -> Sums:

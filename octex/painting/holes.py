@@ -70,12 +70,19 @@ class SheetValues(Source):
 
 
 def begun(
-    layer: OctreeTexture, surface: Surface, holes: Holes, executor: Executor, progress: Progress
+    layer: OctreeTexture,
+    surface: Surface,
+    holes: Holes,
+    executor: Executor,
+    progress: Progress,
+    *,
+    is_hidden: bool = False,
 ) -> OctreeTexture:
     """Return what the first layer of paint is merged into: ``smooth`` where it has no paint.
 
     What the layer covers by half or more is known, in cells as large as most of its leaves. The rest is
-    harmonic; a part of which nothing is known has the mean.
+    harmonic; a part of which nothing is known has the mean. If what lies under the layer ``is_hidden``, there
+    is nothing far from where it does not cover the surface.
     """
     name = painted_channel(layer)
     form = layer.channels[name].format
@@ -96,7 +103,10 @@ def begun(
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
     source = SheetValues(form, sheets, values.astype(np.float32))
     part = surface.part(np.arange(len(surface.triangles)), source)
-    made = cell_levels(part, (form,), layer.placement, level, executor, progress, has_samples=False)
+    made = cell_levels(
+        part, (form,), layer.placement, level, executor, progress,
+        has_samples=False, reached=region.reaches if is_hidden else None,
+    )  # fmt: skip
     tree, channels = assemble((form,), made)
     progress("fill", 1, 1)
     return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)

@@ -16,7 +16,8 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.holes import begun, with_coverage
+from octex.painting.first import started
+from octex.painting.holes import with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
@@ -143,12 +144,16 @@ def painted(
     for blend, group in groupby(projections, key=lambda projection: projection.blend):
         pictures = list(group)
         layer = layer_of(job, pictures, texture)
-        if texture is None:
-            texture = begun(layer, surface.surface, holes, job.executor, job.progress)
-            blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
+        opacity = max(picture.opacity for picture in pictures)
         if layers is not None:
             layers.append(layer)
-        opacity = max(picture.opacity for picture in pictures)
+        if texture is None:
+            mode: Blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
+            texture, is_in = started(layer, surface, holes, opacity, mode, job.executor, job.progress)
+            if is_in:
+                yield texture, None
+                continue
+            blend = mode
         merge = job.merge or merged
         change = merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
         texture = texture if change is None else put(change, texture)

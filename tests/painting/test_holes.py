@@ -153,6 +153,48 @@ def test_a_new_texture_is_whole_and_what_was_there_stays() -> None:
     np.testing.assert_allclose(again, 1 - (1 - once) ** 2, atol=0.01)
 
 
+@needs_jit
+@pytest.mark.parametrize("holes", ["smooth", "leave"])
+def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes: Any) -> None:
+    surface = ball(rings=24)
+    camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(96, 96))
+    image = np.random.default_rng(0).random((96, 96, 3)).astype(np.float32)
+    picture = octex.Projection(image, camera)
+    layer, made = octex.project(surface, picture), octex.paint(None, surface, picture, holes=holes)
+    made.validate()
+    assert not made.tree.kept.cells.size
+    assert list(made.channels) == ["base_color"]
+    points = surface.scatter(4000)
+    inside = layer.sample(points.rest, "alpha")[:, 0] > 1 - 1e-6
+    assert inside.mean() > 0.1
+    for normals in (None, points.normals[inside]):
+        own, found = (each.sample(points.rest[inside], normals=normals) for each in (layer, made))
+        np.testing.assert_allclose(found, own, atol=1e-6)
+    seen = layer.contains(points.rest)
+    assert made.contains(points.rest[seen]).all()
+    assert made.contains(points.rest).all() == (holes == "smooth")
+    known = np.abs(made.sample(points.rest[~seen]) - image.mean(axis=(0, 1))).max(axis=1)
+    assert holes == "leave" or np.median(known) < 0.1
+
+
+@needs_jit
+def test_thin_walls_seen_from_one_side_are_filled_on_the_other() -> None:
+    """The far side of a wall thinner than a cell, part of it its own colour by a second picture."""
+    vertices, faces = square(-1e-4, steps=4)
+    surface = plain(together(square(0.0, steps=4), (vertices, faces[:, ::-1])))
+    front, back = (octex.Camera.fitted(vertices, (0.0, 0.0, z), size=(64, 64)) for z in (1.0, -1.0))
+    shown = one_color(back, (0.1, 0.8, 0.1))
+    shown[:, 32:, 3] = 0.0
+    given = [octex.Projection(one_color(front, (0.8, 0.1, 0.1)), front), octex.Projection(shown, back)]
+    made = octex.paint(None, surface, given)
+    made.validate()
+    points = surface.scatter(2000)
+    found = made.sample(points.rest, normals=points.normals)
+    is_front = points.normals[:, 2] > 0
+    np.testing.assert_allclose(found[is_front], np.tile([0.8, 0.1, 0.1], (is_front.sum(), 1)), atol=0.01)
+    np.testing.assert_allclose(found[~is_front], np.tile([0.1, 0.8, 0.1], ((~is_front).sum(), 1)), atol=0.02)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_region_has_the_sheets_of_the_whole(seed: int) -> None:
     surface = plain(tilted(together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1)), seed))
