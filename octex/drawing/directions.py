@@ -17,8 +17,10 @@ from octex.cameras.files import Frame
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
 #: A model is flat if this part of its squared normals is along one axis; it is seen this much from the side.
 _FLAT, _SLANT = 0.85, 0.45
-#: Another side is shown than the usual one if it has so many times its detail.
+#: Another side is shown than one before it if it has so many times its detail.
 _CLEARLY = 1.1
+#: Steps between pixels, of values from 0 to 1, that are no larger are rounding.
+_SEEN = 1 / 512
 #: Unit vectors whose mean is shorter point all around.
 _ALIKE = 0.5
 
@@ -92,10 +94,10 @@ def view_directions(normals: Floats, areas: Floats) -> Float64s:
 
 def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]) -> Float64s:
     """Choose the direction (3,) from which ``unlit`` pictures of a model's points (n, 3) show most detail."""
-    details = []
-    for direction in directions if len(directions) > 1 else ():
+    details = [0.0] * len(directions)
+    for number, direction in enumerate(directions if len(directions) > 1 else ()):
         picture = unlit(Camera.fitted(points, direction, size=(96, 96)))
-        details.append(sum(float(np.nansum(np.abs(np.diff(picture, axis=axis)))) for axis in (0, 1)))
-    clearly = [detail > _CLEARLY * details[0] for detail in details]
-    best: Float64s = directions[int(np.argmax(details)) if any(clearly) else 0]
+        steps = [np.abs(np.diff(picture, axis=axis)) for axis in (0, 1)]
+        details[number] = sum(float(step[step > _SEEN].sum()) for step in steps)
+    best: Float64s = directions[int(np.argmax(np.array(details) * _CLEARLY >= max(details)))]
     return best

@@ -91,7 +91,7 @@ def _laid_over(
     progress("merge", 0, 1)
     with own_making():
         lacking, paint = _lacking(task), _showing(task)
-        made = _blended(task, *_united(task, lacking), paint, lacking)
+        made = _with_paint(task, *_united(task, lacking), paint, lacking)
     progress("merge", 1, 1)
     return made
 
@@ -124,7 +124,7 @@ def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bool
     return texture.with_cells(tree, texture.channels), edited.old >= 0
 
 
-def _blended(
+def _with_paint(
     task: Merge, texture: OctreeTexture, is_own: Bools, paint: Sequence[Paint], lacking: Sequence[Leaves]
 ) -> OctreeTexture:
     """Return the texture with paint blended with the fill beneath it, and averages made anew above both."""
@@ -146,7 +146,7 @@ def _blended(
     parts[name].values[is_own] = 1.0
     parts[name].split_values[is_own[rows_of(base.tree.split).cells]] = 1.0
     for level, (own, each, below) in enumerate(zip(cells, paint, beneath, strict=True)):
-        _blend(task, base.tree, level, own, each, below, channels[name], parts[name])
+        _put_paint(task, base.tree, level, own, each, below, channels[name], parts[name])
     is_fresh = np.ones(tree.n_cells, np.bool_)
     raised = Raised(texture, np.where(is_own, 0, -1), is_fresh, ~is_fresh, [])
     return averaged(
@@ -218,7 +218,7 @@ def _filled(task: Merge, codes: Int64s, level: int, facings: Uint8s) -> Below:
     )
 
 
-def _blend(
+def _put_paint(
     task: Merge,
     tree: Octree,
     level: int,

@@ -556,3 +556,18 @@ def test_leaves_that_cover_nothing_hide_nothing():
     camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
     picture = render_leaves(octex.convert(both, 6), camera, supersample=1)
     assert np.allclose(picture[24:40, 24:40] / FRONT, [0.2, 0.4, 0.6], atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("details", "seen"), [((10, 22, 23), 1), ((10, 22, 25), 2), ((22, 22, 23), 0), ((0, 0.02, 0.05), 0)]
+)
+def test_the_first_of_the_sides_that_show_about_most_is_seen_and_rounding_is_no_detail(details, seen):
+    directions = np.eye(3)
+
+    def unlit(camera):
+        picture = np.zeros((camera.height, camera.width))
+        shown = details[int(np.argmax(camera.position - SQUARE.mean(axis=0)))]
+        picture[20, 2:46:2] = shown / 25
+        return picture
+
+    assert np.array_equal(best_direction(directions, SQUARE, unlit), directions[seen])
