@@ -559,7 +559,7 @@ def test_leaves_that_cover_nothing_hide_nothing():
 
 
 @pytest.mark.parametrize(
-    ("details", "seen"), [((10, 22, 23), 1), ((10, 22, 25), 2), ((22, 22, 23), 0), ((0, 0.02, 0.05), 0)]
+    ("details", "seen"), [((10, 22, 23), 1), ((10, 22, 25), 2), ((22, 22, 23), 0), ((0, 0.02, 0.04), 0)]
 )
 def test_the_first_of_the_sides_that_show_about_most_is_seen_and_rounding_is_no_detail(details, seen):
     directions = np.eye(3)
