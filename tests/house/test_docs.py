@@ -109,7 +109,6 @@ SMALL = {
     r"\bsize=(?=\(\d+, \d+\))": "(128, 128)",
 }
 
-
 def coarse(code: str) -> str:
     """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
@@ -129,6 +128,8 @@ def run_command(line: str) -> None:
         silent = ["--no-browser", "--quiet"]
     if words[0] == "draw" and "--size" not in words:
         words += ["--size", "128,128"]
+    if words[0] == "bake" and words[-1].endswith(".glb"):  # without options
+        words += ["--texture-size", "256"]
     assert main([*words, *(word for word in silent if word not in words)]) == ExitCode.DONE, line
     if "paint" in words[1:]:
         disc(Path(words[3]))
