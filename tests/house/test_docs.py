@@ -113,7 +113,7 @@ def coarse(code: str) -> str:
     """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
         code = re.sub(rf"({words})(?:\(\d+, \d+\)|[\d_]+(?:,\d+)?)", rf"\g<1>{small}", code)
-    return code
+    return re.sub(r"octex\.bake\((\w+), (\w+)\)", r"octex.bake(\1, \2, texture_size=256)", code)
 
 
 def run_command(line: str) -> None:
