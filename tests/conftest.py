@@ -76,9 +76,8 @@ def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(octex, "difference", partial(octex.difference, points=20_000))
 
 
-@pytest.fixture
-def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare photographs at a tenth of the points: enough for small pictures."""
+def fewer_points(monkeypatch: pytest.MonkeyPatch, part: int) -> None:
+    """Compare photographs at a part of the points."""
     from octex.photos import balance, refine, sharpness
 
     for module, names in (
@@ -87,7 +86,13 @@ def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
         (sharpness, ("_POINTS",)),
     ):
         for name in names:
-            monkeypatch.setattr(module, name, getattr(module, name) // 10)
+            monkeypatch.setattr(module, name, getattr(module, name) // part)
+
+
+@pytest.fixture
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare photographs at a tenth of the points: enough for small pictures."""
+    fewer_points(monkeypatch, 10)
 
 
 @pytest.fixture(scope="session")
