@@ -71,7 +71,7 @@ def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let commands draw small previews and compare few points: theirs have 13 million samples and a million."""
+    """Let commands draw small previews and compare few points: theirs have 13 million samples, a million."""
     monkeypatch.setattr(octex, "write_preview", partial(octex.write_preview, size=(320, 176)))
     monkeypatch.setattr(octex, "difference", partial(octex.difference, points=20_000))
 

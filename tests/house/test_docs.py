@@ -109,6 +109,7 @@ SMALL = {
     r"\bsize=(?=\(\d+, \d+\))": "(128, 128)",
 }
 
+
 def coarse(code: str) -> str:
     """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
