@@ -12,7 +12,7 @@ from make_walls import march, normal_at, surface, unit
 from numba import njit
 from PIL import Image
 
-import octex
+import octex.kernels
 from octex.channels import encode
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "7"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 # The other processors have tests to run, and threads that wait for work in BLAS spin. Read with numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -71,19 +71,13 @@ def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let commands draw small previews: theirs have 13 million samples."""
-    import octex
-
-    def small(*arguments: Any, **options: Any) -> None:
-        write(*arguments, **{"size": (320, 176), **options})
-
-    write = octex.write_preview
-    monkeypatch.setattr(octex, "write_preview", small)
+    """Let commands draw small previews and compare few points: theirs have 13 million samples, a million."""
+    monkeypatch.setattr(octex, "write_preview", partial(octex.write_preview, size=(320, 176)))
+    monkeypatch.setattr(octex, "difference", partial(octex.difference, points=20_000))
 
 
-@pytest.fixture
-def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare photographs at a tenth of the points: enough for small pictures."""
+def fewer_points(monkeypatch: pytest.MonkeyPatch, part: int) -> None:
+    """Compare photographs at a part of the points."""
     from octex.photos import balance, refine, sharpness
 
     for module, names in (
@@ -92,7 +86,13 @@ def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
         (sharpness, ("_POINTS",)),
     ):
         for name in names:
-            monkeypatch.setattr(module, name, getattr(module, name) // 10)
+            monkeypatch.setattr(module, name, getattr(module, name) // part)
+
+
+@pytest.fixture
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare photographs at a tenth of the points: enough for small pictures."""
+    fewer_points(monkeypatch, 10)
 
 
 @pytest.fixture(scope="session")

@@ -160,7 +160,8 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     texture, layer, surface, opacity = layered(seed)
     how: dict[str, Any] = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
-    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+    piece = max(400, layer.tree.n_leaves // 20)
+    with mock.patch.object(tilewise, "PIECE", piece), mock.patch.object(tilewise, "MOST", 1000.0):
         assert tilewise.pieces_of(texture, layer, tilewise.coarsest_near_layer(texture, layer)) is not None
         found = octex.merge(texture, layer, surface, **how)
         covered = with_coverage(found, [layer])

@@ -114,7 +114,7 @@ def coarse(code: str) -> str:
     """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
         code = re.sub(rf"({words})(?:\(\d+, \d+\)|[\d_]+(?:,\d+)?)", rf"\g<1>{small}", code)
-    return code
+    return re.sub(r"octex\.bake\((\w+), (\w+)\)", r"octex.bake(\1, \2, texture_size=256)", code)
 
 
 def run_command(line: str) -> None:
@@ -129,6 +129,8 @@ def run_command(line: str) -> None:
         silent = ["--no-browser", "--quiet"]
     if words[0] == "draw" and "--size" not in words:
         words += ["--size", "128,128"]
+    if words[0] == "bake" and words[-1].endswith(".glb"):  # without options
+        words += ["--texture-size", "256"]
     assert main([*words, *(word for word in silent if word not in words)]) == ExitCode.DONE, line
     if "paint" in words[1:]:
         disc(Path(words[3]))

@@ -371,6 +371,8 @@ def test_the_numbered_scripts_run_from_anywhere(
     monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", depth)
     monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", width)
     monkeypatch.setattr(sys, "argv", [script])
+    monkeypatch.delattr(octex, "kernels", raising=False)  # which a script has to import itself
+    monkeypatch.delitem(sys.modules, "octex.kernels", raising=False)
     runpy.run_path(str(SAMPLES / script), run_name="__main__")
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == written
     check(tmp_path / "out", capsys.readouterr().out)

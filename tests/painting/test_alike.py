@@ -33,63 +33,68 @@ def leaves_of(texture: OctreeTexture) -> list[tuple[int, tuple[int, ...]]]:
     ]
 
 
-def naive(texture: OctreeTexture, point: Any, tolerance: float, connected: bool) -> set[Any]:
-    """The leaves of the colour at a point, each level and place: one after another."""
-    every = set(leaves_of(texture))
+class Walked:
+    """A texture whose leaves and their colours are looked up one after another."""
 
-    def leaf_at(place: Any) -> Any:
-        for level in range(texture.tree.max_depth + 1):
+    def __init__(self, **options: Any) -> None:
+        self.texture = striped(**options)
+        self.leaves = leaves_of(self.texture)
+        self.every = set(self.leaves)
+        middles = [(np.array(place) + 0.5) / 2**level for level, place in self.leaves]
+        self.middles = self.texture.placement.to_rest(np.array(middles))
+        self.colors = {leaf: self.color_at(own) for leaf, own in zip(self.leaves, self.middles, strict=True)}
+
+    def color_at(self, rest: Any) -> Any:
+        return 255 * linear_to_srgb(np.clip(self.texture.sample([rest])[0], 0, 1))
+
+    def leaf_at(self, place: Any) -> Any:
+        for level in range(self.texture.tree.max_depth + 1):
             cell = level, tuple(int(x) for x in np.floor(np.asarray(place) * 2**level))
-            if cell in every:
+            if cell in self.every:
                 return cell
         return None
 
-    def color_at(rest: Any) -> Any:
-        return 255 * linear_to_srgb(np.clip(texture.sample([rest])[0], 0, 1))
-
-    first, wanted = leaf_at(texture.placement.to_texture_space([point])[0]), color_at(point)
-    if first is None:
-        return set()
-    middles = {
-        (level, place): color_at(texture.placement.to_rest([(np.array(place) + 0.5) / 2**level])[0])
-        for level, place in every
-    }
-    same = {leaf for leaf, color in middles.items() if np.abs(color - wanted).max() <= tolerance} | {first}
-    if not connected:
-        return same
-    found, waiting = {first}, [first]
-    beside: dict[Any, set[Any]] = {leaf: set() for leaf in same}
-    for level, place in same:
-        for step in _FACES:
-            other = leaf_at((np.array(place) + step + 0.5) / 2**level)
-            if other in same and other[0] <= level:
-                beside[level, place].add(other)
-                beside[other].add((level, place))
-    while waiting:
-        new = beside[waiting.pop()] - found
-        found |= new
-        waiting += new
-    return found
+    def alike(self, point: Any, tolerance: float, connected: bool) -> set[Any]:
+        """The leaves of the colour at a point, each level and place: one after another."""
+        first = self.leaf_at(self.texture.placement.to_texture_space([point])[0])
+        if first is None:
+            return set()
+        wanted = self.color_at(point)
+        same = {leaf for leaf, color in self.colors.items() if np.abs(color - wanted).max() <= tolerance}
+        same |= {first}
+        if not connected:
+            return same
+        found, waiting = {first}, [first]
+        beside: dict[Any, set[Any]] = {leaf: set() for leaf in same}
+        for level, place in same:
+            for step in _FACES:
+                other = self.leaf_at((np.array(place) + step + 0.5) / 2**level)
+                if other in same and other[0] <= level:
+                    beside[level, place].add(other)
+                    beside[other].add((level, place))
+        while waiting:
+            new = beside[waiting.pop()] - found
+            found |= new
+            waiting += new
+        return found
 
 
 @needs_jit
-@pytest.mark.parametrize("connected", [True, False])
 @pytest.mark.parametrize("options", [{}, {"max_error": 6.0}])
-def test_leaves_of_one_colour_are_those_that_a_walk_finds(connected: bool, options: dict[str, Any]) -> None:
-    texture = striped(**options)
-    every = leaves_of(texture)
-    assert bool(options) == (len({level for level, _ in every}) > 1)
-    middles = np.array([(np.array(place) + 0.5) / 2**level for level, place in every])
-    sizes = []
-    for seed, tolerance in ((0, 10.0), (1, 25.0), (2, 60.0), (3, 0.0)):
-        point = ball(16).scatter(1, seed).points[0]
-        covers = alike(texture, point, tolerance, connected=connected)
-        is_chosen = np.asarray(covers(texture.placement.to_rest(middles)))
-        expected = naive(texture, point, tolerance, connected)
-        assert {leaf for leaf, own in zip(every, is_chosen, strict=True) if own} == expected
-        sizes.append(len(expected))
-    assert sizes[0] < sizes[2] < len(every)
-    assert sizes[3] >= 1
+def test_leaves_of_one_colour_are_those_that_a_walk_finds(options: dict[str, Any]) -> None:
+    walked = Walked(**options)
+    assert bool(options) == (len({level for level, _ in walked.leaves}) > 1)
+    for connected in (True, False):
+        sizes = []
+        for seed, tolerance in ((0, 10.0), (1, 25.0), (2, 60.0), (3, 0.0)):
+            point = ball(16).scatter(1, seed).points[0]
+            covers = alike(walked.texture, point, tolerance, connected=connected)
+            chosen = np.flatnonzero(np.asarray(covers(walked.middles)))
+            expected = walked.alike(point, tolerance, connected)
+            assert {walked.leaves[n] for n in chosen} == expected
+            sizes.append(len(expected))
+        assert sizes[0] < sizes[2] < len(walked.leaves)
+        assert sizes[3] >= 1
 
 
 @needs_jit

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import multiprocessing
 import os
 import shutil
-import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -67,19 +69,40 @@ def compiled_room(compiled: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(compiled, tmp_path / "copy"))
 
 
-def started(room: Path, code: str) -> subprocess.Popen[str]:
-    """Start Python with the module within reach, and a cache beside it."""
-    variables = {**os.environ, "NUMBA_CACHE_DIR": str(room / "cache")}
-    variables["PYTHONPATH"] = os.pathsep.join([str(room), *sys.path])
-    return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=variables)
+_METHODS = multiprocessing.get_all_start_methods()
+_CONTEXT = multiprocessing.get_context("forkserver" if "forkserver" in _METHODS else "spawn")
+_CONTEXT.set_forkserver_preload([__name__])  # each process has numba then
+
+
+class Started:
+    """A new process that runs code with the module within reach, and a cache beside it."""
+
+    def __init__(self, room: Path, code: str) -> None:
+        self._told, telling = _CONTEXT.Pipe(duplex=False)
+        self._process = _CONTEXT.Process(target=_run, args=(room, code, telling))
+        self._process.start()
+        telling.close()
+
+    def words(self) -> str:
+        """Return what it prints."""
+        try:
+            return str(self._told.recv())
+        finally:
+            self._process.join()
+            assert self._process.exitcode == 0
+
+
+def _run(room: Path, code: str, telling: Any) -> None:
+    os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(room / "cache")
+    sys.path.insert(0, str(room))
+    with redirect_stdout(StringIO()) as words:
+        exec(code, {})
+    telling.send(words.getvalue().strip())
 
 
 def said(room: Path, code: str = "assert slow.whole(1, 2) == 37") -> str:
     """Return what code prints after the module's import, and then what has been compiled."""
-    process = started(room, f"import slow\n{code}\nprint(*sorted(slow.Counter.names))")
-    words, _ = process.communicate()
-    assert process.returncode == 0
-    return words.strip()
+    return Started(room, f"import slow\n{code}\nprint(*sorted(slow.Counter.names))").words()
 
 
 def code_files(room: Path) -> list[Path]:
@@ -120,9 +143,8 @@ for kind in {kinds}:
         "np.float32, np.uint32, np.float64",
         "np.int64, np.uint64, np.int16",
     )
-    processes = [started(room, code.format(kinds=f"({each})")) for each in kinds]
-    assert [process.communicate()[0] for process in processes] == ["", "", ""]
-    assert [process.returncode for process in processes] == [0, 0, 0]
+    processes = [Started(room, code.format(kinds=f"({each})")) for each in kinds]
+    assert [process.words() for process in processes] == ["", "", ""]
     together = code.format(kinds=f"({', '.join(kinds)})").replace(
         "import numpy as np, slow", "import numpy as np"
     )

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 from measuring import Report, Setup, codes, decibels, timed
-from PIL import Image, ImageFilter
 
 import octex
 from octex.baking.atlas import atlas_layout
@@ -153,11 +152,7 @@ def _pictures(texture: octex.OctreeTexture, surface: octex.Surface, made: octex.
     covers = [_covered(each, fine) for each in (surface, made)]
     inside = np.minimum(*covers) == 1.0
     masks = [each >= 0.5 for each in covers]
-    off = next(
-        off
-        for off in range(_PICTURE)
-        if not any((one & ~_widened(other, off)).any() for one, other in (masks, masks[::-1]))
-    )
+    off = max(_apart(*masks), _apart(*masks[::-1]))
     return decibels(both[0][inside].astype(np.float64) - both[1][inside]), off
 
 
@@ -167,5 +162,12 @@ def _covered(surface: octex.Surface, fine: octex.Camera) -> Floats:
     return np.asarray(seen.reshape(_PICTURE, _SAMPLES, _PICTURE, _SAMPLES).mean(axis=(1, 3)))
 
 
-def _widened(mask: npt.NDArray[np.bool_], pixels: int) -> npt.NDArray[np.bool_]:
-    return np.asarray(Image.fromarray(mask).convert("L").filter(ImageFilter.MaxFilter(2 * pixels + 1))) > 0
+def _apart(one: npt.NDArray[np.bool_], other: npt.NDArray[np.bool_]) -> int:
+    """Return by how many pixels one mask must be widened to hold another."""
+    for pixels in range(_PICTURE):
+        if not (other & ~one).any():
+            return pixels
+        rows = np.pad(one, 1)
+        rows = rows[:-2] | rows[1:-1] | rows[2:]
+        one = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+    return _PICTURE
