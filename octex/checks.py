@@ -58,7 +58,7 @@ def as_array(given: Any) -> Array:
         reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
         raise ArgumentError(
             f"octex reads arrays in main memory, and this {type(given).__name__} cannot be read as one "
-            f"({reason}); give a copy there, like tensor.detach().cpu()"
+            f"({reason}); give a copy there, like tensor.detach().cpu(), of a type that numpy has"
         ) from None
 
 

@@ -21,7 +21,7 @@ from octex.baking.texels import Drawing, Shown, Texels, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
-from octex.nearest.triangles import Triangles
+from octex.nearest.triangles import Nearest, Triangles
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, workers
 from octex.source.corners import Corners, across, area_vectors, at_corners, unit
 from octex.source.images.pyramid import CLAMP, REPEAT
@@ -47,6 +47,8 @@ _GUTTER = 1 << 16
 #: Twice the area of triangles that are flat in a map, at most, in texels; those of low-poly models lie on a
 #: palette's texels.
 _FLAT = 1e-9
+#: The least cosine between the normals of a triangle and of what it shows, where that is near.
+_SAME_SIDE = 0.5
 #: Points on one, and more for each texel of its length; those on all, at most, beside the former.
 _POINTS, _ALONG, _MOST_POINTS = 16, 4, 1 << 22
 
@@ -234,6 +236,17 @@ class _Other(NamedTuple):
         flat = unit(area_vectors(placed.rest[placed.triangles]))
         return cls(placed, nearest, flat, shading, distance)
 
+    def facing(self, points: Float64s, normals: Float64s, squares: Float64s) -> Nearest:
+        """Find the nearest points on the same side of creases; on any if none is within ``squares`` (n,)."""
+        found = self.nearest.nearest(points, normals, distance=self.distance, least_cosine=_SAME_SIDE)
+        far = np.flatnonzero(found.squares > squares)
+        if far.size:
+            anywhere = self.nearest.nearest(
+                points[far], normals[far], distance=self.distance, least_cosine=0.0
+            )
+            found.triangles[far], found.barycentric[far], found.squares[far] = anywhere
+        return found
+
 
 class _Job:
     """Everything that is the same for all texels, and the lookups."""
@@ -257,7 +270,8 @@ class _Job:
         #: (m,)   whether a lookup averages over no more than a leaf
         self.is_fine = (self.dPdx**2).sum(axis=1) + (self.dPdy**2).sum(axis=1) <= leaf**2
         self.sizes = supersample * np.linalg.norm(np.cross(self.dPdx, self.dPdy), axis=1) ** 0.5  # of texels
-        self.normals = unit(area_vectors(rest))
+        crosses = area_vectors(rest)
+        self.normals, self.areas = unit(crosses), np.linalg.norm(crosses, axis=1) / 2.0
         self.blocks = None
         if other is None:
             self.blocks = Blocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
@@ -273,9 +287,7 @@ class _Job:
         normals, there = self.normals[triangles], None
         barycentric = np.empty((0, 3))
         if self.other is not None:
-            nearest = self.other.nearest.nearest(
-                rest, normals, distance=self.other.distance, least_cosine=0.0
-            )
+            nearest = self.other.facing(rest, normals, self.areas[triangles])
             there = nearest.triangles >= 0
             triangles, barycentric = nearest.triangles[there], nearest.barycentric[there]
             rest = self.other.surface.rest_at(triangles, barycentric)

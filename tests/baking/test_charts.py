@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,13 +13,15 @@ from hypothesis import strategies as st
 
 import octex
 from octex.baking import atlas
-from octex.baking.charts import laid_flat
-from octex.baking.layout import doubled_areas
+from octex.baking.charts import _merged, laid_flat
+from octex.baking.layout import doubled_areas, neighbors_of
 from octex.baking.texels import draw_texels
-from octex.baking.unfold import SIDE
+from octex.baking.unfold import SIDE, Pieces
 from octex.errors import ModelError
+from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from tests.make.solids import sphere
+from tests.make.vxz import dual_grid
 
 Floats = npt.NDArray[np.float64]
 
@@ -67,6 +71,75 @@ def test_noise_does_not_tear_charts_apart(noise: float) -> None:
     assert overlapping(flat, charts) == []
     sizes = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0)
     assert sizes.min() > 1000.0
+
+
+def blobs(points: Floats) -> Floats:
+    """Two balls, and a thin disc with a hole: about the distance to their surface."""
+    x, y, z = (points - 0.5).T
+    balls = np.minimum(np.hypot(np.hypot(x, y), z) - 0.2, np.hypot(np.hypot(x - 0.2, y - 0.15), z) - 0.13)
+    around = np.hypot(x, y)
+    disc = np.maximum(np.abs(z) - 0.03, np.abs(around - 0.32) - 0.1)
+    return np.asarray(np.minimum(balls, disc))
+
+
+def test_few_charts_of_a_generated_mesh_are_tiny(tmp_path: Path) -> None:
+    side, size = 24, 512
+    coords, dual, crossed = dual_grid(blobs, side)
+    dual = np.clip(dual + 0.1 * np.random.default_rng(0).standard_normal(dual.shape), 0.0, 1.0)
+    colors = np.full((len(coords), 3), 99, np.uint8)
+    np.savez(tmp_path / "grid.npz", coords=coords, base_color=colors, dual_vertices=dual, intersected=crossed)
+    layout = atlas.atlas_layout(octex.load_surface(tmp_path / "grid.npz"), [size], None, 1e-9)
+    areas = np.bincount(layout.charts, np.abs(doubled_areas(layout.corners)) / 2.0)
+    assert (areas < 8.0).mean() < 0.05
+    assert areas.sum() > 0.55 * size**2
+    assert areas.size < 80
+
+
+def test_an_atlas_is_the_same_each_time_and_on_more_threads() -> None:
+    mesh = noisy(4, 0.01)
+    surface = octex.Surface.from_arrays(mesh.rest, mesh.triangles)
+    source = surface.with_sources({"base_color": lambda rest: 0.5 + 0.3 * np.sin(9 * rest)})
+    texture = octex.convert(source, 5)
+    first, *others = (
+        octex.bake(texture, surface, uv="atlas", texture_size=256, threads=threads) for threads in (1, 1, 2)
+    )
+    assert first.uv is not None
+    for other in others:
+        assert other.uv is not None
+        np.testing.assert_array_equal(other.uv.values, first.uv.values)
+        np.testing.assert_array_equal(other.uv.rows, first.uv.rows)
+        points = first.scatter(1000)
+        np.testing.assert_array_equal(other.evaluate(points), first.evaluate(points))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_charts_with_borders_of_one_length_are_merged(seed: int) -> None:
+    """A flat cone of three charts: each border is as long as the others, but for the order of its sum."""
+    sectors, rings, per_sector = 3, 9, 4
+    turns = np.arange(sectors * per_sector) * 2.0 * np.pi / (sectors * per_sector)
+    radii = np.sort(np.random.default_rng(seed).random(rings)) + 0.1
+    x, y = radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns)
+    points = np.stack([x, y, np.broadcast_to(0.1 * radii[:, None], x.shape)], axis=2).reshape(-1, 3)
+    points = np.concatenate([points, np.zeros((1, 3))])
+    corners = np.arange(rings * turns.size).reshape(rings, -1)
+    ahead = np.roll(corners, -1, axis=1)
+    inner, outer = slice(0, -1), slice(1, None)
+    triangles = np.concatenate(
+        [
+            np.stack([corners[0], ahead[0], np.full(turns.size, len(points) - 1)], axis=1),
+            np.stack([corners[inner], corners[outer], ahead[outer]], axis=2).reshape(-1, 3),
+            np.stack([corners[inner], ahead[outer], ahead[inner]], axis=2).reshape(-1, 3),
+        ]
+    )
+    charts = np.tile(np.arange(turns.size) // per_sector, 2 * rings - 1)
+    shuffled = np.random.default_rng(seed).permutation(len(triangles))
+    triangles, charts = triangles[shuffled], charts[shuffled]
+    crosses = area_vectors(points[triangles])
+    normals = unit(crosses)
+    areas = np.linalg.norm(crosses, axis=1)
+    others, _ = neighbors_of(triangles)
+    pieces = Pieces(points[triangles], others, areas, normals, normals)
+    assert not _merged(pieces, charts.astype(np.int64)).any()
 
 
 def test_what_is_flat_is_one_chart_and_keeps_its_lengths() -> None:

@@ -136,6 +136,26 @@ def test_normals_of_the_source_may_be_all_that_is_baked() -> None:
         octex.bake(texture, surface, channels=["normal"])
 
 
+def test_a_triangle_shows_its_own_side_of_a_crease() -> None:
+    """A roof whose ridge zigzags, shown by one with a straight ridge: no texel beside it sees beyond."""
+    steps = np.arange(21)
+    ridge = np.stack([0.03 * (-1.0) ** steps, steps / 20.0, -0.03 * np.ones(21)], axis=1)
+    feet = [np.stack([side * np.ones(21), steps / 20.0, -np.ones(21)], axis=1) for side in (-1.0, 1.0)]
+    rows = np.concatenate([np.stack([steps[1:], steps[:-1], steps[:-1] + 21, steps[1:] + 21], axis=1)] * 2)
+    rows[20:] = 21 + rows[:20]
+    triangles = rows[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    source = octex.Surface.from_arrays(np.concatenate([feet[0], ridge, feet[1]]), triangles)
+    source = source.with_sources({"base_color": lambda rest: 0.5 + 0.0 * rest})
+    low = octex.Surface.from_arrays(
+        [(-1, 0, -1), (-1, 1, -1), (0, 0, 0), (0, 1, 0), (1, 0, -1), (1, 1, -1)],
+        [(0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3)],
+    )
+    baked = octex.bake(octex.convert(source, 4), low, source=source, uv="atlas", texture_size=256)
+    points = baked.scatter(5000, 0)
+    shown = baked.evaluate(points, "normal")
+    assert ((shown * points.normals).sum(axis=1) > 0.5).all()
+
+
 def radius(points: Any) -> Any:
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
     return 1.0 + 0.01 * np.sin(20.0 * directions).prod(axis=1)

@@ -111,8 +111,10 @@ def test_the_whole_way_to_a_glb(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         texture.sample(samples.rest, "roughness"), 0.5 + samples.rest[:, 2:], atol=1 / SIDE
     )
-    baked = octex.bake(texture, surface, texture_size=256)
-    octex.write_model(baked, tmp_path / "ball.glb")
+    assert (
+        run("bake", tmp_path / "ball.octex", path, tmp_path / "ball.glb", "--texture-size=256", "--quiet")
+        == 0
+    )
     back = octex.load_surface(tmp_path / "ball.glb")
     assert {"base_color", "roughness"} <= {form.name for form in back.channels}
     points = back.scatter(2000)
