@@ -10,7 +10,10 @@ sight       what cameras see of the surface
 project     pictures as a source of paint; reading: what one of them paints at points; layer: any such source
 boundary    cells around paint, on the surface and off it; cells: paint as it lies on them
 blend       each cell blended once, and averages above
-merge       a layer merged into a texture; tiles: in drafts, one or several
+merge       a layer merged into a texture, in drafts; first: made the leaves of a new texture
 holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells
+layers      strokes into layers above a texture; stack: the layers and their composite; stack_file: saved;
+            beneath: what a page shows of a stroke below others; restore: an eraser on the bottom
+history     strokes that can be undone; alike: the leaves of one colour
 resume      finished stages, stored in a folder for the next call
 """
