@@ -260,7 +260,7 @@ def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
         x, y, z = array[first].tolist()
         raise ModelError(
             f"{what} are not all finite (and below {FARTHEST:g}): number {first} is {x:g}, {y:g}, {z:g}; "
-            "repair the model (octex convert --repair leaves such triangles out)"
+            "repair the model (--repair leaves such triangles out)"
         )
     return array
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from typing import NamedTuple
 
 import generated
@@ -40,21 +41,27 @@ class _Case(NamedTuple):
 
 _CASES = _Case(7, 263, 6.0, 50_000, 2048, 25.0, 8.0), _Case(8, 526, 25.0, 100_000, 4096, 60.0, None)
 _QUICK = (_Case(3, 32, 6.0, 500, 256, 25.0, 8.0),)
+#: A ball, a dual grid and a map with which xatlas ends.
+_BESIDE = _Case(6, 131, 6.0, 0, 1024, 0.0, None)
 
 
 def light(setup: Setup, report: Report) -> None:
     """Lay out and bake meshes like those of scanners and generators, and compare pictures of both."""
     report.title("light: atlases, and models of few triangles, of a noisy ball and of a generated mesh")
-    for case in _QUICK if setup.quick else _CASES:
+    path = setup.folder / "generated.npz"
+    for case in _QUICK if setup.quick else (_BESIDE, *_CASES):
         depth = 5 if setup.quick else 10
         ball = _ball(case.divided)
-        path = setup.folder / "generated.npz"
         np.savez(path, **generated.dual_grid(case.side, _NOISE_OF_CELLS))
         made = octex.load_surface(path, normals=True)
         for name, surface in (("ball", ball), ("generated", made)):
             _atlases(report, f"{name}, {len(surface.triangles):,}", surface, case)
+        if case is _BESIDE:
+            continue
         _models(setup, report, "ball", ball, octex.convert(ball, depth), case)
         _models(setup, report, "generated", made, octex.convert(path), case)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    report.at_most("light: peak memory of the process", peak, 4.0, "GB")
 
 
 def _ball(divided: int) -> octex.Surface:
@@ -83,7 +90,7 @@ def _atlases(report: Report, name: str, mesh: Mesh, case: _Case) -> None:
             f"{areas.size:,} charts, {small:.1%} below 8 texels, {coverage:.0%} covered, L2 {stretch:.3f}"
         )
         report.line(what, f"{spent}; {figures}")
-        if not by_xatlas:
+        if not by_xatlas and case is not _BESIDE:
             report.at_most(f"light: atlas, {what}", spent.wall, case.atlas_seconds, "s")
             report.at_most(f"light: atlas, {what}, charts below 8 texels", 100.0 * small, 10.0, "%")
             report.at_least(f"light: atlas, {what}, covered", 100.0 * coverage, 60.0, "%")
