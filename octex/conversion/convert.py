@@ -199,7 +199,7 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     if surface.source.has_gaps:
         known = _without_gaps(plan, tree, values, filled, pool, report)
     else:
-        known = Remaining(tree, values, filled.samples(plan.stored), filled.wanted, 0)
+        known = Remaining(tree, values, filled.take_samples(plan.stored), filled.wanted, 0)
     degenerate = filled.degenerate
     del filled, tree, values  # they hold all values once more
     fit = split = None

@@ -51,7 +51,7 @@ def without_gaps(
     else:
         stored = [part.values[0] for level in coverage.levels for part in level]
         is_left = np.concatenate(stored)[:, 0] > 0
-    samples = filled.samples([channel.format for channel in channels.values()])
+    samples = filled.take_samples([channel.format for channel in channels.values()])
     wanted = filled.wanted
     cells = np.flatnonzero(is_left[-filled.codes.size :])
     empty = filled.codes.size - cells.size

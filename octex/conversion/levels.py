@@ -91,13 +91,13 @@ class CellLevels(NamedTuple):
     depth: int
     codes: Int64s  # of the finest cells
     levels: list[list[LevelCells]]  # from the root down, each in parts
-    taken: list[Taken] | None  # samples in the finest cells, in parts; `samples` takes them out
+    taken: list[Taken] | None  # samples in the finest cells, in parts
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
     gaps: Int64s  # finest cells in what was left out
 
-    def samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
-        """Return the samples of ``channels``, as they were converted, laid end to end."""
+    def take_samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
+        """Return the samples of ``channels``, as they were converted, laid end to end; it empties ``taken``."""
         return None if self.taken is None else join(self.depth, tuple(channels), self.codes, self.taken)
 
 

@@ -96,7 +96,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
     surface = Surface(TETRAHEDRON, FACES, source)
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 4, pool)
-        samples = full.samples
+        samples = full.take_samples(surface.channels)
         assert samples is not None
         tree, channels = assemble(surface.channels, full)
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
@@ -367,12 +367,13 @@ def test_trees_of_any_depths_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None
     surface = painted(waves(16))
     with ThreadPoolExecutor(2) as pool:
         full, placement = filled(surface, 6, pool)
-        assert full.samples is not None
+        samples = full.take_samples(surface.channels)
+        assert samples is not None
         tree, channels = merged(*assemble(surface.channels, full))
-        leaves = Leaves.of(tree, full.samples)
+        leaves = Leaves.of(tree, samples)
         assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
-        assert leaves.firsts[-1] == len(full.samples.shares)
-        found = fit.Fitter(full.samples, pool, silent).fit(tree, channels)
+        assert leaves.firsts[-1] == len(samples.shares)
+        found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
     assert error(textures[1], surface) < 0.5 * error(textures[0], surface)
 
@@ -405,7 +406,7 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     surface = tetrahedron()
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 4, pool)
-    samples = full.samples
+    samples = full.take_samples(surface.channels)
     assert samples is not None
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
@@ -438,7 +439,7 @@ def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> Non
     surface = Surface.from_arrays(SQUARE, HALVES, colors=SQUARE)
     with ThreadPoolExecutor(1) as pool:
         full, _ = filled(surface, 4, pool)
-    samples = full.samples
+    samples = full.take_samples(surface.channels)
     assert samples is not None
     counts = np.diff(samples.firsts)
     i, j, _ = decode_cells(samples.codes).T
@@ -456,7 +457,7 @@ def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_h
     surface = Surface(surface.rest, surface.triangles, source)
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 3, pool)
-    samples = full.samples
+    samples = full.take_samples(surface.channels)
     assert samples is not None
     firsts = samples.firsts[:-1]
     roughness, alpha = samples.values.T
@@ -484,8 +485,9 @@ def test_samples_of_fine_types_are_fine() -> None:
         surface = Surface(TETRAHEDRON, FACES, FaceSource((form,), [[0.1]] * 4))
         with ThreadPoolExecutor(1) as pool:
             full, _ = filled(surface, 2, pool)
-        assert full.samples is not None
-        assert full.samples.values.dtype == kept
+        samples = full.take_samples(surface.channels)
+        assert samples is not None
+        assert samples.values.dtype == kept
 
 
 def test_a_source_says_how_fine_it_is() -> None:
