@@ -97,7 +97,7 @@ class CellLevels(NamedTuple):
     gaps: Int64s  # finest cells in what was left out
 
     def take_samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
-        """Return the samples of ``channels``, as they were converted, laid end to end; it empties ``taken``."""
+        """Return the samples of ``channels``, as they were converted, end to end; it empties ``taken``."""
         return None if self.taken is None else join(self.depth, tuple(channels), self.codes, self.taken)
 
 
