@@ -78,6 +78,14 @@ def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     return found
 
 
+def with_bare_facings(layer: OctreeTexture) -> OctreeTexture:
+    """Return a layer whose facings without paint have the values of their cells: averages are then alike."""
+    name, rows = painted_channel(layer), rows_of(layer.tree.split)
+    channel, is_bare = layer.channels[name], layer.channels[ALPHA.name].split_values == 0
+    values = np.where(is_bare, channel.values[rows.cells], channel.split_values)
+    return layer.with_cells(layer.tree, {**layer.channels, name: channel._replace(split_values=values)})
+
+
 def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
     """Say which cells (n,) have facings left bare by paint of flags (n,), which without SPLIT covers all."""
     bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)

@@ -86,7 +86,7 @@ def _laid_over(
     """
     name = painted_channel(layer)
     if not fill.tree.n_leaves:
-        return fill.with_cells(layer.tree, {name: _without_bare(layer, name)})
+        return fill.with_cells(layer.tree, {name: layer.channels[name]})
     task = Merge(fill, layer, surface, name, "over", 1.0, executor, progress, 0)
     progress("merge", 0, 1)
     with own_making():
@@ -94,14 +94,6 @@ def _laid_over(
         made = _with_paint(task, *_united(task, lacking), paint, lacking)
     progress("merge", 1, 1)
     return made
-
-
-def _without_bare(layer: OctreeTexture, name: str) -> Channel:
-    """Return a layer's channel in which facings without paint have the values of their cells."""
-    channel, rows = layer.channels[name], rows_of(layer.tree.split)
-    is_bare = layer.channels[ALPHA.name].split_values[:, 0] == 0
-    values = np.where(is_bare[:, None], channel.values[rows.cells], channel.split_values)
-    return channel._replace(split_values=values)
 
 
 def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bools]:

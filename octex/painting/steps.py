@@ -68,6 +68,7 @@ from octex.painting.cells import (
     paint_on_leaves,
     painted_channel,
     some,
+    with_bare_facings,
 )
 from octex.painting.layer import CELLS, Depths, PaintSource, empty_texture, is_plain
 from octex.painting.surface import PaintedSurface
@@ -162,7 +163,7 @@ def layer_from(raster: Raster, executor: Executor, progress: Progress) -> Octree
         max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
         progress=progress,
     )  # fmt: skip
-    return refaced(OctreeTexture(tree, values, placement, bounds))
+    return with_bare_facings(refaced(OctreeTexture(tree, values, placement, bounds)))
 
 
 def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
