@@ -17,10 +17,9 @@ from weakref import ref
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from octex import jit
 from octex.field.blend import Listed, blend
 from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
@@ -36,8 +35,6 @@ from tests.oracles import naive
 
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
-#: The reference takes its time.
-few = settings(max_examples=10 if jit.DISABLED else 25)
 
 
 def reference(tree: Octree, filter: str, values: npt.ArrayLike | None = None) -> naive.Field:
@@ -83,7 +80,6 @@ def blended(taps: Listed, values: npt.NDArray[np.float64]) -> npt.NDArray[np.flo
 
 
 @each_filter
-@few
 @given(trees_and_points())
 def test_weights_and_slopes_are_those_of_the_reference(filter: str, drawn: Drawn) -> None:
     tree, points = drawn
@@ -179,7 +175,6 @@ def test_taps_do_not_depend_on_the_points_before_them(
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-@few
 @given(trees_and_points(), st.sampled_from([np.uint8, np.uint16, np.float32]))
 def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn, dtype: type) -> None:
     tree, points = drawn

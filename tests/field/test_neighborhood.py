@@ -5,10 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from octex import jit
 from octex.field import taps as taps_of
 from octex.field.neighborhood import walked_taps
 from octex.field.splines import FILTERS
@@ -93,7 +92,6 @@ def taps(
 
 
 @each_filter
-@settings(max_examples=10 if jit.DISABLED else 25)  # the reference takes its time
 @given(trees_and_points())
 def test_taps_are_what_the_field_is_made_of(filter: str, drawn: Drawn) -> None:
     found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import trimesh
 
 import octex
-from octex.channels import srgb_to_linear
 from octex.errors import ArgumentError
 from octex.painting.holes import filled
 from octex.painting.multigrid import graph_of, solve
@@ -234,22 +232,3 @@ def test_what_is_not_known_of_holes_is_refused() -> None:
         octex.paint(None, surface, picture, holes="fill")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="coverage must be"):
         octex.paint(None, surface, picture, coverage="yes")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("fit", [False, True])
-@pytest.mark.parametrize("height", [0.05, 0.8])
-def test_one_colour_stays_that_colour_at_any_width_with_normals(height: float, fit: bool) -> None:
-    box = trimesh.creation.box((1.0, height, 1.0))
-    surface = Surface.from_arrays(box.vertices, box.faces)
-    views = []
-    for direction in ((0.98, 0.19, -0.11), (0.68, -0.73, 0.02)):
-        camera = octex.Camera.fitted(surface.vertices, direction=direction, size=(16, 17))
-        picture = np.full((17, 16, 4), (200, 100, 50, 255), np.uint8)
-        views.append(octex.Projection(picture, camera))
-    texture = octex.paint(None, surface, views, fit=fit)
-    hits = surface.scatter(2000, seed=1)
-    wanted = srgb_to_linear(np.array([200, 100, 50]) / 255)
-    for width in (0.0, 0.1, 0.3, 1.0, 5.0):
-        for normals in (None, hits.rest_normals):
-            found = texture.sample(hits.rest, width=width, normals=normals)
-            assert np.abs(found - wanted).max() < 0.005, (width, normals is None)
