@@ -38,7 +38,7 @@ from octex.tree.split import rows_of
 #: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
 MOST_CELLS = 1 << 24
 #: Cells that come in the first chunk.
-_FIRST = 20_000
+_FIRST = 8_000
 
 
 class Prepared(NamedTuple):

@@ -9,7 +9,8 @@ from octex.errors import ArgumentError
 from octex.formats.streams import deflated
 from octex.painting.beneath import beneath
 from octex.session.painting import Session
-from octex.viewer.pack import pack, packed_mesh
+from octex.viewer.mesh import packed_mesh
+from octex.viewer.pack import pack
 
 #: Deflate's level: it stays on this machine.
 _QUICK = 1

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import PIL.Image
 
-from octex.arrays import Array, Float64s, Int64s, Uint8s
+from octex.arrays import Array, Float64s, Uint8s
 from octex.channels import encode
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import Input, MaterialSource
@@ -34,7 +34,7 @@ _WHITE = Input((1.0, 1.0, 1.0))
 class Maps(NamedTuple):
     """What the page shows as the source."""
 
-    order: Int64s  # (m,)   triangles, those of a material together
+    materials: Array  # (m,)   of each triangle; those of a material come together
     columns: Array  # (m, 3, k)   of their corners: coordinates, and colours if there are any
     header: dict[str, Any]
     images: list[bytes]
@@ -55,7 +55,6 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
         (id(each.texels), given.lanes): each.texels for given in inputs.values() if (each := given.texture)
     }
     images, divisor = _files(texels, small, room)
-    order = np.argsort(source.triangle_materials, kind="stable")
     places = list(texels)
     parts, first = [], 0
     for number in used:
@@ -86,7 +85,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
         columns.append(colors[source.colors.rows].astype(np.int32))
     header = {"bits": bits, "hasColors": has_colors, "parts": parts, "bytes": [len(each) for each in images]}
     notes = [f"source: images at 1/{divisor} of their size"] if divisor > 1 else []
-    return Maps(order, np.concatenate(columns, axis=2), header, images, notes)
+    return Maps(source.triangle_materials, np.concatenate(columns, axis=2), header, images, notes)
 
 
 def _files(

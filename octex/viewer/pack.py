@@ -1,12 +1,6 @@
 """A texture and its mesh as the page takes them: levels one after another, small enough to send.
 
-Of levels and tables see octex.formats.web.
-
-The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; where it moves, the surface's vertices, and if it is posed the
-normals at rest; where it has maps, coordinates in them and colours (``maps``); triangles by how far back each
-vertex is from the next new one.
-Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
+Of levels and tables see octex.formats.web, of the mesh ``mesh``, of how it moves ``moves``.
 """
 
 from __future__ import annotations
@@ -17,17 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float64s, Int32s
 from octex.drawing.environment import Environment
-from octex.drawing.hits import rest_normals, smooth_normals
 from octex.drawing.reflection import reflectances
 from octex.errors import ArgumentError
 from octex.formats.streams import deflated, planes, zigzag
 from octex.formats.web import packed_levels
-from octex.source.materials import MaterialSource
 from octex.texture import OctreeTexture, TextureSet
-from octex.tree.octree import distinct
 from octex.viewer.maps import Maps
+from octex.viewer.mesh import packed_mesh
 from octex.viewer.moves import packed_motion
 
 if TYPE_CHECKING:
@@ -154,73 +145,3 @@ def pack(
         streams["mesh"] = deflated(stream, level)
         header["mesh"]["bytes"] = len(streams["mesh"])
     return Packed(header, streams)
-
-
-def packed_mesh(
-    texture: OctreeTexture,
-    surface: Surface,
-    moves: bool = False,
-    maps: Maps | None = None,
-    paints: bool = False,
-) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream.
-
-    Of one that ``moves`` it names vertices' owners, of one that is painted the parts that they are of.
-    """
-    order = np.arange(len(surface.triangles)) if maps is None else maps.order
-    faces = surface.triangles[order]
-    is_posed = surface.rest is not surface.vertices
-    normals = smooth_normals(surface.posed_frames(), surface.vertices, surface.triangles)[order]
-    bits = min(max(20, texture.tree.max_depth + 8), 24)
-    rest = texture.placement.to_texture_space(surface.rest)
-    steps = np.rint(np.clip(rest, 0.0, 1.0) * (1 << bits)).astype(np.int32)
-    columns = [steps[faces.ravel()], _octahedral(normals.reshape(-1, 3))]
-    low, edge = np.array(texture.placement.origin), texture.placement.size
-    if is_posed:
-        used = surface.vertices[distinct(faces.ravel())]
-        low, edge = used.min(axis=0), float(np.ptp(used, axis=0).max()) or 1.0
-        posed = np.rint((surface.vertices - low) / edge * (1 << bits)).astype(np.int32)
-        columns.append(posed[faces.ravel()])
-    if moves:
-        columns.append(faces.reshape(-1, 1))
-    if moves and is_posed:
-        columns.append(_octahedral(rest_normals(surface)[order].reshape(-1, 3)))
-    if maps is not None:
-        columns.append(maps.columns[order].reshape(3 * len(faces), -1))
-    has_parts = paints and bool(surface.parts.max() > 0)
-    if has_parts:
-        columns.append(np.repeat(surface.parts[order], 3)[:, None])
-    corners = np.concatenate(columns, axis=1)
-    _, first, which = np.unique(corners, axis=0, return_index=True, return_inverse=True)
-    by_first_use = np.argsort(first, kind="stable")
-    rank = np.empty(first.size, np.int64)
-    rank[by_first_use] = np.arange(first.size)
-    rows, triangles = corners[first[by_first_use]], rank[which.ravel()]
-    source = surface.source
-    has_coordinates = isinstance(source, MaterialSource) and bool(source.coordinates)
-    steps_back = np.maximum.accumulate(triangles) - triangles
-    is_new = np.diff(np.maximum.accumulate(triangles), prepend=-1) > 0
-    back = np.where(is_new, 0, steps_back + 1)
-    parts = [planes(zigzag(np.diff(rows[:, column], prepend=0))) for column in range(rows.shape[1])]
-    header = {
-        "vertices": len(rows),
-        "triangles": len(faces),
-        "bits": bits,
-        "posed": is_posed,
-        "coordinates": surface.uv is not None or has_coordinates,
-        "moves": moves,
-        "parts": has_parts,
-        "low": low.tolist(),
-        "edge": edge,
-    }
-    return header, b"".join([*parts, planes(back)])
-
-
-def _octahedral(normals: Array) -> Int32s:
-    """Return unit vectors (n, 3) as whole numbers −1023 … 1023 (n, 2) on an unfolded octahedron."""
-    vectors = np.asarray(normals, np.float64)
-    sums = np.abs(vectors).sum(axis=1, keepdims=True)
-    flat: Float64s = vectors / np.where(sums > 0, sums, 1.0)
-    signs = np.where(flat[:, :2] < 0, -1.0, 1.0)
-    folded = (1 - np.abs(flat[:, 1::-1])) * signs
-    return np.asarray(np.rint(np.where(flat[:, 2:] < 0, folded, flat[:, :2]) * 1023), np.int32)

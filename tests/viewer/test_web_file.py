@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import tarfile
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from octex.cli.main import main
 from octex.tree.children import masks_of
 from octex.tree.layout import FACING_FLAGS
 from octex.viewer.export import write_page
+from octex.viewer.mesh import packed_mesh
 from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
@@ -112,10 +114,53 @@ def test_the_readers_agree_on_the_file_of_version_1() -> None:
     surface = sheet(np.eye(3), 0.01)
     positions, normals, triangles = (np.array(each).reshape(-1, 3) for each in found["mesh"])
     corners = surface.vertices[surface.triangles]
-    np.testing.assert_allclose(positions[triangles], corners, atol=header["size"] * 2.0**-20)
+    turned = np.stack([np.roll(positions[triangles], step, axis=1) for step in range(3)])
+    gaps = np.abs(turned[:, :, None] - corners).max(axis=(3, 4)).min(axis=0)  # of each two triangles
+    assert sorted(gaps.argmin(axis=1)) == list(range(len(corners)))
+    assert gaps.min(axis=1).max() <= header["size"] * 2.0**-16
+    corners = corners[gaps.argmin(axis=1)]
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sides /= np.linalg.norm(sides, axis=1)[:, None]
     assert (np.einsum("ni,ni->n", normals[triangles[:, 0]], sides) > 0.6).all()
+
+
+#: Prints positions and triangles of meshes that are read from the standard input.
+UNPACK = """
+const { unpackedMesh } = await import(process.argv[1]);
+const meshes = JSON.parse((await import("node:fs")).readFileSync(0));
+const read = ([header, stream]) => unpackedMesh(header, Buffer.from(stream, "base64"), null);
+const printed = ({ rest, triangles }) => [Array.from(rest), Array.from(triangles)];
+console.log(JSON.stringify(meshes.map(read).map(printed)));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node")
+def test_pages_get_each_triangle_of_random_meshes_the_same_way_round() -> None:
+    """Also with borders, edges of three triangles and more, doubled triangles, and such without area."""
+    rng = np.random.default_rng(6)
+    texture = octex.convert(sheet(np.eye(3), 0.01), depth=2)
+    low, size = np.array(texture.placement.origin), texture.placement.size
+    packed, wanted = [], []
+    for count in [1, 2, 3, 5, *rng.integers(4, 200, 20)]:
+        vertices = low + size * rng.random((rng.integers(3, 9 + count // 2), 3))
+        triangles = rng.integers(0, len(vertices), (count, 3))
+        surface = octex.Surface.from_arrays(vertices, triangles)
+        header, stream = packed_mesh(texture, surface)
+        packed.append((header, b64encode(stream).decode()))
+        wanted.append(np.rint((vertices - low) / size * 2 ** header["bits"]).astype(int)[surface.triangles])
+        assert header["edges"] <= 3 * count and header["corners"] <= 3 * count
+    command = ["node", "--input-type=module", "-e", UNPACK, (VIEWER / "page" / "mesh.js").as_uri()]
+    said = subprocess.run(
+        command, input=json.dumps(packed), capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+    for (rest, triangles), (header, _), corners in zip(json.loads(said), packed, wanted, strict=True):
+        found = np.rint(np.array(rest).reshape(-1, 3) * 2 ** header["bits"]).astype(int)
+        assert _turned(found[np.array(triangles).reshape(-1, 3)]) == _turned(corners)
+
+
+def _turned(triangles: np.ndarray) -> list[list[list[int]]]:
+    """Return triangles (m, 3, 3) in order, each with its least corner first."""
+    return sorted(min([*each[n:], *each[:n]] for n in range(3)) for each in triangles.tolist())
 
 
 def test_the_package_has_all_that_it_imports_and_is_small() -> None:

@@ -3,7 +3,7 @@
 import { walkUniforms } from "./field.js";
 import { ROW, planes } from "./octree.js";
 import { FACINGS, LEVELS } from "./legend.js";
-import { summed } from "./mesh.js";
+import { signed } from "./mesh.js";
 import { Programs, planesFor, showsRelief, showsSource } from "./programs.js";
 
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
@@ -44,7 +44,7 @@ export class Gpu {
   // A texture of the studio's numbers, see light.glsl.
   studioLight() {
     const { gl } = this, [{ numbers }, bytes] = this.studio, rows = Math.ceil(numbers / ROW), halves = new Uint16Array(ROW * rows);
-    halves.set(summed(planes(bytes, numbers, 0)));
+    planes(bytes, numbers, 0).forEach((step, n) => (halves[n] = (n ? halves[n - 1] : 0) + signed(step)));
     const texture = this.parts[0].texture(gl.R16F, rows);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RED, gl.HALF_FLOAT, halves);
     return texture;
