@@ -353,6 +353,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
         ("27_remote.py", ["droid.octex"], is_fetched_in_parts),
         ("28_light.py", ["light.png"], shows_different_panels("light.png", 1, 3)),
         ("29_gltf.py", CARRIED, shows_different_panels("octree.png", 2)),
+        ("30_three.py", ["droid.octw", "index.html", "walls.octw", "wood.octw"], says("wood.octw")),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(
@@ -385,7 +386,7 @@ def test_the_numbered_scripts_run_from_anywhere(
 def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
     scripts = sorted(SAMPLES.glob("[0-9]*.py"))
     assert [path.name[:2] for path in scripts] == [f"{i:02}" for i in range(1, len(scripts) + 1)]
-    assert len(scripts) == 29
+    assert len(scripts) == 30
     for path in scripts:
         text = path.read_text(encoding="utf-8")
         assert text.startswith('"""')
