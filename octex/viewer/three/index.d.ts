@@ -1,4 +1,4 @@
-import type { Group, Loader, Material, Mesh, Object3D } from "three";
+import type { BufferGeometry, Group, Loader, Material, Mesh, MeshStandardMaterial, Object3D } from "three";
 
 export type Filter = "nearest" | "linear" | "quadratic";
 
@@ -7,7 +7,7 @@ export class OctreeTexture {
   /** What the file says of it: depth, origin and size of the root cell, channels. */
   readonly header: { depth: number; origin: [number, number, number]; size: number; channels: { name: string; components: number }[] };
   /** Its mesh, if the file has one. */
-  readonly mesh: Mesh | null;
+  readonly mesh: Mesh<BufferGeometry, MeshStandardMaterial> | null;
   /** How cells are blended. Default: "quadratic". */
   filter: Filter;
   /** The deepest level that is looked up. Default: all. */
