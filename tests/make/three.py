@@ -17,7 +17,10 @@ import numpy as np
 import pytest
 
 import octex
+from octex.channels import srgb_to_linear
 from octex.source.surface import Surface
+from octex.viewer.export import write_page
+from tests.make.painted import ball
 
 THREE = os.environ.get("OCTEX_TEST_THREE", "")
 VIEWER = Path(octex.__file__).parent / "viewer"
@@ -97,3 +100,54 @@ def pixel_points() -> Any:
     centres = (np.arange(SIZE) + 0.5) / SIZE
     x, y = np.meshgrid(centres, centres)
     return np.stack([x, y, np.full_like(x, 0.3)], axis=2).reshape(-1, 3)
+
+
+def linear(srgb: list[int]) -> Any:
+    color = srgb_to_linear(np.array(srgb) / 255)
+    return lambda points: np.tile(color, (len(points), 1))
+
+
+def write_plain_ball(path: Path) -> None:
+    """Write a ball of one value, that of the second material of ``SCENES``."""
+    values = {"base_color": linear([200, 100, 50]), "roughness": 102 / 255, "metallic": 51 / 255}
+    surface = ball(24).with_sources(values)
+    write_page(octex.convert(surface, depth=4), path, surface)
+
+
+#: A function that returns scenes and their cameras: a ball of a material bent by its skin, of which instances
+#: fly about, with lights, shadows and fog; the same of three's own material; and the first, not bent.
+SCENES = """(THREE, geometry, own) => {
+  const count = geometry.attributes.position.count, weights = new Float32Array(4 * count);
+  for (let n = 0; n < count; n++) {
+    const share = THREE.MathUtils.smoothstep(geometry.attributes.position.getY(n), -0.5, 0.5);
+    weights.set([1 - share, share, 0, 0], 4 * n);
+  }
+  const joints = new Uint16Array(4 * count).map((_, n) => (n % 4 === 1 ? 1 : 0));
+  geometry.setAttribute("skinIndex", new THREE.BufferAttribute(joints, 4));
+  geometry.setAttribute("skinWeight", new THREE.BufferAttribute(weights, 4));
+  const scene = (material, isBent) => {
+    const made = new THREE.Scene(), bones = [new THREE.Bone(), new THREE.Bone()];
+    const skinned = new THREE.SkinnedMesh(geometry, material);
+    bones[0].add(bones[1]);
+    skinned.add(bones[0]).bind(new THREE.Skeleton(bones));
+    if (isBent) bones[1].position.x = 0.6;
+    const many = new THREE.InstancedMesh(geometry, material, 2), at = new THREE.Matrix4();
+    many.setMatrixAt(0, at.makeScale(0.3, 0.3, 0.3).setPosition(-1, 0.9, 0.4));
+    many.setMatrixAt(1, at.makeScale(-0.3, 0.3, 0.3).setPosition(1, 0.9, 0.4));
+    const floor = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.MeshStandardMaterial());
+    floor.position.z = -1.2;
+    const sun = new THREE.DirectionalLight(0xffffff, 2);
+    sun.position.set(1.5, 2, 3);
+    for (const each of [skinned, many, sun]) each.castShadow = true;
+    for (const each of [skinned, many, floor]) each.receiveShadow = true;
+    made.add(skinned, many, floor, sun, new THREE.HemisphereLight(0xaabbff, 0x443322, 1));
+    made.fog = new THREE.Fog(0x8899aa, 2, 9);
+    const camera = new THREE.PerspectiveCamera(45, 1, 0.1, 20);
+    camera.position.set(0.3, 0.4, 4);
+    camera.lookAt(0, 0, 0);
+    return [made, camera];
+  };
+  const plain = new THREE.MeshStandardMaterial({ color: 0xc86432 });
+  Object.assign(plain, { roughness: 102 / 255, metalness: 51 / 255 });
+  return [scene(own, true), scene(plain, true), scene(own, false)];
+}"""

@@ -10,12 +10,21 @@ import numpy as np
 import pytest
 
 import octex
-from octex.channels import linear_to_srgb, srgb_to_linear
+from octex.channels import linear_to_srgb
 from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.painted import ball
-from tests.make.three import SIZE, needs_three, opened, pixel_points, square, waves
+from tests.make.three import (
+    SCENES,
+    SIZE,
+    needs_three,
+    opened,
+    pixel_points,
+    square,
+    waves,
+    write_plain_ball,
+)
 
 pytestmark = [needs_jit, needs_three]
 SCRIPT = """
@@ -201,59 +210,18 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
 
 def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: Path) -> None:
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
-    values = {"base_color": linear([200, 100, 50]), "roughness": 102 / 255, "metallic": 51 / 255}
-    surface = ball(24).with_sources(values)
-    write_page(octex.convert(surface, depth=4), tmp_path / "ball.octw", surface)
-    own, other, still = page.evaluate(
-        """async () => {
-          const { THREE, read, renderer, pictured } = told;
-          const { group, textures: [texture] } = await read("/ball.octw"), { geometry } = group.children[0];
-          renderer.shadowMap.enabled = true;
-          const count = geometry.attributes.position.count, weights = new Float32Array(4 * count);
-          for (let n = 0; n < count; n++) {
-            const share = THREE.MathUtils.smoothstep(geometry.attributes.position.getY(n), -0.5, 0.5);
-            weights.set([1 - share, share, 0, 0], 4 * n);
-          }
-          const joints = new Uint16Array(4 * count).map((_, n) => (n % 4 === 1 ? 1 : 0));
-          geometry.setAttribute("skinIndex", new THREE.BufferAttribute(joints, 4));
-          geometry.setAttribute("skinWeight", new THREE.BufferAttribute(weights, 4));
-          const drawn = (material, isBent) => {
-            const scene = new THREE.Scene(), bones = [new THREE.Bone(), new THREE.Bone()];
-            const skinned = new THREE.SkinnedMesh(geometry, material);
-            bones[0].add(bones[1]);
-            skinned.add(bones[0]).bind(new THREE.Skeleton(bones));
-            if (isBent) bones[1].position.x = 0.6;
-            const many = new THREE.InstancedMesh(geometry, material, 2), at = new THREE.Matrix4();
-            many.setMatrixAt(0, at.makeScale(0.3, 0.3, 0.3).setPosition(-1, 0.9, 0.4));
-            many.setMatrixAt(1, at.makeScale(-0.3, 0.3, 0.3).setPosition(1, 0.9, 0.4));
-            const floor = new THREE.Mesh(new THREE.PlaneGeometry(6, 6), new THREE.MeshStandardMaterial());
-            floor.position.z = -1.2;
-            const sun = new THREE.DirectionalLight(0xffffff, 2);
-            sun.position.set(1.5, 2, 3);
-            for (const each of [skinned, many, sun]) each.castShadow = true;
-            for (const each of [skinned, many, floor]) each.receiveShadow = true;
-            scene.add(skinned, many, floor, sun, new THREE.HemisphereLight(0xaabbff, 0x443322, 1));
-            scene.fog = new THREE.Fog(0x8899aa, 2, 9);
-            const camera = new THREE.PerspectiveCamera(45, 1, 0.1, 20);
-            camera.position.set(0.3, 0.4, 4);
-            camera.lookAt(0, 0, 0);
-            return pictured(scene, camera);
-          };
-          const plain = new THREE.MeshStandardMaterial({ color: 0xc86432 });
-          Object.assign(plain, { roughness: 102 / 255, metalness: 51 / 255 });
-          const material = texture.applyTo(new THREE.MeshStandardMaterial());
-          return [drawn(material, true), drawn(plain, true), drawn(material, false)];
-        }"""
-    )
-    found, wanted = codes(own), codes(other)
+    write_plain_ball(tmp_path / "ball.octw")
+    asked = """async () => {
+      const { THREE, read, renderer, pictured } = told, scene = %s;
+      const { group, textures: [texture] } = await read("/ball.octw");
+      renderer.shadowMap.enabled = true;
+      const material = texture.applyTo(new THREE.MeshStandardMaterial());
+      return scene(THREE, group.children[0].geometry, material).map((each) => pictured(...each));
+    }"""
+    found, wanted, still = map(codes, page.evaluate(asked % SCENES))
     assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
     assert np.abs(found - wanted).max() <= 2.0
-    assert (np.abs(found - codes(still)).max(axis=2) > 20).mean() > 0.02
-
-
-def linear(srgb: list[int]) -> Any:
-    color = srgb_to_linear(np.array(srgb) / 255)
-    return lambda points: np.tile(color, (len(points), 1))
+    assert (np.abs(found - still).max(axis=2) > 20).mean() > 0.02
 
 
 def noise(points: Any) -> Any:

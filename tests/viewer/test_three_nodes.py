@@ -17,7 +17,7 @@ from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.browser import started
 from tests.make.painted import ball
-from tests.make.three import SIZE, needs_three, opened, pixel_points, square, waves
+from tests.make.three import SCENES, SIZE, needs_three, opened, pixel_points, square, waves, write_plain_ball
 
 is_chromium = os.environ.get("OCTEX_TEST_BROWSER", "chromium") == "chromium"
 pytestmark = [needs_jit, needs_three, pytest.mark.skipif(not is_chromium, reason="WebGPU is chromium's")]
@@ -171,3 +171,21 @@ def test_lit_models_look_as_by_webglrenderer(page: Any, tmp_path: Path) -> None:
     assert 255 * np.abs(linear_to_srgb(found) - linear_to_srgb(wanted)).max() <= 2.0
     ratio = light(page, lit).mean() / light(page, tilted).mean()
     assert abs(ratio - normal[2]) < 0.05, "a normal that is tilted takes less light"
+
+
+def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: Path) -> None:
+    """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
+    write_plain_ball(tmp_path / "ball.octw")
+    asked = """async () => {
+      const { THREE, read, applyNodes, renderer, pictured } = told, scenes = %s;
+      const { group, textures: [texture] } = await read("/ball.octw"), pictures = [];
+      renderer.shadowMap.enabled = true;
+      const material = applyNodes(texture, new THREE.MeshStandardNodeMaterial());
+      const { geometry } = group.children[0];
+      for (const each of scenes(THREE, geometry, material)) pictures.push(await pictured(...each));
+      return pictures;
+    }"""
+    found, wanted, still = (light(page, each) for each in page.evaluate(asked % SCENES))
+    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
+    assert 255 * np.abs(linear_to_srgb(found) - linear_to_srgb(wanted)).max() <= 2.0
+    assert (np.abs(found - still).max(axis=2) > 0.05).mean() > 0.02
