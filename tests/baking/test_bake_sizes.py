@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +16,7 @@ import octex
 from octex.baking import atlas
 from octex.baking.coordinates import leaf_of
 from octex.baking.layout import unit_area
+from octex.baking.sheets import coordinates_of, sheets_of
 from octex.baking.texels import draw_texels
 from octex.channels import encode
 from octex.cli import main as cli
@@ -67,11 +70,14 @@ def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
     droid: tuple[octex.OctreeTexture, Surface], fine_droid: octex.OctreeTexture, size: int | None
 ) -> None:
     _, surface = droid
-    kept = octex.bake(fine_droid, surface, texture_size=size)
+    with ThreadPoolExecutor(1) as pool:
+        sheets = sheets_of(
+            fine_droid, surface.placed_on(fine_droid), ["base_color"], "auto", size, None, pool
+        )
+    kept = coordinates_of(sheets, len(surface.triangles))
     assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
-    assert kept.uv is not None
-    is_same = np.isclose(kept.uv.values[kept.uv.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
+    is_same = np.isclose(kept.values[kept.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
     has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
     assert (is_same == has_coordinates).mean() > 0.99
 
@@ -161,8 +167,10 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("bits", [8, 16, 32])
-@pytest.mark.parametrize("plain", [*PLAIN, "all"])
+@pytest.mark.parametrize(
+    ("plain", "bits"),
+    [*((plain, 8) for plain in (*PLAIN, "all")), *product(("alpha", "metallic", "all"), (16, 32))],
+)
 def test_channels_that_do_not_vary_are_numbers(plain: str, bits: Any, tmp_path: Path) -> None:
     names = list(PLAIN) if plain == "all" else [plain]
     surface = cube_with_charts().with_sources({**VARIED, **{name: PLAIN[name] for name in names}})
@@ -224,6 +232,13 @@ def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
     np.testing.assert_allclose(baked.evaluate(seen, "normal"), expected, atol=0.02)
 
 
+@pytest.fixture(scope="module")
+def baked_whole() -> Surface:
+    surface = whole()
+    channels = ["base_color", "roughness", "normal"]
+    return octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+
+
 @pytest.mark.parametrize(
     ("images", "kinds"),
     [
@@ -235,15 +250,13 @@ def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
 )
 @pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdc"])
 def test_jpeg_is_for_colours_unless_all_is_asked_for(
-    images: Any, kinds: list[str], ending: str, tmp_path: Path
+    baked_whole: Surface, images: Any, kinds: list[str], ending: str, tmp_path: Path
 ) -> None:
     if ending == ".usdc":
         pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
         if images == "webp":
             pytest.skip("USD holds no webp images")
-    surface = whole()
-    channels = ["base_color", "roughness", "normal"]
-    baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+    baked = baked_whole
     written = octex.write_model(baked, tmp_path / f"a{ending}", images=images)
     assert sorted(written.files) == sorted(tmp_path.iterdir())
     if ending != ".glb":

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import octex
-from tests.make.command import refusal, result
+from tests.make.command import Cli
 from tests.make.fixtures import png, textured_square
 
 
@@ -30,11 +30,9 @@ def mask(model: Path) -> Path:
     return path
 
 
-def made(
-    capsys: pytest.CaptureFixture[str], model: Path, folder: Path, *words: object
-) -> octex.OctreeTexture:
+def made(cli: Cli, model: Path, folder: Path, *words: object) -> octex.OctreeTexture:
     out = folder / "made.octex"
-    result(capsys, model, out, "--depth", 6, "--force", *words)
+    cli.result(model, out, "--depth", 6, "--force", *words)
     return octex.open(out)
 
 
@@ -44,45 +42,41 @@ def assert_same(one: octex.OctreeTexture, other: octex.OctreeTexture, folder: Pa
     assert (folder / "one.octex").read_bytes() == (folder / "other.octex").read_bytes()
 
 
-def test_max_error_merges_leaves(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = made(capsys, model, tmp_path, "--max-error", 2)
+def test_max_error_merges_leaves(model: Path, tmp_path: Path, cli: Cli) -> None:
+    found = made(cli, model, tmp_path, "--max-error", 2)
     assert_same(found, octex.convert(model, 6, max_error=2), tmp_path)
     assert found.tree.n_leaves < octex.convert(model, 6).tree.n_leaves / 4
 
 
-def test_no_fit_keeps_averages(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert_same(made(capsys, model, tmp_path, "--no-fit"), octex.convert(model, 6, fit=False), tmp_path)
+def test_no_fit_keeps_averages(model: Path, tmp_path: Path, cli: Cli) -> None:
+    assert_same(made(cli, model, tmp_path, "--no-fit"), octex.convert(model, 6, fit=False), tmp_path)
 
 
-def test_detail_stretch_reads_the_rest_mesh(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = made(capsys, model, tmp_path, "--detail", "stretch", "--rest", model)
+def test_detail_stretch_reads_the_rest_mesh(model: Path, tmp_path: Path, cli: Cli) -> None:
+    found = made(cli, model, tmp_path, "--detail", "stretch", "--rest", model)
     assert_same(found, octex.convert(model, 6, rest=model, detail="stretch"), tmp_path)
 
 
 def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
-    model: Path, mask: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    model: Path, mask: Path, tmp_path: Path, cli: Cli
 ) -> None:
     words = ["--detail", "detail", "--source", f"detail={mask}"]
-    found = made(capsys, model, tmp_path, *words, "--channels", "base_color")
+    found = made(cli, model, tmp_path, *words, "--channels", "base_color")
     assert list(found.channels) == ["base_color"]
     (fine, _), (coarse, _) = found.tree.cells_by_depth()[6], found.tree.cells_by_depth()[4]
     assert fine > 0
     assert coarse > 0
-    both = made(capsys, model, tmp_path, *words)
+    both = made(cli, model, tmp_path, *words)
     assert list(both.channels) == ["base_color", "detail"]
     assert both.tree.n_leaves == found.tree.n_leaves
 
 
 @pytest.mark.parametrize("option", ["--max-error 2", "--detail stretch", "--no-fit"])
-def test_a_texture_cannot_adapt_any_more(
-    option: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_cannot_adapt_any_more(option: str, model: Path, tmp_path: Path, cli: Cli) -> None:
     texture = tmp_path / "a.octex"
     octex.convert(model, 3).save(texture)
     word = option.split()[0]
-    assert refusal(capsys, texture, tmp_path / "b.octex", *option.split()) == (
+    assert cli.refusal(texture, tmp_path / "b.octex", *option.split()) == (
         f"{texture}: {word} needs the model, but this is a texture made from it; see octex edit"
     )
 
@@ -102,6 +96,6 @@ def test_a_texture_cannot_adapt_any_more(
     ],
 )
 def test_what_cannot_steer_is_refused(
-    words: str, message: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, model: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    assert refusal(capsys, model, tmp_path / "x.octex", "--depth", 3, *words.split()) == message
+    assert cli.refusal(model, tmp_path / "x.octex", "--depth", 3, *words.split()) == message

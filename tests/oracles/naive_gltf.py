@@ -286,12 +286,12 @@ class Reference:
 
         if info is None:
             return base[:, :3], coverage(base[:, 3:])
+        plain = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]), t[:, 3:]]))
         if self.literal or mode == "OPAQUE":
-            texel = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]), t[:, 3:]]))
-            return base[:, :3] * texel[:, :3], coverage(base[:, 3:] * texel[:, 3:])
+            return base[:, :3] * plain[:, :3], coverage(base[:, 3:] * plain[:, 3:])
         texel = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]) * t[:, 3:], t[:, 3:]]))
-        with np.errstate(invalid="ignore"):
-            color = texel[:, :3] / texel[:, 3:]
+        with np.errstate(invalid="ignore"):  # between clear texels the plain mean, as octex has it
+            color = np.where(texel[:, 3:] > 0, texel[:, :3] / texel[:, 3:], plain[:, :3])
         return base[:, :3] * color, coverage(base[:, 3:] * texel[:, 3:])
 
     def _base_color(self, place: Place) -> Floats:
