@@ -240,17 +240,24 @@ def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]
 @pytest.mark.parametrize(
     "arguments",
     [
-        "a.glb b.octex --depth 5 --separate 3",
-        "a.glb --depth 5 b.octex --separate 3",
-        "--separate=3 a.glb b.octex --depth=5",
-        "a.glb --separate=3 --depth 5 -- b.octex",
+        "t.octex m.glb n.octex a.png b.png --camera c.json --mask m.png --balance full",
+        "--camera c.json t.octex --balance full m.glb n.octex a.png --mask m.png b.png",
+        "t.octex --mask m.png m.glb n.octex a.png --camera c.json --balance full b.png",
+        "--balance=full --mask m.png --camera=c.json -- t.octex m.glb n.octex a.png b.png",
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
-    given = vars(parsed(*arguments.split()))
-    assert sorted(given.pop("words")) == ["--depth", "--separate"]
-    stated = {name: value for name, value in given.items() if value}
-    assert stated == {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex"), "depth": 5, "separate": 3.0}
+    given = vars(parsed(*arguments.split(), command="paint"))
+    assert sorted(given.pop("words")) == ["--balance", "--camera", "--mask"]
+    assert {name: value for name, value in given.items() if value} == {
+        "MODEL": Path("m.glb"),
+        "TEXTURE": Path("t.octex"),
+        "IMAGE": [Path("a.png"), Path("b.png")],
+        "camera": (Path("c.json"), None),
+        "OUTPUT": Path("n.octex"),
+        "mask": [Path("m.png")],
+        "balance": "full",
+    }
 
 
 def test_sizes_have_a_comma_or_an_x() -> None:

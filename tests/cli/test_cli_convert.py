@@ -57,22 +57,7 @@ def test_a_machine_reads_one_json_object_and_quiet_is_silent(model: Path, tmp_pa
     assert cli.said() == ("", "")
 
 
-def test_cells_can_be_asked_for_by_their_size(model: Path, tmp_path: Path, cli: Cli) -> None:
-    cli.result(model, tmp_path / "box.octex", "--cell", 0.25)
-    texture = octex.open(tmp_path / "box.octex")
-    assert texture.placement.size / 2**texture.tree.max_depth == 0.25
-
-
-def test_the_result_does_not_depend_on_the_threads(model: Path, made: Path, tmp_path: Path, cli: Cli) -> None:
-    for threads in (1, 3):
-        out = tmp_path / f"{threads}.octex"
-        cli.result(model, out, "--depth", 4, "--threads", threads)
-        assert out.read_bytes() == made.read_bytes()
-
-
-def test_a_texture_can_be_made_in_files(model: Path, made: Path, tmp_path: Path, cli: Cli) -> None:
-    cli.result(model, tmp_path / "a.octex", "--depth", 4, "--memory", "9kB")
-    assert (tmp_path / "a.octex").read_bytes() == made.read_bytes()
+def test_only_a_texture_is_made_in_files(model: Path, tmp_path: Path, cli: Cli) -> None:
     refused = cli.refusal(model, tmp_path / "b.ply", "--memory", "9kB")
     assert refused.endswith("b.ply: a texture is converted to NAME.octex")
 
@@ -124,6 +109,9 @@ def test_a_texture_can_be_made_coarser_but_not_finer(made: Path, tmp_path: Path,
         ["--source", "alpha=1"],
         ["--filter", "sat"],
         ["--depth", "2"],
+        ["--max-error", "2"],
+        ["--detail", "stretch"],
+        ["--no-fit"],
     ):
         assert cli.refusal(made, tmp_path / "x.octex", *option) == (
             f"{made}: {option[0]} needs the model, but this is a texture made from it; see octex edit"
@@ -141,23 +129,75 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return textured_square(path, png(random_image(8, 8)), pbr={"metallicFactor": 0.4, "roughnessFactor": 0.6})
 
 
-def test_channels_and_their_types_can_be_chosen(square: Path, tmp_path: Path, cli: Cli) -> None:
-    cli.result(square, tmp_path / "all.octex", "--depth", 3)
-    assert set(octex.open(tmp_path / "all.octex").channels) >= {"base_color", "metallic", "roughness"}
-    out = tmp_path / "some.octex"
-    cli.result(square, out, "--depth", 3, "--channels", "roughness,base_color", "--dtype", "uint16")
-    texture = octex.open(out)
-    assert {name: each.format.dtype for name, each in texture.channels.items()} == {
-        "base_color": "uint16",
-        "roughness": "uint16",
-    }
-    cli.result(square, out, "--depth", 3, "--dtype", "roughness=float16", "--force")
-    types = {name: each.format.dtype for name, each in octex.open(out).channels.items()}
-    assert types["roughness"] == "float16"
-    assert types["base_color"] == "uint8"
-    expected = octex.convert(square, 3, dtype={"roughness": "float16"})
-    expected.save(tmp_path / "library.octex")
-    assert out.read_bytes() == (tmp_path / "library.octex").read_bytes()
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("", {}),
+        ("--threads 1", {}),
+        ("--threads 3", {}),
+        ("--memory 9kB", {}),
+        ("--cell 0.25", {"depth": None, "cell": 0.25}),
+        ("--channels roughness,base_color", {"channels": ["roughness", "base_color"]}),
+        ("--dtype uint16", {"dtype": "uint16"}),
+        ("--dtype roughness=float16", {"dtype": {"roughness": "float16"}}),
+        ("--max-error 2", {"max_error": 2}),
+        ("--no-fit", {"fit": False}),
+        ("--detail stretch --rest {square}", {"detail": "stretch"}),
+    ],
+)
+def test_the_texture_is_what_the_library_makes(
+    words: str, options: dict[str, Any], square: Path, tmp_path: Path, cli: Cli
+) -> None:
+    wanted = {"depth": 4, "rest": square if "--rest" in words else None, **options}
+    depth = [] if wanted["depth"] is None else ["--depth", wanted["depth"]]
+    cli.result(square, tmp_path / "a.octex", *depth, *words.format(square=square).split())
+    octex.convert(square, **wanted).save(tmp_path / "b.octex")
+    assert (tmp_path / "a.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def mask(square: Path) -> Path:
+    """White on the left, a quarter on the right."""
+    image = np.full((32, 32, 1), 255, np.uint8)
+    image[:, 16:] = 64
+    square.with_name("mask.png").write_bytes(png(image))
+    return square.with_name("mask.png")
+
+
+def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
+    square: Path, mask: Path, tmp_path: Path, cli: Cli
+) -> None:
+    words = ["--detail", "detail", "--source", f"detail={mask}", "--depth", 5]
+    cli.result(square, tmp_path / "a.octex", *words, "--channels", "base_color")
+    found = octex.open(tmp_path / "a.octex")
+    assert list(found.channels) == ["base_color"]
+    (fine, _), (coarse, _) = found.tree.cells_by_depth()[5], found.tree.cells_by_depth()[3]
+    assert fine > 0
+    assert coarse > 0
+    cli.result(square, tmp_path / "b.octex", *words)
+    both = octex.open(tmp_path / "b.octex")
+    assert set(both.channels) == {"base_color", "metallic", "roughness", "detail"}
+    assert both.tree.n_leaves == found.tree.n_leaves
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--detail wear", "unknown detail 'wear'; there are: base_color, metallic, roughness, stretch"),
+        (
+            "--detail base_color",
+            "--detail must be a channel with one component in 0 … 1, and 'base_color' is not",
+        ),
+        (
+            "--channels base_color --detail stretch --source alpha=1",
+            "--source gives alpha, but --channels leaves it out",
+        ),
+    ],
+)
+def test_what_cannot_steer_is_refused(
+    words: str, message: str, square: Path, tmp_path: Path, cli: Cli
+) -> None:
+    assert cli.refusal(square, tmp_path / "x.octex", "--depth", 3, *words.split()) == message
 
 
 def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(

@@ -1026,27 +1026,3 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path, cli
     red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
     assert red > 240
     assert max(green, blue) < 20
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        "t.octex m.glb n.octex a.png b.png --camera c.json --mask m.png --balance full",
-        "--camera c.json t.octex --balance full m.glb n.octex a.png --mask m.png b.png",
-        "t.octex --mask m.png m.glb n.octex a.png --camera c.json --balance full b.png",
-        "--balance=full --mask m.png --camera=c.json -- t.octex m.glb n.octex a.png b.png",
-    ],
-)
-def test_options_may_stand_anywhere(arguments: str) -> None:
-    parser = Parser("octex paint", COMMANDS["paint"], COMMANDS)
-    stated = {name: value for name, value in vars(parser.parsed(arguments.split())).items() if value}
-    assert sorted(stated.pop("words")) == ["--balance", "--camera", "--mask"]
-    assert stated == {
-        "MODEL": Path("m.glb"),
-        "TEXTURE": Path("t.octex"),
-        "IMAGE": [Path("a.png"), Path("b.png")],
-        "camera": (Path("c.json"), None),
-        "OUTPUT": Path("n.octex"),
-        "mask": [Path("m.png")],
-        "balance": "full",
-    }
