@@ -370,4 +370,4 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, cli):
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),
         (["--bump", "base_color=1", *camera], "--bump needs --light"),
     ):
-        assert said in cli.refusal("draw", texture, model, tmp_path / "x.png", *words)
+        assert said in cli.refusal("draw", texture, model, tmp_path / "x.png", "--quiet", *words)
