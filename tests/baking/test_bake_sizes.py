@@ -18,13 +18,13 @@ from octex.baking.layout import unit_area
 from octex.baking.sheets import coordinates_of, sheets_of
 from octex.baking.texels import draw_texels
 from octex.channels import encode
-from octex.cli import main as cli
 from octex.cli.common import bytes_text
 from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.baking.test_bake import cube_with_charts, psnr, two_squares, waves
+from tests.make.command import Cli
 from tests.make.painted import square
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
@@ -283,17 +283,16 @@ def test_jpeg_is_for_colours_unless_all_is_asked_for(
 
 
 def test_large_images_are_told_and_smaller_formats_offered(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surface = cube_with_charts().with_sources({"base_color": waves})
     octex.convert(surface, 4).save(tmp_path / "cube.octex")
     model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
     octex.write_model(model, tmp_path / "cube.obj")
-    given = ["bake", str(tmp_path / "cube.octex"), str(tmp_path / "cube.obj")]
+    given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
 
     def told(output: str, *options: str) -> str:
-        assert cli.main([*given, str(tmp_path / output), "--texture-size", "256", *options]) == 0
-        return capsys.readouterr().out
+        return cli.result(*given, tmp_path / output, "--texture-size", 256, *options)
 
     assert "--image-format" not in told("small.glb")
     monkeypatch.setattr("octex.cli.bake._LARGE", 1000)
