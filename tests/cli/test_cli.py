@@ -18,8 +18,8 @@ import octex
 from octex import ahead
 from octex.cli.options import COMMANDS, OPTIONS
 from octex.cli.parser import Options, Parser
-from octex.cli.values import DTYPES, FILTERS, picture_size
-from octex.errors import ExitCode
+from octex.cli.values import DTYPES, FILTERS, depth, picture_size
+from octex.errors import ArgumentError, ExitCode
 from tests.conftest import fewer_points, needs_jit
 from tests.make.command import Cli, python
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
@@ -131,7 +131,11 @@ def test_bad_usage_is_refused_by_name(arguments: str, message: str, cli: Cli) ->
 def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     from octex.channels import ONE
     from octex.source.images.filters import FILTERS as KNOWN
+    from octex.tree.layout import MAX_DEPTH
 
+    assert depth(str(MAX_DEPTH)) == MAX_DEPTH
+    with pytest.raises(ArgumentError, match=f"is not from 0 to {MAX_DEPTH}"):
+        depth(str(MAX_DEPTH + 1))
     assert tuple(ONE) == DTYPES
     assert KNOWN == FILTERS
     assert f"{KNOWN[-1]} (default)" in OPTIONS["--filter"].help

@@ -348,7 +348,7 @@ def test_a_folder_is_no_model(tmp_path: Path, cli: Cli) -> None:
 
 def test_a_depth_out_of_range_is_refused_before_any_work(tmp_path: Path, cli: Cli) -> None:
     for depth in (-1, 22):
-        expected = f"--depth must be a whole number from 0 to 21, not {depth}"
+        expected = f"--depth: {depth} is not from 0 to 21; see octree-convert --help"
         assert cli.refusal(tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
 
 

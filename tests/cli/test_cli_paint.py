@@ -916,7 +916,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(scene: Scene, tmp_p
         ("m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png", "--mask gives a pattern and more"),
         (
             "t.octex m.glb o.octex --camera c --max-depth 22",
-            "--max-depth must be a whole number from 0 to 21, not 22",
+            "--max-depth: 22 is not from 0 to 21",
         ),
         ("t.octex m.glb o.ply --camera c", "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here"),
     ],

@@ -124,7 +124,7 @@ def test_options_that_do_not_go_with_parts_are_refused(
     assert "--parts needs the model, but this is a texture" in cli.refusal(texture, out, "--parts")
     write_points(octex.open(texture), tmp_path / "dots.ply")
     assert "--parts needs a surface" in cli.refusal(tmp_path / "dots.ply", out, "--parts")
-    assert "--depth must be a whole number from 0 to 21" in cli.refusal(model, out, "--parts", "--depth", 22)
+    assert "--depth: 22 is not from 0 to 21" in cli.refusal(model, out, "--parts", "--depth", 22)
     message = cli.refusal(model, out, "--parts", "--crop", "0,0,0,1,1,1")
     assert message.startswith("--crop is an option of octex edit, not of octree-convert")
     assert not out.exists()
