@@ -17,7 +17,7 @@ from hypothesis import settings
 import octex
 from octex import ahead, jit
 from octex.parallel import cpu_count
-from tests.make.command import colored_box
+from tests.make.command import Cli, colored_box
 
 # No deadlines: a first call compiles. Derandomized: a red test stays red.
 settings.register_profile("octex", deadline=None, derandomize=True, max_examples=10 if jit.DISABLED else 50)
@@ -67,6 +67,12 @@ def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as changed:
         changed.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs commands."""
+    return Cli(capsys)
 
 
 @pytest.fixture

@@ -61,10 +61,6 @@ def _check(options: Options) -> None:
     if kind != "model":
         anywhere = {"--force", "--threads", "--quiet", "--json"}
         refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)
-    if options.depth is not None:
-        from octex.checks import as_depth
-
-        as_depth(options.depth, "--depth")
     check_output_kind(path, options.OUTPUT)
 
 

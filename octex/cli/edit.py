@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 
 def edit(options: Options, program: str) -> int:
     """Run octex edit."""
-    if options.depth is not None:
-        from octex.checks import as_depth
-
-        as_depth(options.depth, "--depth")
     check_output_kind(options.TEXTURE, options.OUTPUT)
     if options.loss is not None and options.OUTPUT.suffix.lower() != ARCHIVE_ENDING:
         raise ArgumentError(f"--loss is for NAME{ARCHIVE_ENDING}")

@@ -120,7 +120,8 @@ _TABLE = """
 """
 #: How values are read; options in no row are flags.
 _READERS: dict[Callable[[str], Any], str] = {
-    v.whole_number: "--depth --max-depth --level --texture-size --padding --supersample",
+    v.depth: "--depth --max-depth",
+    v.whole_number: "--level --texture-size --padding --supersample",
     v.count: "--threads --points",
     v.thousands: "--triangles",
     v.length: "--cell --margin --blur --zoom --max-distance",

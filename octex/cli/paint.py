@@ -31,10 +31,6 @@ _OF_LAYERS |= {"--force", "--threads", "--quiet", "--json"}
 def paint(options: Options, program: str) -> int:
     """Run octex paint."""
     has_layers = _check(options, program)
-    if options.max_depth is not None:
-        from octex.checks import as_depth
-
-        as_depth(options.max_depth, "--max-depth")
     _check_files(options)
     with ahead("paint") if options.threads is None and not has_layers else nullcontext():
         return _paint(options, program, has_layers)

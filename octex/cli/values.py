@@ -148,6 +148,7 @@ def _number(
 
 
 whole_number = _number(int)
+depth = _number(int, "from 0 to 21", lambda number: 0 <= number <= 21)  # as tree.layout.MAX_DEPTH
 count = _number(int, "above zero", lambda number: number >= 1)
 port_number = _number(int, "a port from 1 to 65535", lambda number: 1 <= number <= 65535)
 real = _number(float, "a finite number", math.isfinite)

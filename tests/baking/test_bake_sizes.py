@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,17 +15,19 @@ import octex
 from octex.baking import atlas
 from octex.baking.coordinates import leaf_of
 from octex.baking.layout import unit_area
+from octex.baking.sheets import coordinates_of, sheets_of
 from octex.baking.texels import draw_texels
 from octex.channels import encode
-from octex.cli import main as cli
 from octex.cli.common import bytes_text
 from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.baking.test_bake import cube_with_charts, psnr, two_squares, waves
+from tests.make.command import Cli
 from tests.make.painted import square
 from tests.make.small_surfaces import whole
+from tests.oracles.naive_gltf import Document
 
 DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 
@@ -48,8 +51,7 @@ def sizes_of(baked: Surface) -> list[int]:
     return [each.texels.shape[0] for each in textures if each is not None]
 
 
-@pytest.mark.parametrize("uv", ["atlas", "xatlas"])
-@pytest.mark.parametrize("size", [64, 512])
+@pytest.mark.parametrize(("uv", "size"), [("atlas", 64), ("atlas", 512), ("xatlas", 64)])
 def test_all_charts_of_the_droid_have_room_in_small_maps(
     droid: tuple[octex.OctreeTexture, Surface], size: int, uv: Literal["atlas", "xatlas"]
 ) -> None:
@@ -67,11 +69,14 @@ def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
     droid: tuple[octex.OctreeTexture, Surface], fine_droid: octex.OctreeTexture, size: int | None
 ) -> None:
     _, surface = droid
-    kept = octex.bake(fine_droid, surface, texture_size=size)
+    with ThreadPoolExecutor(1) as pool:
+        sheets = sheets_of(
+            fine_droid, surface.placed_on(fine_droid), ["base_color"], "auto", size, None, pool
+        )
+    kept = coordinates_of(sheets, len(surface.triangles))
     assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
-    assert kept.uv is not None
-    is_same = np.isclose(kept.uv.values[kept.uv.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
+    is_same = np.isclose(kept.values[kept.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
     has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
     assert (is_same == has_coordinates).mean() > 0.99
 
@@ -161,8 +166,10 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("bits", [8, 16, 32])
-@pytest.mark.parametrize("plain", [*PLAIN, "all"])
+@pytest.mark.parametrize(
+    ("plain", "bits"),
+    [*((plain, 8) for plain in (*PLAIN, "all")), *product(("alpha", "metallic", "all"), (16, 32))],
+)
 def test_channels_that_do_not_vary_are_numbers(plain: str, bits: Any, tmp_path: Path) -> None:
     names = list(PLAIN) if plain == "all" else [plain]
     surface = cube_with_charts().with_sources({**VARIED, **{name: PLAIN[name] for name in names}})
@@ -224,6 +231,13 @@ def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
     np.testing.assert_allclose(baked.evaluate(seen, "normal"), expected, atol=0.02)
 
 
+@pytest.fixture(scope="module")
+def baked_whole() -> Surface:
+    surface = whole()
+    channels = ["base_color", "roughness", "normal"]
+    return octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+
+
 @pytest.mark.parametrize(
     ("images", "kinds"),
     [
@@ -235,15 +249,13 @@ def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
 )
 @pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdc"])
 def test_jpeg_is_for_colours_unless_all_is_asked_for(
-    images: Any, kinds: list[str], ending: str, tmp_path: Path
+    baked_whole: Surface, images: Any, kinds: list[str], ending: str, tmp_path: Path
 ) -> None:
     if ending == ".usdc":
         pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
         if images == "webp":
             pytest.skip("USD holds no webp images")
-    surface = whole()
-    channels = ["base_color", "roughness", "normal"]
-    baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
+    baked = baked_whole
     written = octex.write_model(baked, tmp_path / f"a{ending}", images=images)
     assert sorted(written.files) == sorted(tmp_path.iterdir())
     if ending != ".glb":
@@ -254,8 +266,7 @@ def test_jpeg_is_for_colours_unless_all_is_asked_for(
             with PIL.Image.open(path) as image:
                 assert image.format == path.suffix[1:].upper()
     else:
-        content = written.files[0].read_bytes()
-        document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+        document = Document(written.files[0]).json
         assert [each["mimeType"] for each in document["images"]] == [f"image/{each}" for each in kinds]
         views = [document["bufferViews"][each["bufferView"]]["byteLength"] for each in document["images"]]
         assert written.image_bytes == sum(views)
@@ -271,17 +282,16 @@ def test_jpeg_is_for_colours_unless_all_is_asked_for(
 
 
 def test_large_images_are_told_and_smaller_formats_offered(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surface = cube_with_charts().with_sources({"base_color": waves})
     octex.convert(surface, 4).save(tmp_path / "cube.octex")
     model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
     octex.write_model(model, tmp_path / "cube.obj")
-    given = ["bake", str(tmp_path / "cube.octex"), str(tmp_path / "cube.obj")]
+    given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
 
     def told(output: str, *options: str) -> str:
-        assert cli.main([*given, str(tmp_path / output), "--texture-size", "256", *options]) == 0
-        return capsys.readouterr().out
+        return cli.result(*given, tmp_path / output, "--texture-size", 256, *options)
 
     assert "--image-format" not in told("small.glb")
     monkeypatch.setattr("octex.cli.bake._LARGE", 1000)

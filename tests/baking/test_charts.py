@@ -184,7 +184,8 @@ def test_any_triangles_are_laid_flat_without_folds(seed: int) -> None:
     )
     assert (doubled_areas(flat)[areas > 0.0] < 0.0).all()
     assert overlapping(flat, charts) == []
-    atlas.atlas_layout(mesh, [128], None, 1e-9)
+    if seed % 4 == 0:  # tries dozens of scales
+        atlas.atlas_layout(mesh, [128], None, 1e-9)
 
 
 def test_a_thousand_parts_have_room() -> None:

@@ -18,10 +18,10 @@ import octex
 from octex import ahead
 from octex.cli.options import COMMANDS, OPTIONS
 from octex.cli.parser import Options, Parser
-from octex.cli.values import DTYPES, FILTERS, picture_size
-from octex.errors import ExitCode
+from octex.cli.values import DTYPES, FILTERS, depth, picture_size
+from octex.errors import ArgumentError, ExitCode
 from tests.conftest import fewer_points, needs_jit
-from tests.make.command import python, refusal, result, run
+from tests.make.command import Cli, python
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 
@@ -99,12 +99,10 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
     ],
 )
-def test_bad_usage_is_refused_with_where_to_read(
-    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_usage_is_refused_with_where_to_read(arguments: str, message: str, cli: Cli) -> None:
     command = arguments.partition(" ")[0]
     program = f"octex {command}" if command in COMMANDS else "octree-convert"
-    assert refusal(capsys, *arguments.split()) == f"{message}; see {program} --help"
+    assert cli.refusal(*arguments.split()) == f"{message}; see {program} --help"
 
 
 @pytest.mark.parametrize(
@@ -126,16 +124,18 @@ def test_bad_usage_is_refused_with_where_to_read(
         ],
     ],
 )
-def test_bad_usage_is_refused_by_name(
-    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert refusal(capsys, *arguments.split()) == message
+def test_bad_usage_is_refused_by_name(arguments: str, message: str, cli: Cli) -> None:
+    assert cli.refusal(*arguments.split()) == message
 
 
 def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
     from octex.channels import ONE
     from octex.source.images.filters import FILTERS as KNOWN
+    from octex.tree.layout import MAX_DEPTH
 
+    assert depth(str(MAX_DEPTH)) == MAX_DEPTH
+    with pytest.raises(ArgumentError, match=f"is not from 0 to {MAX_DEPTH}"):
+        depth(str(MAX_DEPTH + 1))
     assert tuple(ONE) == DTYPES
     assert KNOWN == FILTERS
     assert f"{KNOWN[-1]} (default)" in OPTIONS["--filter"].help
@@ -167,9 +167,8 @@ def test_a_type_is_for_all_or_for_some(text: str, meaning: object) -> None:
     assert parsed("a", "b", "--dtype", text).dtype == meaning
 
 
-def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--version") == 0
-    assert capsys.readouterr().out == f"octree-convert {octex.__version__}\n"
+def test_version_is_the_packages(cli: Cli) -> None:
+    assert cli.result("--version") == f"octree-convert {octex.__version__}\n"
 
 
 def test_help_and_refusals_import_nothing_heavy() -> None:
@@ -186,13 +185,13 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 
 @needs_jit
 def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
     monkeypatch.setattr("octex.ahead._compile", done.append)
-    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", result(capsys, "warm-up"))
+    assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", cli.result("warm-up"))
     assert done == ahead.lines(*ahead.SECTIONS)
-    assert result(capsys, "warm-up", "--quiet") == ""
+    assert cli.result("warm-up", "--quiet") == ""
 
 
 @pytest.fixture(scope="module")
@@ -245,17 +244,24 @@ def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]
 @pytest.mark.parametrize(
     "arguments",
     [
-        "a.glb b.octex --depth 5 --separate 3",
-        "a.glb --depth 5 b.octex --separate 3",
-        "--separate=3 a.glb b.octex --depth=5",
-        "a.glb --separate=3 --depth 5 -- b.octex",
+        "t.octex m.glb n.octex a.png b.png --camera c.json --mask m.png --balance full",
+        "--camera c.json t.octex --balance full m.glb n.octex a.png --mask m.png b.png",
+        "t.octex --mask m.png m.glb n.octex a.png --camera c.json --balance full b.png",
+        "--balance=full --mask m.png --camera=c.json -- t.octex m.glb n.octex a.png b.png",
     ],
 )
 def test_options_may_stand_anywhere(arguments: str) -> None:
-    given = vars(parsed(*arguments.split()))
-    assert sorted(given.pop("words")) == ["--depth", "--separate"]
-    stated = {name: value for name, value in given.items() if value}
-    assert stated == {"INPUT": Path("a.glb"), "OUTPUT": Path("b.octex"), "depth": 5, "separate": 3.0}
+    given = vars(parsed(*arguments.split(), command="paint"))
+    assert sorted(given.pop("words")) == ["--balance", "--camera", "--mask"]
+    assert {name: value for name, value in given.items() if value} == {
+        "MODEL": Path("m.glb"),
+        "TEXTURE": Path("t.octex"),
+        "IMAGE": [Path("a.png"), Path("b.png")],
+        "camera": (Path("c.json"), None),
+        "OUTPUT": Path("n.octex"),
+        "mask": [Path("m.png")],
+        "balance": "full",
+    }
 
 
 def test_sizes_have_a_comma_or_an_x() -> None:
@@ -275,23 +281,19 @@ def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
 
 
-def test_a_model_is_converted_with_options_between_its_files(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result(capsys, model, "--depth", 3, tmp_path / "a.octex", "--quiet")
+def test_a_model_is_converted_with_options_between_its_files(model: Path, tmp_path: Path, cli: Cli) -> None:
+    cli.result(model, "--depth", 3, tmp_path / "a.octex", "--quiet")
     assert octex.open(tmp_path / "a.octex").tree.max_depth == 3
 
 
 # --- warnings
 
 
-def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_warning_is_a_line_on_stderr(tmp_path: Path, cli: Cli) -> None:
     model = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nf 1 3 4\n")
-    result(capsys, model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
+    cli.result(model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
     for given in ([], ["--source", "base_color=1,0,0"]):
-        code = run(model, tmp_path / "a.octex", "--depth", 3, "--force", *given)
-        said = capsys.readouterr().err.splitlines()
-        assert code == ExitCode.DONE
+        said = cli.errors(model, tmp_path / "a.octex", "--depth", 3, "--force", *given).splitlines()
         assert (
             said.count(
                 "octree-convert: warning: a.obj: gone.mtl is missing, so the material wood is white; "
@@ -299,8 +301,7 @@ def test_a_warning_is_a_line_on_stderr(tmp_path: Path, capsys: pytest.CaptureFix
             )
             == 1
         )
-    run(model, tmp_path / "b.octex", "--depth", 3, "--quiet")
-    assert capsys.readouterr().err == ""
+    assert cli.errors(model, tmp_path / "b.octex", "--depth", 3, "--quiet") == ""
 
 
 # --- as a process
@@ -433,16 +434,14 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
 
 
 @posix
-def test_a_link_that_leads_to_itself_is_no_output(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_link_that_leads_to_itself_is_no_output(model: Path, tmp_path: Path, cli: Cli) -> None:
     loop, other = tmp_path / "loop.octex", tmp_path / "other.octex"
     loop.symlink_to(loop)
     for force in ([], ["--force"]):
-        said = refusal(capsys, model, loop, "--depth", "3", *force)
+        said = cli.refusal(model, loop, "--depth", "3", *force)
         assert f"{loop}: is a symbolic link to itself" in said
     other.symlink_to(tmp_path / "target.octex")  # one that leads to nothing yet is a name as any
-    result(capsys, model, other, "--depth", "3", "--quiet")
+    cli.result(model, other, "--depth", "3", "--quiet")
     assert other.is_symlink() and (tmp_path / "target.octex").is_file()
     texture = octex.open(other)
     for write in (texture.save, lambda path: octex.write_cameras(path, {})):

@@ -10,7 +10,7 @@ import pytest
 import octex
 from octex.cli.values import Address, texture_file
 from octex.errors import ExitCode
-from tests.make.command import refusal, result, run
+from tests.make.command import Cli
 from tests.make.fixtures import png, random_image, textured_square
 
 fsspec = pytest.importorskip("fsspec", reason="needs the extra octex[remote]")
@@ -32,33 +32,29 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("small_previews")
-def test_commands_read_a_texture_at_an_address_as_in_a_file(
-    capsys: pytest.CaptureFixture[str], square: Path, tmp_path: Path
-) -> None:
+def test_commands_read_a_texture_at_an_address_as_in_a_file(cli: Cli, square: Path, tmp_path: Path) -> None:
     here = square.with_suffix(".octex")
-    assert result(capsys, "info", THERE) == result(capsys, "info", here)
-    assert result(capsys, "validate", THERE) == "valid\n"
-    told = json.loads(result(capsys, "validate", "memory://octex/a.octz", "--json"))
+    assert cli.result("info", THERE) == cli.result("info", here)
+    assert cli.result("validate", THERE) == "valid\n"
+    told = json.loads(cli.result("validate", "memory://octex/a.octz", "--json"))
     assert told == {"file": "memory://octex/a.octz", "valid": True, "broken": None}
-    assert "base_color" in result(capsys, "diff", THERE, square)
+    assert "base_color" in cli.result("diff", THERE, square)
     for number, words in enumerate((["--depth", 3], ["--mix", f"{THERE}=0.5", "--depth", 4])):
         made = [tmp_path / f"{number}{name}.octex" for name in "ab"]
         for path, given in zip(made, (THERE, here), strict=True):
-            result(capsys, "edit", given, path, *words, "--quiet")
+            cli.result("edit", given, path, *words, "--quiet")
         assert made[0].read_bytes() == made[1].read_bytes()
-    result(capsys, THERE, tmp_path / "a.octz", "--preview", tmp_path / "a.png", "--quiet")
+    cli.result(THERE, tmp_path / "a.octz", "--preview", tmp_path / "a.png", "--quiet")
     assert (tmp_path / "a.octz").read_bytes() == square.with_suffix(".octz").read_bytes()
-    result(capsys, "view", THERE, square, tmp_path / "page.html", "--quiet")
+    cli.result("view", THERE, square, tmp_path / "page.html", "--quiet")
     for name, given in (("a", THERE), ("b", here)):
-        result(capsys, "bake", given, square, tmp_path / f"{name}.glb", "--quiet")
+        cli.result("bake", given, square, tmp_path / f"{name}.glb", "--quiet")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     view = [tmp_path / "view.png", "--as", "paint", "--camera-out", tmp_path / "view.json", "--size", "32,32"]
-    result(capsys, "draw", THERE, square, *view, "--quiet")
+    cli.result("draw", THERE, square, *view, "--quiet")
 
 
-def test_what_is_no_texture_or_is_written_has_no_address(
-    capsys: pytest.CaptureFixture[str], square: Path, tmp_path: Path
-) -> None:
+def test_what_is_no_texture_or_is_written_has_no_address(cli: Cli, square: Path, tmp_path: Path) -> None:
     for words, said in (
         (
             ("https://a.b/c.glb", "d.octex"),
@@ -81,20 +77,18 @@ def test_what_is_no_texture_or_is_written_has_no_address(
             for there in ("https://a.b/sky.hdr",)
         ),
     ):
-        assert run(*words) == ExitCode.REFUSED
-        assert said in capsys.readouterr().err
+        assert said in cli.errors(*words, code=ExitCode.REFUSED)
     words = ["paint", THERE, square, THERE, "view.png", "--force", "--camera", "camera.json"]
-    assert run(*words) == ExitCode.REFUSED
-    assert f"{THERE} is a URL, and octex writes" in capsys.readouterr().err
+    assert f"{THERE} is a URL, and octex writes" in cli.errors(*words, code=ExitCode.REFUSED)
     for given in ("https://a.b/camera.json", "https://a.b/camera.json#left"):
-        assert run("paint", square, "a.octex", "view.png", "--camera", given) == ExitCode.REFUSED
-        assert f"--camera: {given} is a URL, and octex reads this file from disk" in capsys.readouterr().err
+        said = cli.errors("paint", square, "a.octex", "view.png", "--camera", given, code=ExitCode.REFUSED)
+        assert f"--camera: {given} is a URL, and octex reads this file from disk" in said
     none = "memory://octex/none.octex"
     for words in (("info", none), ("validate", none), ("edit", none, tmp_path / "b.octex", "--depth", 2)):
-        assert refusal(capsys, *words).startswith(f"{none}: cannot be read: there is no such file")
+        assert cli.refusal(*words).startswith(f"{none}: cannot be read: there is no such file")
     fsspec.filesystem("memory").pipe("/octex/cut.octex", square.with_suffix(".octex").read_bytes()[:-1])
-    assert run("validate", "memory://octex/cut.octex") == ExitCode.INVALID
-    assert capsys.readouterr().out.startswith("memory://octex/cut.octex: ")
+    assert cli.run("validate", "memory://octex/cut.octex") == ExitCode.INVALID
+    assert cli.said()[0].startswith("memory://octex/cut.octex: ")
 
 
 def test_addresses_have_the_ending_of_the_file_that_they_name(tmp_path: Path) -> None:

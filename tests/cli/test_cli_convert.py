@@ -15,16 +15,13 @@ import octex
 from octex.cli.common import bytes_text
 from octex.cli.options import COMMANDS
 from octex.cli.parser import Parser
-from octex.errors import ExitCode
-from tests.make.command import refusal, result, run
+from tests.make.command import Cli
 from tests.make.fixtures import png, random_image, textured_square
 
 
-def test_a_model_becomes_an_octree_texture(
-    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_becomes_an_octree_texture(model: Path, made: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "box.octex"
-    summary = result(capsys, model, out, "--depth", 4)
+    summary = cli.result(model, out, "--depth", 4)
     assert out.read_bytes() == made.read_bytes()
     texture = octex.open(out)
     cells = rf"{texture.tree.n_leaves:,} leaves, depth 4 \(cells of [\d.]+\)"
@@ -32,22 +29,20 @@ def test_a_model_becomes_an_octree_texture(
     assert re.fullmatch(rf"{re.escape(str(out))}: {cells}, {re.escape(size)}, [\d.]+ s\n", summary)
 
 
-def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(str(model), str(tmp_path / "box.octex"), "--depth", "3") == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, cli: Cli) -> None:
+    said = cli.errors(model, tmp_path / "box.octex", "--depth", 3)
+    lines = [line for line in said.splitlines() if "compiling" not in line]
     assert lines
     assert all(re.fullmatch(r"octree-convert: \w+: done in \d+\.\d s", line) for line in lines)
     assert [lines[0].split()[1], lines[-1].split()[1]] == ["read:", "write:"]
 
 
-def test_a_machine_reads_one_json_object_and_quiet_is_silent(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_machine_reads_one_json_object_and_quiet_is_silent(model: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "box.octex"
-    assert run(str(model), str(out), "--depth", "3", "--json", "--quiet") == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    made = json.loads(captured.out)
+    assert cli.run(model, out, "--depth", "3", "--json", "--quiet") == 0
+    told, said = cli.said()
+    assert said == ""
+    made = json.loads(told)
     texture = octex.open(out)
     assert made.pop("seconds") > 0
     assert made == {
@@ -58,67 +53,42 @@ def test_a_machine_reads_one_json_object_and_quiet_is_silent(
         "cell": texture.placement.size / 8,
         "bytes": out.stat().st_size,
     }
-    assert run(str(model), str(out), "--depth", "3", "--quiet", "--force") == 0
-    assert capsys.readouterr() == ("", "")
+    assert cli.run(model, out, "--depth", "3", "--quiet", "--force") == 0
+    assert cli.said() == ("", "")
 
 
-def test_cells_can_be_asked_for_by_their_size(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result(capsys, model, tmp_path / "box.octex", "--cell", 0.25)
-    texture = octex.open(tmp_path / "box.octex")
-    assert texture.placement.size / 2**texture.tree.max_depth == 0.25
-
-
-def test_the_result_does_not_depend_on_the_threads(
-    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for threads in (1, 3):
-        out = tmp_path / f"{threads}.octex"
-        result(capsys, model, out, "--depth", 4, "--threads", threads)
-        assert out.read_bytes() == made.read_bytes()
-
-
-def test_a_texture_can_be_made_in_files(
-    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result(capsys, model, tmp_path / "a.octex", "--depth", 4, "--memory", "9kB")
-    assert (tmp_path / "a.octex").read_bytes() == made.read_bytes()
-    refused = refusal(capsys, model, tmp_path / "b.ply", "--memory", "9kB")
+def test_only_a_texture_is_made_in_files(model: Path, tmp_path: Path, cli: Cli) -> None:
+    refused = cli.refusal(model, tmp_path / "b.ply", "--memory", "9kB")
     assert refused.endswith("b.ply: a texture is converted to NAME.octex")
 
 
-def test_a_rest_mesh_places_the_texture(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rest_mesh_places_the_texture(model: Path, tmp_path: Path, cli: Cli) -> None:
     import trimesh
 
     posed = trimesh.load(model, force="mesh")
     posed.apply_scale(3)
     posed.export(tmp_path / "posed.glb")
     out = tmp_path / "box.octex"
-    result(capsys, tmp_path / "posed.glb", out, "--rest", model, "--depth", 3)
+    cli.result(tmp_path / "posed.glb", out, "--rest", model, "--depth", 3)
     np.testing.assert_allclose(octex.open(out).bounds, octex.load_surface(model).bounds)
     trimesh.creation.icosahedron().export(tmp_path / "other.glb")
-    assert "other.glb" in refusal(capsys, model, tmp_path / "x.octex", "--rest", tmp_path / "other.glb")
+    assert "other.glb" in cli.refusal(model, tmp_path / "x.octex", "--rest", tmp_path / "other.glb")
     assert not (tmp_path / "x.octex").exists()
 
 
 def test_points_are_the_same_from_the_model_and_from_its_texture(
-    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    model: Path, made: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    out = result(capsys, model, tmp_path / "a.ply", "--depth", 4)
-    result(capsys, made, tmp_path / "b.PLY")
+    out = cli.result(model, tmp_path / "a.ply", "--depth", 4)
+    cli.result(made, tmp_path / "b.PLY")
     assert f"{octex.open(made).tree.n_leaves:,} leaves" in out
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.PLY").read_bytes()
 
 
-def test_a_texture_can_be_made_coarser_but_not_finer(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_can_be_made_coarser_but_not_finer(made: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "coarse.octex"
     for depth in (0, 2):
-        result(capsys, "edit", made, out, "--depth", depth, "--force")
+        cli.result("edit", made, out, "--depth", depth, "--force")
         texture = octex.open(out)
         texture.validate()
         assert texture.tree.max_depth == depth
@@ -126,11 +96,11 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         np.testing.assert_array_equal(
             texture.channels["base_color"].values, level.channels["base_color"].values
         )
-    result(capsys, "edit", made, tmp_path / "coarse.ply", "--depth", 2)
-    assert refusal(capsys, "edit", made, tmp_path / "x.octex", "--depth", 5) == (
+    cli.result("edit", made, tmp_path / "coarse.ply", "--depth", 2)
+    assert cli.refusal("edit", made, tmp_path / "x.octex", "--depth", 5) == (
         f"{made}: has depth 4; --depth 5 needs the model"
     )
-    assert refusal(capsys, made, tmp_path / "x.octex") == (
+    assert cli.refusal(made, tmp_path / "x.octex") == (
         f"{made}: is an octree texture already; octex edit makes it coarser or smaller"
     )
     for option in (
@@ -139,8 +109,11 @@ def test_a_texture_can_be_made_coarser_but_not_finer(
         ["--source", "alpha=1"],
         ["--filter", "sat"],
         ["--depth", "2"],
+        ["--max-error", "2"],
+        ["--detail", "stretch"],
+        ["--no-fit"],
     ):
-        assert refusal(capsys, made, tmp_path / "x.octex", *option) == (
+        assert cli.refusal(made, tmp_path / "x.octex", *option) == (
             f"{made}: {option[0]} needs the model, but this is a texture made from it; see octex edit"
         )
     assert not (tmp_path / "x.octex").exists()
@@ -156,43 +129,91 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return textured_square(path, png(random_image(8, 8)), pbr={"metallicFactor": 0.4, "roughnessFactor": 0.6})
 
 
-def test_channels_and_their_types_can_be_chosen(
-    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("", {}),
+        ("--threads 1", {}),
+        ("--threads 3", {}),
+        ("--memory 9kB", {}),
+        ("--cell 0.25", {"depth": None, "cell": 0.25}),
+        ("--channels roughness,base_color", {"channels": ["roughness", "base_color"]}),
+        ("--dtype uint16", {"dtype": "uint16"}),
+        ("--dtype roughness=float16", {"dtype": {"roughness": "float16"}}),
+        ("--max-error 2", {"max_error": 2}),
+        ("--no-fit", {"fit": False}),
+        ("--detail stretch --rest {square}", {"detail": "stretch"}),
+    ],
+)
+def test_the_texture_is_what_the_library_makes(
+    words: str, options: dict[str, Any], square: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    result(capsys, square, tmp_path / "all.octex", "--depth", 3)
-    assert set(octex.open(tmp_path / "all.octex").channels) >= {"base_color", "metallic", "roughness"}
-    out = tmp_path / "some.octex"
-    result(capsys, square, out, "--depth", 3, "--channels", "roughness,base_color", "--dtype", "uint16")
-    texture = octex.open(out)
-    assert {name: each.format.dtype for name, each in texture.channels.items()} == {
-        "base_color": "uint16",
-        "roughness": "uint16",
-    }
-    result(capsys, square, out, "--depth", 3, "--dtype", "roughness=float16", "--force")
-    types = {name: each.format.dtype for name, each in octex.open(out).channels.items()}
-    assert types["roughness"] == "float16"
-    assert types["base_color"] == "uint8"
-    expected = octex.convert(square, 3, dtype={"roughness": "float16"})
-    expected.save(tmp_path / "library.octex")
-    assert out.read_bytes() == (tmp_path / "library.octex").read_bytes()
+    wanted = {"depth": 4, "rest": square if "--rest" in words else None, **options}
+    depth = [] if wanted["depth"] is None else ["--depth", wanted["depth"]]
+    cli.result(square, tmp_path / "a.octex", *depth, *words.format(square=square).split())
+    octex.convert(square, **wanted).save(tmp_path / "b.octex")
+    assert (tmp_path / "a.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def mask(square: Path) -> Path:
+    """White on the left, a quarter on the right."""
+    image = np.full((32, 32, 1), 255, np.uint8)
+    image[:, 16:] = 64
+    square.with_name("mask.png").write_bytes(png(image))
+    return square.with_name("mask.png")
+
+
+def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
+    square: Path, mask: Path, tmp_path: Path, cli: Cli
+) -> None:
+    words = ["--detail", "detail", "--source", f"detail={mask}", "--depth", 5]
+    cli.result(square, tmp_path / "a.octex", *words, "--channels", "base_color")
+    found = octex.open(tmp_path / "a.octex")
+    assert list(found.channels) == ["base_color"]
+    (fine, _), (coarse, _) = found.tree.cells_by_depth()[5], found.tree.cells_by_depth()[3]
+    assert fine > 0
+    assert coarse > 0
+    cli.result(square, tmp_path / "b.octex", *words)
+    both = octex.open(tmp_path / "b.octex")
+    assert set(both.channels) == {"base_color", "metallic", "roughness", "detail"}
+    assert both.tree.n_leaves == found.tree.n_leaves
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--detail wear", "unknown detail 'wear'; there are: base_color, metallic, roughness, stretch"),
+        (
+            "--detail base_color",
+            "--detail must be a channel with one component in 0 … 1, and 'base_color' is not",
+        ),
+        (
+            "--channels base_color --detail stretch --source alpha=1",
+            "--source gives alpha, but --channels leaves it out",
+        ),
+    ],
+)
+def test_what_cannot_steer_is_refused(
+    words: str, message: str, square: Path, tmp_path: Path, cli: Cli
+) -> None:
+    assert cli.refusal(square, tmp_path / "x.octex", "--depth", 3, *words.split()) == message
 
 
 def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(
-    square: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    square: Path, made: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "out.octex"
     for arguments in (["--channels", "normal"], ["--dtype", "normal=uint16"]):
-        message = refusal(capsys, square, out, "--depth", 3, *arguments)
+        message = cli.refusal(square, out, "--depth", 3, *arguments)
         assert "normal" in message
         assert "base_color" in message
-    message = refusal(capsys, "edit", made, out, "--channels", "normal")
+    message = cli.refusal("edit", made, out, "--channels", "normal")
     assert message == f"unknown channel of {made}: 'normal'; there are: base_color"
     assert not out.exists()
 
 
-def test_channels_can_come_from_elsewhere(
-    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_channels_can_come_from_elsewhere(square: Path, tmp_path: Path, cli: Cli) -> None:
     image = tmp_path / "rough.png"
     image.write_bytes(png(np.full((2, 2, 1), 51, np.uint8)))
     out = tmp_path / "out.octex"
@@ -204,7 +225,7 @@ def test_channels_can_come_from_elsewhere(
         "--source",
         "metallic=0.2",
     ]
-    result(capsys, square, out, "--depth", 3, *arguments)
+    cli.result(square, out, "--depth", 3, *arguments)
     texture = octex.open(out)
     values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic"])
     assert values["roughness"][0] == pytest.approx(0.2)
@@ -212,34 +233,30 @@ def test_channels_can_come_from_elsewhere(
     assert values["base_color"][0] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
     assert "rough.png" in texture.metadata["source_roughness"]
     # Of the model, only its shape.
-    result(capsys, square, out, "--depth", 3, "--channels", "alpha", "--source", "alpha=0.5", "--force")
+    cli.result(square, out, "--depth", 3, "--channels", "alpha", "--source", "alpha=0.5", "--force")
     assert list(octex.open(out).channels) == ["alpha"]
-    assert "missing.png" in refusal(
-        capsys, square, tmp_path / "x.octex", "--source", f"alpha={tmp_path / 'missing.png'}"
+    assert "missing.png" in cli.refusal(
+        square, tmp_path / "x.octex", "--source", f"alpha={tmp_path / 'missing.png'}"
     )
-    assert "--preview is also an input" in refusal(
-        capsys, square, tmp_path / "x.octex", "--preview", image, "--source", f"alpha={image}", "--force"
+    assert "--preview is also an input" in cli.refusal(
+        square, tmp_path / "x.octex", "--preview", image, "--source", f"alpha={image}", "--force"
     )
 
 
-def test_the_image_filter_can_be_chosen(
-    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_image_filter_can_be_chosen(square: Path, tmp_path: Path, cli: Cli) -> None:
     values = []
     for name in ("nearest", "ewa"):
-        result(capsys, square, tmp_path / f"{name}.octex", "--depth", 2, "--filter", name)
+        cli.result(square, tmp_path / f"{name}.octex", "--depth", 2, "--filter", name)
         texture = octex.open(tmp_path / f"{name}.octex")
         values.append(texture.channels["base_color"].values)
         assert texture.metadata["filter"] == name
     assert not np.array_equal(*values)
 
 
-def test_a_texture_can_be_reduced_to_some_channels(
-    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_can_be_reduced_to_some_channels(square: Path, tmp_path: Path, cli: Cli) -> None:
     whole, part = tmp_path / "whole.octex", tmp_path / "part.octex"
-    result(capsys, square, whole, "--depth", 3)
-    result(capsys, "edit", whole, part, "--channels", "roughness,base_color")
+    cli.result(square, whole, "--depth", 3)
+    cli.result("edit", whole, part, "--channels", "roughness,base_color")
     texture = octex.open(part)
     texture.validate()
     assert list(texture.channels) == ["roughness", "base_color"]
@@ -251,7 +268,7 @@ def test_a_texture_can_be_reduced_to_some_channels(
 
 
 def test_the_preview_shows_what_was_converted(
-    square: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    square: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[list[str]] = []
     monkeypatch.setattr(
@@ -259,7 +276,7 @@ def test_the_preview_shows_what_was_converted(
         lambda _path, _texture, surface: shown.append([form.name for form in surface.channels]),
     )
     arguments = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square]
-    result(capsys, square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
+    cli.result(square, tmp_path / "a.octex", "--depth", 2, *arguments, "--preview", tmp_path / "a.png")
     assert shown == [["alpha", "roughness"]]
 
 
@@ -270,7 +287,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
     model: Path,
     made: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     drawn: list[tuple[str, bool]] = []
@@ -280,14 +297,14 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
         assert texture.tree.max_depth == (3 if surface is not None else 4)
 
     monkeypatch.setattr("octex.write_preview", write_preview)
-    out = result(capsys, model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
+    out = cli.result(model, tmp_path / "a.octex", "--depth", 3, "--preview", tmp_path / "a.png")
     assert out.splitlines()[1] == f"{tmp_path / 'a.png'}: a picture of it"
-    out = result(capsys, made, tmp_path / "b.ply", "--preview", tmp_path / "b.png", "--json")
+    out = cli.result(made, tmp_path / "b.ply", "--preview", tmp_path / "b.png", "--json")
     assert json.loads(out)["preview"] == str(tmp_path / "b.png")
     assert drawn == [("a.png", True), ("b.png", False)]
-    assert "writes .png here" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "c.gif")
+    assert "writes .png here" in cli.refusal(model, tmp_path / "c.octex", "--preview", tmp_path / "c.gif")
     (tmp_path / "a.png").touch()
-    assert "--force" in refusal(capsys, model, tmp_path / "c.octex", "--preview", tmp_path / "a.png")
+    assert "--force" in cli.refusal(model, tmp_path / "c.octex", "--preview", tmp_path / "a.png")
 
 
 def test_the_help_names_the_librarys_default_depth() -> None:
@@ -314,41 +331,33 @@ def test_the_help_names_the_librarys_default_depth() -> None:
     ],
 )
 def test_bad_input_is_refused_by_name_and_nothing_is_written(
-    name: str, content: bytes | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, content: bytes | None, tmp_path: Path, cli: Cli
 ) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
     (tmp_path / "folder.glb").mkdir()
     before = sorted(tmp_path.iterdir())
-    assert run(str(tmp_path / name), str(tmp_path / "out.ply")) == ExitCode.REFUSED
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert name in captured.err
+    assert name in cli.refused(tmp_path / name, tmp_path / "out.ply")
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_folder_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_is_no_model(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "folder.glb").mkdir()
-    assert "folder.glb" in refusal(capsys, tmp_path / "folder.glb", tmp_path / "out.octex")
+    assert "folder.glb" in cli.refusal(tmp_path / "folder.glb", tmp_path / "out.octex")
 
 
-def test_a_depth_out_of_range_is_refused_before_any_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_depth_out_of_range_is_refused_before_any_work(tmp_path: Path, cli: Cli) -> None:
     for depth in (-1, 22):
-        expected = f"--depth must be a whole number from 0 to 21, not {depth}"
-        assert refusal(capsys, tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
+        expected = f"--depth: {depth} is not from 0 to 21; see octree-convert --help"
+        assert cli.refusal(tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
 
 
-def test_nothing_is_overwritten_without_force(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_overwritten_without_force(model: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "box.octex"
     out.write_bytes(b"old")
-    assert refusal(capsys, model, out, "--depth", 3) == f"{out}: exists already; --force overwrites it"
+    assert cli.refusal(model, out, "--depth", 3) == f"{out}: exists already; --force overwrites it"
     assert out.read_bytes() == b"old"
-    result(capsys, model, out, "--depth", 3, "--force")
+    cli.result(model, out, "--depth", 3, "--force")
     octex.open(out).validate()
 
 
@@ -366,7 +375,7 @@ def test_whatever_happens_while_writing_the_old_file_stays(
     line: str,
     model: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "box.octex"
@@ -376,6 +385,6 @@ def test_whatever_happens_while_writing_the_old_file_stays(
         raise error
 
     monkeypatch.setattr(os, "fsync", fail)
-    assert run(str(model), str(out), "--depth", "3", "--force") == code
-    assert capsys.readouterr().err.splitlines()[-1].startswith(line)
+    said = cli.errors(model, out, "--depth", 3, "--force", code=code)
+    assert said.splitlines()[-1].startswith(line)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]

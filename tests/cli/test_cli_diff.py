@@ -14,10 +14,9 @@ import octex
 from octex.cli.inspect import number
 from octex.drawing import draw_difference
 from octex.drawing.compare import difference
-from octex.errors import ExitCode
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import colored_box, refusal, result, run
+from tests.make.command import Cli, colored_box
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +32,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_two_textures_are_compared_in_a_table(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_textures_are_compared_in_a_table(folder: Path, cli: Cli) -> None:
     first, second = folder / "4.octex", folder / "3.octex"
-    lines = result(capsys, "diff", first, second).splitlines()
+    lines = cli.result("diff", first, second).splitlines()
     a, b = octex.open(first), octex.open(second)
     found = difference(a, b)
     assert lines[0] == f"A  {first}: an octree texture of depth 4, {a.tree.n_leaves:,} leaves"
@@ -49,21 +48,19 @@ def test_two_textures_are_compared_in_a_table(folder: Path, capsys: pytest.Captu
     assert len(lines) == 6
 
 
-def test_the_same_texture_twice_is_exact(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = result(capsys, "diff", folder / "4.octex", folder / "4.octex")
+def test_the_same_texture_twice_is_exact(folder: Path, cli: Cli) -> None:
+    text = cli.result("diff", folder / "4.octex", folder / "4.octex")
     assert " 0  exact " in text
 
 
-def test_a_texture_and_its_model_are_compared_at_points(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_and_its_model_are_compared_at_points(folder: Path, cli: Cli) -> None:
     model, texture = folder / "box.glb", folder / "4.octex"
-    lines = result(capsys, "diff", texture, model, "--points", 5000).splitlines()
+    lines = cli.result("diff", texture, model, "--points", 5000).splitlines()
     assert lines[1] == f"B  {model}: a model of 12 triangles"
     cell = octex.open(texture).placement.size / 16
     assert lines[2] == f"at 5,000 points, uniform by area, both averaged over {cell:.4g}"
     found = difference(octex.open(texture), octex.load_surface(model), points=5000)
-    report = json.loads(result(capsys, "diff", texture, model, "--points", 5000, "--json"))
+    report = json.loads(cli.result("diff", texture, model, "--points", 5000, "--json"))
     assert report["b"] == str(model)
     assert report["points"] == 5000
     assert report["width"] == cell
@@ -72,32 +69,32 @@ def test_a_texture_and_its_model_are_compared_at_points(
     assert report["uncovered"] == {"a": None, "b": 0.0}
 
 
-def test_what_cannot_be_compared_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = result(capsys, "diff", folder / "half.octex", folder / "4.octex").splitlines()
+def test_what_cannot_be_compared_is_named(folder: Path, cli: Cli) -> None:
+    lines = cli.result("diff", folder / "half.octex", folder / "4.octex").splitlines()
     assert "only A has the channel roughness" in lines
     assert any(line.endswith("% of B's surface is not in A; it is left out") for line in lines)
     assert any(line.startswith("A has an area of ") for line in lines)
-    report = json.loads(result(capsys, "diff", folder / "half.octex", folder / "4.octex", "--json"))
+    report = json.loads(cli.result("diff", folder / "half.octex", folder / "4.octex", "--json"))
     assert report["unmatched"] == {"a": ["roughness"], "b": []}
-    message = refusal(capsys, "diff", folder / "half.octex", folder / "4.octex", "--channels", "roughness")
+    message = cli.refusal("diff", folder / "half.octex", folder / "4.octex", "--channels", "roughness")
     assert message == "unknown channel in both 'roughness'; there are: base_color"
 
 
-def test_a_model_is_completed_as_for_a_conversion(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_is_completed_as_for_a_conversion(folder: Path, cli: Cli) -> None:
     arguments = ["--source", "roughness=0.5", "--channels", "roughness", "--points", "2000", "--json"]
-    report = json.loads(result(capsys, "diff", folder / "half.octex", folder / "box.glb", *arguments))
+    report = json.loads(cli.result("diff", folder / "half.octex", folder / "box.glb", *arguments))
     assert list(report["channels"]) == ["roughness"]
     assert report["channels"]["roughness"]["maximum"] < 1 / 255
     assert 0.2 < report["uncovered"]["b"] < 0.6
 
 
-def test_nothing_differs_in_json_as_null(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    report = json.loads(result(capsys, "diff", folder / "4.octex", folder / "4.octex", "--json"))
+def test_nothing_differs_in_json_as_null(folder: Path, cli: Cli) -> None:
+    report = json.loads(cli.result("diff", folder / "4.octex", folder / "4.octex", "--json"))
     assert report["channels"]["base_color"]["psnr"] is None
     assert report["channels"]["base_color"]["rms"] == 0
 
 
-def test_directions_have_a_row_for_the_angle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_directions_have_a_row_for_the_angle(tmp_path: Path, cli: Cli) -> None:
     surface = Surface.from_arrays(
         np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0.3]]), np.array([[0, 1, 2]]), uv=np.eye(3)[:, :2]
     )
@@ -106,35 +103,35 @@ def test_directions_have_a_row_for_the_angle(tmp_path: Path, capsys: pytest.Capt
     octex.convert(surface.with_sources({"normal": image}), 2).save(tmp_path / "a.octex")
     image[:2, :, 0] = 200
     octex.convert(surface.with_sources({"normal": image}), 2).save(tmp_path / "b.octex")
-    lines = result(
-        capsys, "diff", tmp_path / "a.octex", tmp_path / "b.octex", "--channels", "normal"
+    lines = cli.result(
+        "diff", tmp_path / "a.octex", tmp_path / "b.octex", "--channels", "normal"
     ).splitlines()
     assert lines[5].split()[:2] == ["normal", "components"]
     assert lines[6].split()[0] == "degrees"
-    report = json.loads(result(capsys, "diff", tmp_path / "a.octex", tmp_path / "b.octex", "--json"))
+    report = json.loads(cli.result("diff", tmp_path / "a.octex", tmp_path / "b.octex", "--json"))
     assert report["channels"]["normal"]["angle"]["measure"] == "degrees"
     assert "angle" not in report["channels"]["normal"]["angle"]
 
 
 def test_a_picture_is_drawn_and_named(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = partial(draw_difference, supersample=1)
     monkeypatch.setattr("octex.drawing.draw_difference", small)
     path = tmp_path / "diff.png"
     words = ["--as", "difference", "--size", "90,40"]
     again = ["draw", folder / "4.octex", folder / "3.octex", path, *words]
-    assert result(capsys, *again).startswith(f"{path}: 90×40 pixels, ")
+    assert cli.result(*again).startswith(f"{path}: 90×40 pixels, ")
     with Image.open(path) as picture:
         assert picture.size == (90, 40)
-    assert refusal(capsys, *again) == f"{path}: exists already; --force overwrites it"
-    assert result(capsys, *again, "--force", "--quiet") == ""
-    assert refusal(capsys, *again[:3], tmp_path / "a.gif", *words).endswith("octex writes .png here")
+    assert cli.refusal(*again) == f"{path}: exists already; --force overwrites it"
+    assert cli.result(*again, "--force", "--quiet") == ""
+    assert cli.refusal(*again[:3], tmp_path / "a.gif", *words).endswith("octex writes .png here")
 
 
 @needs_jit
 def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     colors = np.array([[1.0, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
@@ -155,33 +152,31 @@ def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked
     few = ["diff", texture, model, "--points", 2000]
     drawn = ["draw", texture, model, path, "--as", "difference", "--size", "300,110", "--force", "--quiet"]
     drawn += ["--channel", "base_color"]
-    whole = json.loads(result(capsys, *few, "--json"))["channels"]
+    whole = json.loads(cli.result(*few, "--json"))["channels"]
     shown = ["--channels", "base_color"]
-    result(capsys, *drawn)
-    assert json.loads(result(capsys, *few, *shown, "--json"))["channels"] == {
-        "base_color": whole["base_color"]
-    }
+    cli.result(*drawn)
+    assert json.loads(cli.result(*few, *shown, "--json"))["channels"] == {"base_color": whole["base_color"]}
     left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
     assert np.abs(left - right).mean() < 2
     # an opaque model beside a texture with alpha
     opaque = tmp_path / "opaque.ply"
     opaque.write_text(model.read_text().replace("property uchar alpha", "property uchar other"))
     few[2] = drawn[2] = opaque
-    result(capsys, *drawn)
-    assert list(json.loads(result(capsys, *few, *shown, "--json"))["channels"]) == ["base_color"]
+    cli.result(*drawn)
+    assert list(json.loads(cli.result(*few, *shown, "--json"))["channels"]) == ["base_color"]
     left, right, _ = np.split(np.array(Image.open(path)).astype(int)[:75], 3, axis=1)
     assert np.abs(left - right).mean() < 12  # colours that the texture weighs by alpha
 
 
-def test_progress_goes_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("diff", str(folder / "4.octex"), str(folder / "3.octex")) == ExitCode.DONE
-    lines = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+def test_progress_goes_to_stderr(folder: Path, cli: Cli) -> None:
+    said = cli.errors("diff", folder / "4.octex", folder / "3.octex")
+    lines = [line for line in said.splitlines() if "compiling" not in line]
     assert [line.split(":")[1] for line in lines] == [" read", " compare"]
 
 
-def test_missing_files_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_files_are_named(folder: Path, cli: Cli) -> None:
     for name in ("missing.octex", "missing.glb"):
-        assert name in refusal(capsys, "diff", folder / "4.octex", folder / name)
+        assert name in cli.refusal("diff", folder / "4.octex", folder / name)
 
 
 @pytest.mark.parametrize(
@@ -191,11 +186,9 @@ def test_numbers_are_short(value: float, text: str) -> None:
     assert number(value) == text
 
 
-def test_a_texture_that_is_broken_inside_is_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_that_is_broken_inside_is_refused(folder: Path, tmp_path: Path, cli: Cli) -> None:
     data = bytearray((folder / "4.octex").read_bytes())
     data[4096] ^= 0xFF  # the masks of the first nodes follow the header
     broken = tmp_path / "broken.octex"
     broken.write_bytes(data)
-    assert "broken.octex: " in refusal(capsys, "diff", broken, folder / "4.octex", "--quiet")
+    assert "broken.octex: " in cli.refusal("diff", broken, folder / "4.octex", "--quiet")

@@ -6,19 +6,15 @@ import json
 import re
 from pathlib import Path
 
-import pytest
-
 import octex
 from octex.errors import ExitCode
-from tests.make.command import refusal, result, run
+from tests.make.command import Cli
 
 
-def test_info_is_text_for_people_and_json_for_machines(
-    made: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_is_text_for_people_and_json_for_machines(made: Path, cli: Cli) -> None:
     texture = octex.open(made)
-    assert json.loads(result(capsys, "info", made, "--json")) == texture.info()
-    text = result(capsys, "info", made)
+    assert json.loads(cli.result("info", made, "--json")) == texture.info()
+    text = cli.result("info", made)
     assert re.search(r"^depth +4, finest cells of edge [\d.]+$", text, re.MULTILINE)
     assert re.search(rf"^ +all +{texture.tree.n_leaves:,} +{texture.tree.n_nodes:,}$", text, re.MULTILINE)
     assert re.search(r"^channels +base_color  3 x uint8    srgb$", text, re.MULTILINE)
@@ -26,12 +22,10 @@ def test_info_is_text_for_people_and_json_for_machines(
     assert re.search(r"^source +box\.glb$", text, re.MULTILINE)
 
 
-def test_validate_proves_a_texture_or_names_what_is_broken(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert result(capsys, "validate", made) == "valid\n"
-    assert result(capsys, "validate", made, "--quiet") == ""
-    assert json.loads(result(capsys, "validate", made, "--json")) == {
+def test_validate_proves_a_texture_or_names_what_is_broken(made: Path, tmp_path: Path, cli: Cli) -> None:
+    assert cli.result("validate", made) == "valid\n"
+    assert cli.result("validate", made, "--quiet") == ""
+    assert json.loads(cli.result("validate", made, "--json")) == {
         "file": str(made),
         "valid": True,
         "broken": None,
@@ -41,22 +35,19 @@ def test_validate_proves_a_texture_or_names_what_is_broken(
     (tmp_path / "damaged.octex").write_bytes(damaged)
     (tmp_path / "short.octex").write_bytes(made.read_bytes()[:5000])
     for name in ("damaged.octex", "short.octex"):
-        assert run("validate", str(tmp_path / name)) == ExitCode.INVALID
-        captured = capsys.readouterr()
-        assert captured.err == ""
-        assert captured.out.count("\n") == 1
-        assert name in captured.out
-        assert run("validate", str(tmp_path / name), "--json") == ExitCode.INVALID
-        report = json.loads(capsys.readouterr().out)
+        assert cli.run("validate", tmp_path / name) == ExitCode.INVALID
+        told, said = cli.said()
+        assert (told.count("\n"), said) == (1, "")
+        assert name in told
+        assert cli.run("validate", tmp_path / name, "--json") == ExitCode.INVALID
+        report = json.loads(cli.said()[0])
         assert not report["valid"]
         assert name in report["broken"]
-    assert run("validate", str(tmp_path / "short.octex"), "--quiet") == ExitCode.INVALID
-    assert capsys.readouterr() == ("", "")
+    assert cli.run("validate", tmp_path / "short.octex", "--quiet") == ExitCode.INVALID
+    assert cli.said() == ("", "")
 
 
-def test_a_file_that_cannot_be_read_is_not_a_broken_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_cannot_be_read_is_not_a_broken_one(tmp_path: Path, cli: Cli) -> None:
     for word in ("validate", "info"):
-        assert "missing.octex" in refusal(capsys, word, tmp_path / "missing.octex")
-        assert str(tmp_path) in refusal(capsys, word, tmp_path)
+        assert "missing.octex" in cli.refusal(word, tmp_path / "missing.octex")
+        assert str(tmp_path) in cli.refusal(word, tmp_path)

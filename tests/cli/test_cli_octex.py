@@ -15,43 +15,40 @@ from octex.cli.options import COMMANDS
 from octex.docs import TOPICS, topic
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import colored_box, python
+from tests.make.command import Cli, colored_box, python
 
 NAMES = [*COMMANDS]
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([str(each) for each in arguments]) == ExitCode.DONE
-    return capsys.readouterr().out
+class Octex(Cli):
+    """Runs octex, with any first word."""
+
+    def run(self, *arguments: object) -> int:
+        return main([str(each) for each in arguments])
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([str(each) for each in arguments]) == ExitCode.REFUSED
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err.rstrip("\n")
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    return Octex(capsys)
 
 
 @needs_jit
-def test_the_doors_are_two_of_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doors_are_two_of_the_commands(tmp_path: Path, cli: Cli) -> None:
     model, texture, coarse = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "coarse.octex"
-    assert said(capsys, "convert", "--depth", 4, model, texture, "--quiet") == ""
+    assert cli.result("convert", "--depth", 4, model, texture, "--quiet") == ""
     assert main(["convert", str(model), str(coarse), "--depth", "4", "--quiet"], "octree-convert") == 0
     assert coarse.read_bytes() == texture.read_bytes()
-    said(capsys, "edit", texture, "--depth", 3, coarse, "--force")
+    cli.result("edit", texture, "--depth", 3, coarse, "--force")
     assert octex.open(coarse).tree.max_depth == 3
     for door in ("convert", "paint"):
         assert main([door, "--help"], f"octree-{door}") == 0
-        text = capsys.readouterr().out
-        assert text == said(capsys, door, "--help").replace(f"octex {door}", f"octree-{door}")
+        text = cli.said()[0]
+        assert text == cli.result(door, "--help").replace(f"octex {door}", f"octree-{door}")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_commands_help_is_a_screen_with_every_option(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = said(capsys, name, "--help")
+def test_each_commands_help_is_a_screen_with_every_option(name: str, cli: Cli) -> None:
+    text = cli.result(name, "--help")
     assert text.startswith(f"usage: octex {name}")
     assert f"\n\n  octex {name}" in text
     assert text.count("\n") <= 45
@@ -61,26 +58,25 @@ def test_each_commands_help_is_a_screen_with_every_option(
     assert len(command.options) <= {"convert": 26, "paint": 28, "bake": 23, "diff": 8}.get(name, 22)
 
 
-def test_every_exit_code_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "help", "commands")
+def test_every_exit_code_is_explained(cli: Cli) -> None:
+    text = cli.result("help", "commands")
     assert all(re.search(rf"{code}`? +\| {re.escape(code.meaning)}", text) for code in ExitCode)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_examples_of_helps_are_understood(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     monkeypatch.chdir(tmp_path)  # without any file
-    text = said(capsys, name, "--help")
+    text = cli.result(name, "--help")
     for example in re.findall(rf"^  octex {name} (.+)$", text.split("\n\n")[2], re.MULTILINE):
-        assert main([name, *example.split()]) == ExitCode.REFUSED
-        message = capsys.readouterr().err.splitlines()[-1]
+        message = cli.errors(name, *example.split(), code=ExitCode.REFUSED).splitlines()[-1]
         assert not re.search("not an option|too many|needs a value|cannot be used|missing", message), message
 
 
-def test_the_overview_names_every_command_and_page(capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "--help")
-    assert text == said(capsys, "help")
+def test_the_overview_names_every_command_and_page(cli: Cli) -> None:
+    text = cli.result("--help")
+    assert text == cli.result("help")
     for name in NAMES:
         assert f"\n  {name} " in text
     assert all(name in text for name in TOPICS)
@@ -88,56 +84,51 @@ def test_the_overview_names_every_command_and_page(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("name", TOPICS)
-def test_each_page_is_there(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_page_is_there(name: str, cli: Cli) -> None:
     text = topic(name)
     assert text.startswith("# ")
-    assert said(capsys, "help", name) == text + "\n"
+    assert cli.result("help", name) == text + "\n"
     for command, word in re.findall(r"octex ([a-z]+) [^\n`]*?(--[a-z-]+)", text):
         assert COMMANDS[command].has(word), (command, word)
 
 
-def test_help_of_a_command_is_all_its_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "help", "diff") == said(capsys, "diff", "--help")
+def test_help_of_a_command_is_all_its_help(cli: Cli) -> None:
+    assert cli.result("help", "diff") == cli.result("diff", "--help")
 
 
-def test_what_is_no_command_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_command_is_refused_with_those_that_there_are(cli: Cli) -> None:
     names = "convert, view, draw, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
     end = f"the commands are {names}; see octex --help"
-    assert refused(capsys) == f"octex: error: a command is missing: {end}"
+    assert cli.refused() == f"octex: error: a command is missing: {end}"
     assert (
-        refused(capsys, "convrt", "a")
-        == f"octex: error: 'convrt' is not a command, do you mean 'convert': {end}"
+        cli.refused("convrt", "a") == f"octex: error: 'convrt' is not a command, do you mean 'convert': {end}"
     )
-    assert refused(capsys, "a.glb") == f"octex: error: 'a.glb' is not a command: {end}"
-    assert refused(capsys, "--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
-    assert refused(capsys, "help", "x").startswith(
-        "octex: error: there is no page on 'x'; there are tutorial, "
-    )
-    assert refused(capsys, "help", "printing") == (
+    assert cli.refused("a.glb") == f"octex: error: 'a.glb' is not a command: {end}"
+    assert cli.refused("--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
+    assert cli.refused("help", "x").startswith("octex: error: there is no page on 'x'; there are tutorial, ")
+    assert cli.refused("help", "printing") == (
         "octex: error: there is no page on 'printing'; do you mean 'print'? octex help lists all"
     )
     message = "octex edit: error: a.obj: is not a .octex file; octex convert makes one from a model"
-    assert refused(capsys, "edit", "a.obj", "b.octex") == message
+    assert cli.refused("edit", "a.obj", "b.octex") == message
 
 
-def test_a_model_is_not_converted_to_another_but_baked_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_is_not_converted_to_another_but_baked_to(cli: Cli) -> None:
     for given, file, end in (
         ("a.glb", "b.glb", "baked onto its model: octex bake TEXTURE a.glb b.glb"),
         ("a.octex", "b.ptx", "baked onto its model: octex bake TEXTURE MODEL b.ptx"),
         ("a.glb", "b.html", "b.html: a page is written by octex view TEXTURE a.glb b.html"),
     ):
-        assert refused(capsys, "convert", given, file).endswith(end)
+        assert cli.refused("convert", given, file).endswith(end)
 
 
-def test_a_file_of_functions_needs_the_name_of_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    message = refused(capsys, "convert", "shapes.py", tmp_path / "a.octex", "--quiet")
+def test_a_file_of_functions_needs_the_name_of_one(tmp_path: Path, cli: Cli) -> None:
+    message = cli.refused("convert", "shapes.py", tmp_path / "a.octex", "--quiet")
     assert message.endswith("shapes.py: name the function in it, like shapes.py:NAME")
 
 
-def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "--version") == f"octex {octex.__version__}\n"
+def test_version_is_the_packages(cli: Cli) -> None:
+    assert cli.result("--version") == f"octex {octex.__version__}\n"
 
 
 def test_help_and_pages_import_nothing_heavy() -> None:
@@ -180,8 +171,8 @@ def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(
         assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
 
 
-def test_a_page_is_not_viewed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_is_not_viewed_again(tmp_path: Path, cli: Cli) -> None:
     page = tmp_path / "droid.html"
-    assert refused(capsys, "view", str(page)).endswith("error: TEXTURE is missing; see octex view --help")
+    assert cli.refused("view", str(page)).endswith("error: TEXTURE is missing; see octex view --help")
     page.write_text("<html>")
-    assert refused(capsys, "view", str(page)).endswith("droid.html: is a page already; open it in a browser")
+    assert cli.refused("view", str(page)).endswith("droid.html: is a page already; open it in a browser")

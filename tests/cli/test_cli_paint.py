@@ -8,7 +8,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from octex.cli.parser import Parser
 from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, colored_box, painting, python
+from tests.make.command import OUT, VIEW, Cli, Painting, colored_box, painting, python
 from tests.make.same import assert_equal, assert_same
 
 SIZE = 40
@@ -33,27 +32,10 @@ SQUARE = (16, 16, 23, 23)  # in the picture's middle, on the box: left, top, rig
 ROOT = Path(octex.__file__).parent.parent
 
 
-def main(arguments: Sequence[object]) -> int:
-    """Run octex paint, or octex draw for a view to paint on."""
-    return octex_main(painting(*arguments))
-
-
-def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run octex paint or draw, which must succeed; return what it prints on stdout."""
-    code = main(arguments)
-    captured = capsys.readouterr()
-    assert code == ExitCode.DONE, captured.err
-    return captured.out
-
-
-def complaint(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run octex paint or draw, which must refuse; return what its last line says."""
-    assert main(arguments) == ExitCode.REFUSED
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    program, _, message = captured.err.splitlines()[-1].partition(": error: ")
-    assert program in ("octex paint", "octex draw")
-    return message
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs octex paint, or octex draw for a view to paint on."""
+    return Painting(capsys)
 
 
 class Scene:
@@ -105,7 +87,7 @@ def assert_painted(one: octex.OctreeTexture, other: octex.OctreeTexture) -> None
 
 
 def test_textures_and_layers_whose_content_is_broken_are_refused(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     content = bytearray(scene.texture.read_bytes())
     flags = octex.open(scene.texture).tree.arrays.flags.tobytes()
@@ -114,18 +96,16 @@ def test_textures_and_layers_whose_content_is_broken_are_refused(
     broken, out = tmp_path / "broken.octex", tmp_path / "out.octex"
     broken.write_bytes(content)
     shot = [broken, scene.model, *scene.shot[2:]]
-    assert complaint(capsys, *shot, OUT, out).startswith(f"{broken}: split table")
+    assert cli.refusal(*shot, OUT, out).startswith(f"{broken}: split table")
     layer = [scene.texture, scene.model, broken]
-    assert complaint(capsys, *layer, OUT, out).startswith(f"{broken}: split table")
+    assert cli.refusal(*layer, OUT, out).startswith(f"{broken}: split table")
     assert not out.exists()
 
 
 @needs_jit
-def test_paint_is_where_the_camera_sees_it_and_nowhere_else(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
-    text = result(capsys, *scene.shot, OUT, out)
+    text = cli.result(*scene.shot, OUT, out)
     assert text.startswith(f"{out}: 1 picture painted, {octex.open(out).tree.n_leaves:,} leaves, depth ")
     before, after = octex.open(scene.texture), octex.open(out)
     after.validate()
@@ -137,25 +117,23 @@ def test_paint_is_where_the_camera_sees_it_and_nowhere_else(
 
 
 @needs_jit
-def test_a_picture_that_was_drawn_is_edited_and_painted_back(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
     options = ["--camera", f"{scene.cameras}#square.png", "--threads", 1]
-    text = result(capsys, scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
+    text = cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
     assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
     assert text.splitlines()[1] == f"{file}: its camera"
     picture = np.array(Image.open(view))
     assert picture.shape == (SIZE, SIZE, 4)
     assert set(np.unique(picture[:, :, 3])) == {0, 255}
     back = [scene.texture, scene.model, view, "--camera", file]
-    result(capsys, *back, OUT, out, "--since", "nothing")
+    cli.result(*back, OUT, out, "--since", "nothing")
     before, points = octex.open(scene.texture), scene.places(0.0)[0]
     np.testing.assert_allclose(octex.open(out).sample(points), before.sample(points), atol=0.15)
     assert np.abs(octex.open(out).sample(points) - before.sample(points)).mean() < 0.01
     picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
     Image.fromarray(picture).save(view)
-    result(capsys, *back, OUT, out, "--force", "--since", "nothing")
+    cli.result(*back, OUT, out, "--force", "--since", "nothing")
     points, inside = scene.places(1.5)
     red = octex.open(out).sample(points)
     np.testing.assert_allclose(red[inside], [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
@@ -165,17 +143,17 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(
 
 @needs_jit
 def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_painted_back(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
-    result(capsys, *scene.shot, "--blend", "erase", "--max-depth", "12", OUT, erased)
+    cli.result(*scene.shot, "--blend", "erase", "--max-depth", "12", OUT, erased)
     before = octex.open(erased)
     look = [erased, scene.model, VIEW, view, "--camera", scene.cameras]
-    result(capsys, *look)
+    cli.result(*look)
     picture = np.array(Image.open(view)).astype(int)
     left, top, right, bottom = SQUARE
     assert not picture[top + 2 : bottom - 1, left + 2 : right - 1].any()
-    result(capsys, scene.texture, scene.model, *look[2:], "--force")
+    cli.result(scene.texture, scene.model, *look[2:], "--force")
     whole = np.array(Image.open(view)).astype(int)
     beside = np.ones((SIZE, SIZE), bool)
     beside[top - 2 : bottom + 3, left - 2 : right + 3] = False
@@ -183,7 +161,7 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
     part = (picture[..., 3] > 100) & (picture[..., 3] < 255)
     assert part.any()
     assert np.abs(picture - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
-    result(capsys, *look, "--force")
+    cli.result(*look, "--force")
     points, inside = scene.places(1.5)
     assert (before.sample(points, "alpha")[inside] == 0).all()
     back = [
@@ -199,7 +177,7 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
         "--force",
     ]
     for blend in ("over", "replace"):
-        result(capsys, *back, "--blend", blend)
+        cli.result(*back, "--blend", blend)
         after = octex.open(out)
         assert (after.sample(points, "alpha")[inside] < 0.01).all()
         if blend == "replace":
@@ -209,22 +187,20 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
 
 
 @needs_jit
-def test_a_layer_kept_and_merged_later_is_the_same_paint(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_layer_kept_and_merged_later_is_the_same_paint(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     layer = tmp_path / "layer.octex"
-    text = result(
-        capsys, *scene.shot, OUT, tmp_path / "a.octex", "--layer-out", layer, "--opacity", 0.5, "--quiet"
+    text = cli.result(
+        *scene.shot, OUT, tmp_path / "a.octex", "--layer-out", layer, "--opacity", 0.5, "--quiet"
     )
     assert text == ""
     merge = [scene.texture, scene.model, layer, "--opacity", 0.5]
-    text = result(capsys, *merge, OUT, tmp_path / "b.octex")
+    text = cli.result(*merge, OUT, tmp_path / "b.octex")
     assert ": 1 layer painted, " in text
     assert_painted(octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex"))
     picture = octex.Projection(scene.square, scene.camera, opacity=0.5)
     texture = octex.open(scene.texture)
     assert_painted(octex.paint(texture, scene.surface, picture), octex.open(tmp_path / "a.octex"))
-    result(capsys, *merge, layer, "--blend", "multiply", OUT, tmp_path / "c.octex")
+    cli.result(*merge, layer, "--blend", "multiply", OUT, tmp_path / "c.octex")
     for _ in range(2):
         texture = octex.merge(texture, octex.open(layer), scene.surface, opacity=0.5, blend="multiply")
     assert_painted(texture, octex.open(tmp_path / "c.octex"))
@@ -236,38 +212,38 @@ def test_a_layer_kept_and_merged_later_is_the_same_paint(
 
 @needs_jit
 def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     texture, out = tmp_path / "box.octex", tmp_path / "out.octex"
     texture.write_bytes(scene.texture.read_bytes())
     arguments = [texture, scene.model, *scene.shot[2:]]
-    result(capsys, *arguments, OUT, out)
+    cli.result(*arguments, OUT, out)
     opened = octex.open(texture)
     opened.save(texture.with_suffix(".octz"))
     archived = [texture.with_suffix(".octz"), scene.model, *scene.shot[2:]]
-    result(capsys, *archived, OUT, tmp_path / "archived.octex")
+    cli.result(*archived, OUT, tmp_path / "archived.octex")
     assert (tmp_path / "archived.octex").read_bytes() == out.read_bytes()
-    result(capsys, *arguments, OUT, texture, "--force")
+    cli.result(*arguments, OUT, texture, "--force")
     assert texture.read_bytes() == out.read_bytes()
     assert_equal(opened, octex.open(scene.texture))  # what is mapped is the old file
 
 
 def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     before = scene.texture.read_bytes()
-    message = complaint(capsys, *scene.shot, OUT, scene.texture)
+    message = cli.refusal(*scene.shot, OUT, scene.texture)
     assert message == f"{scene.texture}: exists already; --force overwrites it"
     out = tmp_path / "out.octex"
-    message = complaint(capsys, *scene.shot, OUT, out, "--layer-out", scene.texture, "--force")
+    message = cli.refusal(*scene.shot, OUT, out, "--layer-out", scene.texture, "--force")
     assert message == f"{scene.texture}: --layer-out is also an input; give it another name"
     assert scene.texture.read_bytes() == before
 
 
 @needs_jit
-def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
-    result(capsys, *scene.shot, OUT, out, "--blend", "erase", "--opacity", 0.5, "--quiet")
+    cli.result(*scene.shot, OUT, out, "--blend", "erase", "--opacity", 0.5, "--quiet")
     before, after = octex.open(scene.texture), octex.open(out)
     after.validate()
     assert list(before.channels) == ["base_color"]
@@ -286,16 +262,16 @@ def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, capsys: pytest.C
 
 @needs_jit
 def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     first, second = tmp_path / "first.octex", tmp_path / "second.octex"
-    result(capsys, *scene.shot, OUT, first, "--quiet")
+    cli.result(*scene.shot, OUT, first, "--quiet")
     arguments = [first, scene.model, scene.square, scene.blue, "--camera", scene.cameras]
-    code = main([str(each) for each in [*arguments, OUT, second, "--opacity", 0.5, "--json", "--quiet"]])
+    code = cli.run(*arguments, OUT, second, "--opacity", 0.5, "--json", "--quiet")
     assert code == ExitCode.DONE
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    made, texture = json.loads(captured.out), octex.open(second)
+    told, said = cli.said()
+    assert said == ""
+    made, texture = json.loads(told), octex.open(second)
     assert made.pop("seconds") > 0
     assert made == {
         "output": str(second),
@@ -323,7 +299,7 @@ def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
 
 @needs_jit
 def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     away = replace(
         scene.camera, world_to_camera=np.diag([1.0, -1.0, -1.0, 1.0]) @ scene.camera.world_to_camera
@@ -342,15 +318,14 @@ def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
             [*scene.shot, "--opacity", 0],
         ):
             given = [*texture, scene.model, *arguments[2:], OUT, tmp_path / "out.octex", "--quiet"]
-            assert main([str(each) for each in given]) == ExitCode.NOTHING_PAINTED == 3
-            captured = capsys.readouterr()
-            assert captured.out == ""
-            assert captured.err.count("\n") == 1
-            assert captured.err.startswith(
+            assert cli.run(*given) == ExitCode.NOTHING_PAINTED == 3
+            told, said = cli.said()
+            assert (told, said.count("\n")) == ("", 1)
+            assert said.startswith(
                 f"octex paint: nothing was painted, and {tmp_path / 'out.octex'} is not written: "
             )
     given = [*looks_away, OUT, tmp_path / "o.octex", "--layer-out", tmp_path / "l.octex"]
-    assert main([str(each) for each in given]) == 3
+    assert cli.run(*given) == 3
     assert sorted(tmp_path.iterdir()) == files
 
 
@@ -358,12 +333,9 @@ def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
 
 
 @needs_jit
-def test_a_texture_that_is_not_there_is_begun(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_texture_that_is_not_there_is_begun(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
-    assert main([str(each) for each in [*scene.shot[1:], OUT, out]]) == ExitCode.DONE
-    assert "there is no texture yet: painting begins a new one" in capsys.readouterr().err
+    assert "there is no texture yet: painting begins a new one" in cli.errors(*scene.shot[1:], OUT, out)
     made = octex.open(out)
     made.validate()
     picture = octex.Projection(scene.square, scene.camera)
@@ -377,11 +349,11 @@ def test_a_texture_that_is_not_there_is_begun(
 @needs_jit
 @pytest.mark.parametrize("depth", [[], ["--max-depth", 3]])
 def test_a_new_texture_may_have_a_background(
-    depth: list[object], scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    depth: list[object], scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "out.octex"
     arguments = [*scene.shot[1:], OUT, out, *depth]
-    result(capsys, *arguments, "--holes", "#204060", "--quiet")
+    cli.result(*arguments, "--holes", "#204060", "--quiet")
     made = octex.open(out)
     made.validate()
     assert not depth or made.tree.max_depth == 3
@@ -392,86 +364,78 @@ def test_a_new_texture_may_have_a_background(
     color = decode(np.array([0x20, 0x40, 0x60], np.uint8), "srgb")
     np.testing.assert_allclose(made.sample(away_points), np.tile(color, (len(away_points), 1)), atol=1e-3)
     rough = [*arguments, "--channel", "roughness", "--force"]
-    result(capsys, *rough, "--holes", "51", "--quiet")
+    cli.result(*rough, "--holes", "51", "--quiet")
     assert octex.open(out).sample(away_points, "roughness") == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_background_is_one_of_the_channels_values(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_background_is_one_of_the_channels_values(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     given = [*new, "--holes", "1,2,3", "--channel"]
-    assert "give a grey" in complaint(capsys, *given, "roughness")
-    assert "normal holds directions" in complaint(capsys, *given, "normal")
+    assert "give a grey" in cli.refusal(*given, "roughness")
+    assert "normal holds directions" in cli.refusal(*given, "normal")
 
 
 # --- pictures and frames
 
 
 @needs_jit
-def test_pictures_are_matched_to_frames_by_their_file_names(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_are_matched_to_frames_by_their_file_names(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out, "--force"]
-    made = json.loads(result(capsys, *arguments, scene.blue, scene.square, "--json", "--quiet"))
+    made = json.loads(cli.result(*arguments, scene.blue, scene.square, "--json", "--quiet"))
     assert made["painted"] == ["blue.png", "square.png"]
 
 
-def test_pictures_without_a_frame_are_refused(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_without_a_frame_are_refused(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out]
     (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
-    assert complaint(capsys, *arguments, tmp_path / "other.png", scene.blue) == (
+    assert cli.refusal(*arguments, tmp_path / "other.png", scene.blue) == (
         f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
         "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
     )
-    message = complaint(capsys, *scene.shot, scene.blue, OUT, out)
+    message = cli.refusal(*scene.shot, scene.blue, OUT, out)
     assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
     alone = tmp_path / "alone" / "cameras.json"
     alone.parent.mkdir()
     alone.write_bytes(scene.cameras.read_bytes())
-    message = complaint(capsys, scene.texture, scene.model, "--camera", alone, OUT, out)
+    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out)
     assert message.startswith(f"{alone}: none of the 2 pictures that it names exists: 'square.png'")
     unnamed = tmp_path / "cameras.npz"
     np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])
-    message = complaint(capsys, scene.texture, scene.model, "--camera", unnamed, OUT, out)
+    message = cli.refusal(scene.texture, scene.model, "--camera", unnamed, OUT, out)
     assert message == f"{unnamed}: does not name the pictures of its cameras; give IMAGEs"
 
 
 def test_pictures_that_lie_beside_their_cameras_need_not_be_named(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, tmp_path / "out.octex"]
-    made = json.loads(result(capsys, *arguments, "--json", "--quiet"))
+    made = json.loads(cli.result(*arguments, "--json", "--quiet"))
     assert made["painted"] == ["square.png", "blue.png"]
 
 
 @needs_jit
 def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     file, names = transforms(scene, tmp_path)
     (tmp_path / "images").mkdir()
     (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
     arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
-    assert main([str(each) for each in [*arguments, "--json"]]) == ExitCode.DONE
-    captured = capsys.readouterr()
+    assert cli.run(*arguments, "--json") == ExitCode.DONE
+    told, said = cli.said()
     listing = ", ".join(map(repr, names[1:6]))
-    assert f"octex paint: skipped 7 of 8 pictures: {listing} and 2 more\n" in captured.err
-    made = json.loads(captured.out)
+    assert f"octex paint: skipped 7 of 8 pictures: {listing} and 2 more\n" in said
+    made = json.loads(told)
     assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
 
 
-def test_a_file_none_of_whose_pictures_is_there_is_refused(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_none_of_whose_pictures_is_there_is_refused(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     file, names = transforms(scene, tmp_path)
     arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
     listing = ", ".join(map(repr, names[:5]))
-    assert complaint(capsys, *arguments) == (
+    assert cli.refusal(*arguments) == (
         f"{file}: none of the 8 pictures that it names exists: {listing} and 3 more; give IMAGEs"
     )
 
@@ -491,7 +455,7 @@ def transforms(scene: Scene, folder: Path) -> tuple[Path, list[str]]:
 
 
 def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     out, camera = tmp_path / "out.octex", ["--camera", f"{scene.cameras}#square.png"]
     small, words, missing = tmp_path / "small.png", tmp_path / "words.png", tmp_path / "missing.png"
@@ -499,34 +463,32 @@ def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
     words.write_text("words")
     paint = [scene.texture, scene.model]
     frame = f"frame 'square.png' of {scene.cameras}"
-    assert complaint(capsys, *paint, small, *camera, OUT, out) == (
+    assert cli.refusal(*paint, small, *camera, OUT, out) == (
         f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the picture has 8×5, another shape; give the "
         "picture that the camera was made for"
     )
-    message = complaint(capsys, *paint, words, *camera, OUT, out)
+    message = cli.refusal(*paint, words, *camera, OUT, out)
     assert message.startswith("words.png cannot be read as an image (")
     assert message.endswith(f"(for {frame})")
-    message = complaint(capsys, *paint, missing, *camera, OUT, out)
+    message = cli.refusal(*paint, missing, *camera, OUT, out)
     assert message == f"{missing} cannot be read: No such file or directory (for {frame})"
-    message = complaint(capsys, *scene.shot, "--mask", small, OUT, out)
+    message = cli.refusal(*scene.shot, "--mask", small, OUT, out)
     assert message.startswith(f"{small} has 8×5 pixels, its camera {SIZE}×{SIZE}")
-    message = complaint(capsys, *scene.shot[:4], f"{scene.cameras}#nobody", OUT, out)
+    message = cli.refusal(*scene.shot[:4], f"{scene.cameras}#nobody", OUT, out)
     assert message == f"{scene.cameras}: there is no frame 'nobody'; there are: 'square.png', 'blue.png'"
-    message = complaint(capsys, *scene.shot[:4], tmp_path / "none.json", OUT, out)
+    message = cli.refusal(*scene.shot[:4], tmp_path / "none.json", OUT, out)
     assert message.startswith(f"{tmp_path / 'none.json'}: cannot be read")
     assert not out.exists()
 
 
 @needs_jit
-def test_masks_are_one_for_all_or_one_each(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_masks_are_one_for_all_or_one_each(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
     black, white = tmp_path / "black.png", tmp_path / "white.png"
     Image.new("L", (SIZE, SIZE), 0).save(black)
     Image.new("L", (SIZE, SIZE), 255).save(white)
     both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras, OUT, out]
-    result(capsys, *both, "--mask", white, "--mask", black, "--quiet")
+    cli.result(*both, "--mask", white, "--mask", black, "--quiet")
     picture = octex.Projection(scene.square, scene.camera, white)
     assert_painted(
         octex.open(out),
@@ -536,20 +498,20 @@ def test_masks_are_one_for_all_or_one_each(
             [picture, octex.Projection(scene.blue, scene.camera, black)],
         ),
     )
-    assert main([str(each) for each in [*both, "--mask", black, "--force"]]) == ExitCode.NOTHING_PAINTED
+    assert cli.run(*both, "--mask", black, "--force") == ExitCode.NOTHING_PAINTED
 
 
 def test_masks_of_another_number_than_the_pictures_are_refused(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras]
-    message = complaint(capsys, *both, OUT, tmp_path / "out.octex", *["--mask", scene.square] * 3)
+    message = cli.refusal(*both, OUT, tmp_path / "out.octex", *["--mask", scene.square] * 3)
     assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one an IMAGE"
 
 
 @needs_jit
 def test_the_options_of_painting_reach_the_library(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     seen: dict[str, Any] = {}
     project = octex.project
@@ -561,7 +523,7 @@ def test_the_options_of_painting_reach_the_library(
     monkeypatch.setattr(octex, "project", projected)
     more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
-    result(capsys, *scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
+    cli.result(*scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     run = seen.pop("run")
     assert (run.memory, run.folder, run.resume) == (1000, tmp_path, tmp_path / "kept")
     assert run.executor is not None
@@ -579,13 +541,13 @@ def test_the_options_of_painting_reach_the_library(
         "hidden": False,
         "fit": False,
     }
-    result(capsys, *scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
+    cli.result(*scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
     assert (seen["max_angle"], seen["back_faces"], seen["hidden"]) == (None, False, True)
 
 
 @needs_jit
 def test_a_preview_is_drawn_of_what_was_painted(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     drawn: list[tuple[list[str] | None, list[str]]] = []
     views: list[Any] = []
@@ -597,10 +559,10 @@ def test_a_preview_is_drawn_of_what_was_painted(
 
     monkeypatch.setattr("octex.write_preview", write_preview)
     preview = tmp_path / "preview.png"
-    text = result(capsys, *scene.shot, OUT, tmp_path / "a.octex", "--preview", preview)
+    text = cli.result(*scene.shot, OUT, tmp_path / "a.octex", "--preview", preview)
     assert text.splitlines()[1] == f"{preview}: a picture of it"
     new = [*scene.shot[1:], "--preview", preview]
-    result(capsys, *new, OUT, tmp_path / "b.octex", "--channel", "occlusion")
+    cli.result(*new, OUT, tmp_path / "b.octex", "--channel", "occlusion")
     assert drawn == [(["base_color"], ["base_color"]), (None, ["occlusion"])]
     rows = -scene.camera.world_to_camera[:3, :3]
     np.testing.assert_allclose([views[0]["direction"], views[0]["up"]], [rows[2], rows[1]], atol=1e-9)
@@ -609,14 +571,12 @@ def test_a_preview_is_drawn_of_what_was_painted(
 # --- pictures to paint on
 
 
-def test_the_view_is_of_the_channel_alone(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_view_is_of_the_channel_alone(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     bright, view, file = tmp_path / "bright.octex", tmp_path / "view.png", tmp_path / "camera.json"
     sources = {"base_color": (0.2, 0.4, 0.6), "emissive": 1.0, "alpha": 0.5, "roughness": 0.2}
     octex.convert(scene.model, 3, sources=sources).save(bright)
     arguments = [bright, scene.model, VIEW, view, "--camera-out", file, "--force"]
-    made = json.loads(result(capsys, *arguments, "--size", "30,20", "--json", "--quiet"))
+    made = json.loads(cli.result(*arguments, "--size", "30,20", "--json", "--quiet"))
     assert made.pop("seconds") > 0
     size = view.stat().st_size
     assert made == {"output": str(view), "size": [30, 20], "bytes": size, "camera": str(file)}
@@ -631,19 +591,16 @@ def test_the_view_is_of_the_channel_alone(
     assert (frame.name, frame.size) == ("view.png", (30, 20))
     expected = octex.Camera.fitted(scene.surface.vertices, (0.4, 0.3, 1), size=(30, 20))
     np.testing.assert_array_equal(frame.camera().matrix, expected.matrix)
-    result(capsys, *arguments, "--size", "30,20", "--channel", "roughness", "--quiet")
+    cli.result(*arguments, "--size", "30,20", "--channel", "roughness", "--quiet")
     picture = np.array(Image.open(view))
     assert set(picture[picture[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
-    assert "'normal'" in complaint(capsys, *arguments, "--channel", "normal")
+    assert "'normal'" in cli.refusal(*arguments, "--channel", "normal")
 
 
-def test_without_a_texture_the_view_shows_the_form_in_grey(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_texture_the_view_shows_the_form_in_grey(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view = tmp_path / "view.png"
     given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
-    assert main([str(each) for each in given]) == ExitCode.DONE
-    assert "there is no texture: the model is drawn grey" in capsys.readouterr().err
+    assert "there is no texture: the model is drawn grey" in cli.errors(*given)
     picture = np.array(Image.open(view)).reshape(-1, 4)
     seen = picture[picture[:, 3] == 255]
     assert (seen[:, :1] == seen[:, :3]).all()
@@ -651,39 +608,32 @@ def test_without_a_texture_the_view_shows_the_form_in_grey(
     assert seen[:, 0].min() > 100
 
 
-def test_a_view_has_no_lens_distortion(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_view_has_no_lens_distortion(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     bent = replace(scene.camera, distortion=(-0.1, 0.01, 0.0, 0.0))
     octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
     given = [scene.texture, scene.model, "--camera", tmp_path / "bent.json", VIEW, tmp_path / "a.png"]
     given += ["--camera-out", tmp_path / "straight.json"]
-    assert main([str(each) for each in given]) == ExitCode.DONE
-    assert (
-        "octex draw: the camera's lens distorts; the picture is drawn without that" in capsys.readouterr().err
-    )
+    assert "octex draw: the camera's lens distorts; the picture is drawn without that" in cli.errors(*given)
     frame = octex.read_cameras(tmp_path / "straight.json")[0]
     assert frame.name == "a.png"
     assert frame.camera().distortion == (0.0, 0.0, 0.0, 0.0)
-    result(capsys, scene.texture, scene.model, "--camera", scene.cameras, VIEW, tmp_path / "square.png")
+    cli.result(scene.texture, scene.model, "--camera", scene.cameras, VIEW, tmp_path / "square.png")
     assert np.array_equal(Image.open(tmp_path / "a.png"), Image.open(tmp_path / "square.png"))
 
 
-def test_a_view_needs_a_camera_that_can_be_found_again(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_view_needs_a_camera_that_can_be_found_again(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view = [scene.texture, scene.model, VIEW, tmp_path / "view.png"]
-    assert complaint(capsys, *view) == (
+    assert cli.refusal(*view) == (
         "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
     )
-    assert complaint(capsys, *view, "--camera", scene.cameras) == (
+    assert cli.refusal(*view, "--camera", scene.cameras) == (
         f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'"
     )
-    message = complaint(capsys, *view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
+    message = cli.refusal(*view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
     assert message == (
         f"--size has another aspect ratio than frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
     )
-    message = complaint(capsys, *view, "--camera-out", tmp_path / "camera.txt")
+    message = cli.refusal(*view, "--camera-out", tmp_path / "camera.txt")
     assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
     assert list(tmp_path.iterdir()) == []
 
@@ -693,18 +643,18 @@ def test_a_view_needs_a_camera_that_can_be_found_again(
 
 @needs_jit
 def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     view, layer, file = tmp_path / "view.png", tmp_path / "layer.png", tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, view, "--camera", f"{scene.cameras}#square.png"]
-    said = result(capsys, *look, "--empty-layer", layer, "--camera-out", file)
+    said = cli.result(*look, "--empty-layer", layer, "--camera-out", file)
     assert said.splitlines()[1:] == [f"{layer}: an empty layer of its size", f"{file}: its camera"]
     picture = np.array(Image.open(layer))
     assert picture.shape == (SIZE, SIZE, 4)
     assert not picture.any()
     back = [scene.texture, scene.model, layer, "--camera", file, "--quiet", OUT]
-    assert main([str(each) for each in (*back, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
-    capsys.readouterr()
+    assert cli.run(*back, tmp_path / "none.octex") == ExitCode.NOTHING_PAINTED
+    cli.said()
     # In the view's own colours: as a layer that is paint, and it is multiplied with what is there.
     place = np.s_[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1]
     picture[place] = np.array(Image.open(view))[place]
@@ -712,9 +662,9 @@ def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
     same = tmp_path / "same.png"
     same.write_bytes(layer.read_bytes())
     outs = [tmp_path / "as_layer.octex", tmp_path / "by_hand.octex"]
-    result(capsys, *back, outs[0], "--blend", "multiply")
+    cli.result(*back, outs[0], "--blend", "multiply")
     by_hand = [same, "--camera", f"{scene.cameras}#square.png", "--blend", "multiply", "--quiet"]
-    result(capsys, scene.texture, scene.model, *by_hand, OUT, outs[1])
+    cli.result(scene.texture, scene.model, *by_hand, OUT, outs[1])
     painted, expected = (octex.open(out) for out in outs)
     np.testing.assert_array_equal(
         painted.channels["base_color"].values, expected.channels["base_color"].values
@@ -728,12 +678,10 @@ def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
 
 
 @needs_jit
-def test_a_view_is_from_the_side_and_as_near_as_wanted(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_view_is_from_the_side_and_as_near_as_wanted(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     file = tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, tmp_path / "view.png", "--camera-out", file, "--force"]
-    result(capsys, *look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
+    cli.result(*look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
     made = octex.read_cameras(file)[0].camera()
     whole = octex.Camera.fitted(scene.surface.vertices, (-1, 0.5, 0), size=(32, 24), up=(0, 0, 1))
     np.testing.assert_array_equal(made.world_to_camera, whole.world_to_camera)
@@ -741,10 +689,10 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(
     middle = np.array([16.0, 12.0])
     expected = middle + 2 * (whole.project(points)[0] - middle)
     np.testing.assert_allclose(made.project(points)[0], expected, atol=1e-9)
-    result(capsys, *look, "--camera", f"{scene.cameras}#blue.png")
+    cli.result(*look, "--camera", f"{scene.cameras}#blue.png")
     np.testing.assert_array_equal(octex.read_cameras(file)[0].camera().K, scene.camera.K)
     flat = np.array(Image.open(tmp_path / "view.png"))
-    result(capsys, *look, "--camera", f"{scene.cameras}#blue.png", "--light", "soft")
+    cli.result(*look, "--camera", f"{scene.cameras}#blue.png", "--light", "soft")
     shaded = np.array(Image.open(tmp_path / "view.png"))
     assert (shaded[..., 3] == flat[..., 3]).all()
     assert (shaded <= flat).all()
@@ -767,16 +715,16 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(
     ],
 )
 def test_where_a_picture_is_drawn_from_is_said_once(
-    options: str, message: str, tmp_path: Path, scene: Scene, capsys: pytest.CaptureFixture[str]
+    options: str, message: str, tmp_path: Path, scene: Scene, cli: Cli
 ) -> None:
     (tmp_path / "layer").mkdir()
     words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", f"{tmp_path}/layer/v.png")
     view = [scene.texture, scene.model, VIEW, tmp_path / "v.png"]
-    assert complaint(capsys, *view, *words.split()).startswith(message)
+    assert cli.refusal(*view, *words.split()).startswith(message)
 
 
 def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document: dict[str, Any] = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
     document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
@@ -787,26 +735,22 @@ def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
         monkeypatch.setattr(octex, name, lambda *_, **__: pytest.fail("it was begun"))
     message = f"{model}: there is no frame 'back'; there are: 'front'"
     look = ["--camera", f"{model}#back"]
-    assert complaint(capsys, model, VIEW, picture, *look, "--camera-out", tmp_path / "c.json") == message
+    assert cli.refusal(model, VIEW, picture, *look, "--camera-out", tmp_path / "c.json") == message
     assert octex_main(["draw", str(model), str(picture), *look]) == ExitCode.REFUSED
-    assert capsys.readouterr().err.endswith(f": error: {message}\n")
+    assert cli.said()[1].endswith(f": error: {message}\n")
 
 
 # --- only what was drawn
 
 
 @needs_jit
-def test_of_a_view_only_what_was_drawn_on_it_is_painted(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view, file = tmp_path / "view.png", tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "64,64", "--quiet"]
-    result(capsys, *look)
+    cli.result(*look)
     shot = [scene.texture, scene.model, view, "--camera", file, "--quiet", OUT]
-    assert main([str(each) for each in (*shot, tmp_path / "none.octex")]) == ExitCode.NOTHING_PAINTED
-    assert capsys.readouterr().err.endswith(
-        ", or nothing was drawn on the view (--since nothing paints all of it)\n"
-    )
+    said = cli.errors(*shot, tmp_path / "none.octex", code=ExitCode.NOTHING_PAINTED)
+    assert said.endswith(", or nothing was drawn on the view (--since nothing paints all of it)\n")
     before = tmp_path / "before.png"
     before.write_bytes(view.read_bytes())
     picture = np.array(Image.open(view))
@@ -814,10 +758,10 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(
     Image.fromarray(picture).save(view)
     texture = octex.open(scene.texture)
     outs = {name: tmp_path / f"{name}.octex" for name in ("drawn", "by_hand", "whole")}
-    result(capsys, *shot, outs["drawn"])
+    cli.result(*shot, outs["drawn"])
     file.write_text(re.sub(r', "view": "[^"]*"', "", file.read_text()))  # as an older octex wrote it
-    result(capsys, *shot, outs["by_hand"], "--since", before)
-    result(capsys, *shot, outs["whole"])
+    cli.result(*shot, outs["by_hand"], "--since", before)
+    cli.result(*shot, outs["whole"])
     assert outs["by_hand"].read_bytes() == outs["drawn"].read_bytes()
     drawn, whole = octex.open(outs["drawn"]), octex.open(outs["whole"])
     assert texture.tree.n_leaves < drawn.tree.n_leaves < whole.tree.n_leaves / 4
@@ -835,35 +779,31 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(
 
 @needs_jit
 def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     view, file = tmp_path / "view.png", tmp_path / "camera.json"
-    result(capsys, scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
+    cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
     out = tmp_path / "whole.octex"
-    result(capsys, scene.texture, scene.model, view, "--camera", file, OUT, out, "--since", "nothing")
+    cli.result(scene.texture, scene.model, view, "--camera", file, OUT, out, "--since", "nothing")
     assert octex.open(out).tree.n_leaves > octex.open(scene.texture).tree.n_leaves
     new = tmp_path / "new.octex"
-    said = result(capsys, scene.model, view, "--camera", file, OUT, new)
+    said = cli.result(scene.model, view, "--camera", file, OUT, new)
     assert said.startswith(f"{new}: 1 picture painted, ")
 
 
 @needs_jit
-def test_a_view_saved_as_jpeg_is_painted_with_a_word(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_view_saved_as_jpeg_is_painted_with_a_word(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view, file, lossy = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "view.jpg"
-    result(capsys, scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
+    cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
     with Image.open(view) as picture:
         picture.convert("RGB").save(lossy, quality=70)
     shot = [scene.texture, scene.model, f"{lossy}={view.name}", "--camera", file]
-    main([*shot, OUT, tmp_path / "out.octex"])
-    assert f"{lossy} is a JPEG: what compression changed is painted, too" in capsys.readouterr().err
+    said = cli.errors(*shot, OUT, tmp_path / "out.octex")
+    assert f"{lossy} is a JPEG: what compression changed is painted, too" in said
 
 
 @needs_jit
-def test_the_preview_of_a_disc_looks_at_the_disc(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_preview_of_a_disc_looks_at_the_disc(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     low, high = scene.surface.bounds
     at = (low + high) / 2
     at[1] = low[1]  # the bottom, which usual views do not show
@@ -871,7 +811,7 @@ def test_the_preview_of_a_disc_looks_at_the_disc(
     Image.new("RGB", (16, 16), (0, 255, 0)).save(green)
     disc = ",".join(f"{each:g}" for each in [*at, 0.3 * (high - low).min()])
     settings = ["--unwrap", disc, "--since", "nothing", "--preview", preview]
-    result(capsys, scene.texture, scene.model, green, *settings, OUT, tmp_path / "out.octex")
+    cli.result(scene.texture, scene.model, green, *settings, OUT, tmp_path / "out.octex")
     with Image.open(preview) as picture:
         codes = np.asarray(picture.convert("RGB")).astype(int)
     assert (codes[..., 1] - codes[..., ::2].max(axis=2) > 100).mean() > 0.005
@@ -879,67 +819,62 @@ def test_the_preview_of_a_disc_looks_at_the_disc(
 
 @needs_jit
 def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
     drawn = [scene.texture, scene.model, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
-    result(capsys, *drawn, VIEW, view, "--camera-out", file)
+    cli.result(*drawn, VIEW, view, "--camera-out", file)
     assert octex.read_cameras(file)[0].size == (3 * SIZE, 3 * SIZE)
     outs = []
     for cameras in (scene.cameras, file):  # that of a third of the size, and the view's own
         outs.append(tmp_path / f"{cameras.stem}.octex")
-        result(capsys, scene.model, view, "--camera", cameras, OUT, outs[-1])
+        cli.result(scene.model, view, "--camera", cameras, OUT, outs[-1])
     points = scene.places(0.0)[0]
     a, b = (octex.open(out).sample(points) for out in outs)
     np.testing.assert_allclose(a, b, atol=1e-6)
     with Image.open(view) as picture:
         picture.resize((2 * SIZE, 2 * SIZE)).save(view)
     back = [scene.texture, scene.model, view, "--camera", file, OUT, out]
-    assert complaint(capsys, *back).endswith(
+    assert cli.refusal(*back).endswith(
         "so octex cannot tell which pixels you changed; scale the picture, or give --since nothing"
     )
-    result(capsys, *back, "--since", "nothing")
+    cli.result(*back, "--since", "nothing")
 
 
 def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     file = tmp_path / "camera.json"
     octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
     shot = [scene.texture, scene.model, scene.blue, "--camera", file, OUT, tmp_path / "out.octex"]
-    assert complaint(capsys, *shot).startswith(f"the view in {file}")
+    assert cli.refusal(*shot).startswith(f"the view in {file}")
     text = file.read_text()
     file.write_text(re.sub('"view": "', '"view": "é', text))
-    assert "view is not an image in base64" in complaint(capsys, *shot)
+    assert "view is not an image in base64" in cli.refusal(*shot)
     with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
         octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
 
 
 @needs_jit
-def test_a_picture_may_name_its_frame(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_may_name_its_frame(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     out, other = tmp_path / "out.octex", tmp_path / "other.octex"
     picture = tmp_path / "my=picture.png"
     picture.write_bytes(scene.square.read_bytes())
     shot = [scene.texture, scene.model, "--camera", scene.cameras, "--quiet", OUT]
-    result(capsys, *shot, out, f"{picture}=square.png")
-    result(capsys, *shot, other, scene.square)
+    cli.result(*shot, out, f"{picture}=square.png")
+    cli.result(*shot, other, scene.square)
     assert np.array_equal(octex.open(out).tree.arrays.flags, octex.open(other).tree.arrays.flags)
-    refused = complaint(capsys, *shot, tmp_path / "no.octex", f"{picture}=x.png")
+    refused = cli.refusal(*shot, tmp_path / "no.octex", f"{picture}=x.png")
     assert refused.startswith(f"{scene.cameras}: there is no frame 'x.png'; there are: ")
 
 
 @needs_jit
-def test_paint_that_more_than_doubles_a_texture_is_announced(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_paint_that_more_than_doubles_a_texture_is_announced(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     arguments = [scene.texture, scene.model, scene.blue, "--camera", scene.cameras]
-    assert main([str(each) for each in (*arguments, OUT, tmp_path / "a.octex", "--max-depth", 7)]) == 0
+    assert cli.run(*arguments, OUT, tmp_path / "a.octex", "--max-depth", 7) == 0
     leaves = octex.open(scene.texture).tree.n_leaves
-    assert f"leaves, the texture {leaves:,}; --max-depth 4 paints with" in capsys.readouterr().err
-    assert main([str(each) for each in (*arguments, OUT, tmp_path / "b.octex", "--max-depth", 4)]) == 0
-    assert "--max-depth" not in capsys.readouterr().err
+    assert f"leaves, the texture {leaves:,}; --max-depth 4 paints with" in cli.said()[1]
+    assert "--max-depth" not in cli.errors(*arguments, OUT, tmp_path / "b.octex", "--max-depth", 4)
 
 
 # --- usage
@@ -981,7 +916,7 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(
         ("m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png", "--mask gives a pattern and more"),
         (
             "t.octex m.glb o.octex --camera c --max-depth 22",
-            "--max-depth must be a whole number from 0 to 21, not 22",
+            "--max-depth: 22 is not from 0 to 21",
         ),
         ("t.octex m.glb o.ply --camera c", "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here"),
     ],
@@ -991,15 +926,15 @@ def test_bad_usage_is_refused_by_name(
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert complaint(capsys, *arguments.split()).startswith(message)
+    assert cli.refusal(*arguments.split()).startswith(message)
 
 
 @needs_jit
 def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Scene, tmp_path: Path, cli: Cli
 ) -> None:
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     picture = octex.Projection(scene.square, scene.camera)
@@ -1007,21 +942,19 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
         (["--coverage"], {"coverage": True}),
         (["--holes", "leave", "--force"], {"holes": "leave"}),
     ):
-        result(capsys, *new, *words)
+        cli.result(*new, *words)
         made = octex.open(tmp_path / "out.octex")
         assert_painted(made, octex.paint(None, scene.surface, picture, **options))
     for holes in ("smooth", "0"):
-        message = complaint(capsys, *scene.shot, OUT, tmp_path / "b.octex", "--holes", holes)
+        message = cli.refusal(*scene.shot, OUT, tmp_path / "b.octex", "--holes", holes)
         assert message == f"{scene.texture} has colours; --holes is for a new texture"
 
 
-def test_a_layer_that_is_none_is_refused_by_name(
-    scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_layer_that_is_none_is_refused_by_name(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     arguments = [scene.texture, scene.model, OUT, tmp_path / "out.octex"]
     (tmp_path / "box.octex").write_bytes(scene.texture.read_bytes())
-    assert complaint(capsys, *arguments, tmp_path / "box.octex").startswith(f"{tmp_path / 'box.octex'}: ")
-    assert "missing.octex" in complaint(capsys, *arguments, tmp_path / "missing.octex")
+    assert cli.refusal(*arguments, tmp_path / "box.octex").startswith(f"{tmp_path / 'box.octex'}: ")
+    assert "missing.octex" in cli.refusal(*arguments, tmp_path / "missing.octex")
 
 
 def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
@@ -1068,12 +1001,12 @@ print(codes, sorted(set({heavy!r}) & set(sys.modules)))
 
 
 @needs_jit
-def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> None:
+def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path, cli: Cli) -> None:
     droid, texture = ROOT / "samples" / "droid.glb", tmp_path / "droid.octex"
     octex.convert(droid, 7, channels=["base_color"]).save(texture)
 
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    assert main([texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256"]) == ExitCode.DONE
+    cli.result(texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256")
     picture = np.array(Image.open(view))
     row, column = 118, 128  # on the head
     picture[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
@@ -1083,7 +1016,7 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     said = subprocess.run(call, stdout=subprocess.PIPE, text=True, timeout=600, cwd=ROOT, check=True).stdout
     assert said.startswith(f"{out}: 1 picture painted, ")
     after = [out, droid, VIEW, tmp_path / "after.png", "--camera", f"{file}#view.png"]
-    assert main(after) == ExitCode.DONE
+    cli.result(*after)
     after = np.array(Image.open(tmp_path / "after.png"))
     assert np.array_equal(after[:, :, 3], picture[:, :, 3])
     seen = picture[:, :, 3] > 0
@@ -1093,27 +1026,3 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path) -> 
     red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
     assert red > 240
     assert max(green, blue) < 20
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        "t.octex m.glb n.octex a.png b.png --camera c.json --mask m.png --balance full",
-        "--camera c.json t.octex --balance full m.glb n.octex a.png --mask m.png b.png",
-        "t.octex --mask m.png m.glb n.octex a.png --camera c.json --balance full b.png",
-        "--balance=full --mask m.png --camera=c.json -- t.octex m.glb n.octex a.png b.png",
-    ],
-)
-def test_options_may_stand_anywhere(arguments: str) -> None:
-    parser = Parser("octex paint", COMMANDS["paint"], COMMANDS)
-    stated = {name: value for name, value in vars(parser.parsed(arguments.split())).items() if value}
-    assert sorted(stated.pop("words")) == ["--balance", "--camera", "--mask"]
-    assert stated == {
-        "MODEL": Path("m.glb"),
-        "TEXTURE": Path("t.octex"),
-        "IMAGE": [Path("a.png"), Path("b.png")],
-        "camera": (Path("c.json"), None),
-        "OUTPUT": Path("n.octex"),
-        "mask": [Path("m.png")],
-        "balance": "full",
-    }

@@ -10,7 +10,7 @@ import pytest
 
 import octex
 from tests.conftest import needs_jit
-from tests.make.command import refusal, result
+from tests.make.command import Cli
 from tests.make.same import assert_same
 
 
@@ -23,7 +23,7 @@ def other(made: Path) -> Path:
 
 @needs_jit
 def test_every_option_is_the_operation_of_that_name(
-    made: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Path, other: Path, tmp_path: Path, cli: Cli
 ) -> None:
     texture, second = octex.open(made), octex.open(other)
     low, high = texture.bounds
@@ -42,25 +42,23 @@ def test_every_option_is_the_operation_of_that_name(
         ]
     ):
         out = tmp_path / f"{number}.octex"
-        result(capsys, "edit", made, out, *words)
+        cli.result("edit", made, out, *words)
         found = octex.open(out)
         found.validate()
         assert_same(found, wanted)
 
 
 def test_options_work_in_one_order_however_they_are_given(
-    made: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Path, other: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "all.octex"
     words = ["--dtype", "float16", "--levels", "0,0.9", "--blur", "0.1", "--mix", f"{other}=0.5"]
-    result(capsys, "edit", made, out, *words, "--depth", 3)
+    cli.result("edit", made, out, *words, "--depth", 3)
     done = json.loads(octex.open(out).metadata["processed"])
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
 
 
-def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model: Path, tmp_path: Path, cli: Cli) -> None:
     adaptive, out = tmp_path / "adaptive.octex", tmp_path / "out.octex"
     octex.convert(model, 4, detail=lambda points: np.where(points[:, 0] > points[:, 0].mean(), 4, 2)).save(
         adaptive
@@ -68,29 +66,25 @@ def test_a_coarser_depth_leaves_larger_leaves_as_they_are(
     texture = octex.open(adaptive)
     assert texture.tree.cells_by_depth()[2][0]
     for depth in (4, 3):
-        result(capsys, "edit", adaptive, out, "--depth", depth, "--force")
+        cli.result("edit", adaptive, out, "--depth", depth, "--force")
         assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
 
 
 @needs_jit
-def test_points_can_be_written_of_what_was_done(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result(capsys, "edit", made, tmp_path / "points.ply", "--levels", "0,0.5")
+def test_points_can_be_written_of_what_was_done(made: Path, tmp_path: Path, cli: Cli) -> None:
+    cli.result("edit", made, tmp_path / "points.ply", "--levels", "0,0.5")
     assert (tmp_path / "points.ply").exists()
 
 
 @pytest.mark.parametrize(
     "words", ["--crop 0,0,0,1,1,1", "--combine b.octex", "--mix b.octex=0.3", "--blur 1", "--levels 0,1"]
 )
-def test_models_are_converted_first(
-    words: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_models_are_converted_first(words: str, model: Path, tmp_path: Path, cli: Cli) -> None:
     option = words.split()[0]
-    assert refusal(capsys, model, tmp_path / "x.octex", *words.split()) == (
+    assert cli.refusal(model, tmp_path / "x.octex", *words.split()) == (
         f"{option} is an option of octex edit, not of octree-convert; see octree-convert --help"
     )
-    assert refusal(capsys, "edit", model, tmp_path / "x.octex", *words.split()) == (
+    assert cli.refusal("edit", model, tmp_path / "x.octex", *words.split()) == (
         f"{model}: is a model without EXT_octree_texture; octex convert makes a texture of it"
     )
 
@@ -113,15 +107,15 @@ def test_models_are_converted_first(
     ],
 )
 def test_what_cannot_be_done_is_refused_in_one_line(
-    words: str, message: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, made: Path, tmp_path: Path, cli: Cli
 ) -> None:
-    assert message in refusal(capsys, "edit", made, tmp_path / "x.octex", *words.split())
+    assert message in cli.refusal("edit", made, tmp_path / "x.octex", *words.split())
     assert not (tmp_path / "x.octex").exists()
 
 
-def test_what_is_read_is_not_overwritten(made: Path, other: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_read_is_not_overwritten(made: Path, other: Path, cli: Cli) -> None:
     before = other.read_bytes()
     for words in (["--combine", other], ["--mix", f"{other}=0.5"]):
-        assert "OUTPUT is also an input" in refusal(capsys, "edit", made, other, *words, "--force")
+        assert "OUTPUT is also an input" in cli.refusal("edit", made, other, *words, "--force")
     assert other.read_bytes() == before
     np.testing.assert_array_equal(octex.open(other).tree.arrays.groups, octex.open(made).tree.arrays.groups)

@@ -6,7 +6,6 @@ import json
 import re
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import trimesh
 
 import octex
 from octex.errors import ModelError
-from tests.make.command import refusal, run
+from tests.make.command import Cli
 
 
 @pytest.fixture
@@ -34,32 +33,29 @@ def messy(tmp_path: Path) -> Path:
 COUNTS = {"not_finite": 1, "degenerate": 1, "duplicate": 1, "inner": 12, "moved": 0}
 
 
-def test_convert_and_bake_tell_what_they_left_out(
-    messy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "repair the model" in refusal(capsys, messy, tmp_path / "a.octex", "--quiet")
-    assert run(messy, tmp_path / "a.octex", "--depth", "3", "--repair", "--quiet", "--json") == 0
-    facts: dict[str, Any] = json.loads(capsys.readouterr().out)
+def test_convert_and_bake_tell_what_they_left_out(messy: Path, tmp_path: Path, cli: Cli) -> None:
+    assert "repair the model" in cli.refusal(messy, tmp_path / "a.octex", "--quiet")
+    words = ["--depth", 3, "--repair"]
+    facts = json.loads(cli.result(messy, tmp_path / "a.octex", *words, "--quiet", "--json"))
     assert facts["repair"] == COUNTS
     texture = octex.open(tmp_path / "a.octex")
     box = octex.Surface.from_arrays(trimesh.creation.box().vertices, trimesh.creation.box().faces)
     assert texture.tree.n_leaves == octex.convert(box, 3).tree.n_leaves
     assert json.loads(texture.metadata["repair"]) == COUNTS
     baked = tmp_path / "a.glb"
-    assert run("bake", tmp_path / "a.octex", messy, baked, "--repair", "--texture-size", "64") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "repair: left out triangles: 1 not finite, 1 without area, 1 duplicate, 12 inner" in lines
+    told = cli.result("bake", tmp_path / "a.octex", messy, baked, "--repair", "--texture-size", 64)
+    left_out = "repair: left out triangles: 1 not finite, 1 without area, 1 duplicate, 12 inner"
+    assert left_out in told.splitlines()
     assert len(octex.load_surface(baked).triangles) == 12
-    assert run(messy, tmp_path / "parts", "--depth", "3", "--repair", "--parts") == 0
-    assert "12 inner" in capsys.readouterr().out
+    assert "12 inner" in cli.result(messy, tmp_path / "parts", *words, "--parts")
 
 
-def test_a_repair_needs_one_mesh(messy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = refusal(capsys, messy, tmp_path / "a.octex", "--repair", "--quiet", "--also", messy)
+def test_a_repair_needs_one_mesh(messy: Path, tmp_path: Path, cli: Cli) -> None:
+    said = cli.refusal(messy, tmp_path / "a.octex", "--repair", "--quiet", "--also", messy)
     assert "--repair applies to one model; leave out --also" in said
     (tmp_path / "ball.py").write_text("def ball(p):\n    return (p**2).sum(axis=1) - 1\n")
-    said = refusal(
-        capsys, f"{tmp_path / 'ball.py'}:ball", tmp_path / "a.octex", "--repair", "--grid=-2,-2,-2,2,2,2,1"
+    said = cli.refusal(
+        f"{tmp_path / 'ball.py'}:ball", tmp_path / "a.octex", "--repair", "--grid=-2,-2,-2,2,2,2,1"
     )
     assert "--repair applies to meshes" in said
 

@@ -12,7 +12,7 @@ import pytest
 import octex
 from octex.errors import ExitCode
 from octex.formats.ply import write_points
-from tests.make.command import refusal, result, run
+from tests.make.command import Cli, run
 
 _CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 _FACES = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
@@ -33,21 +33,19 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def made(model: Path) -> Path:
     folder = model.with_name("made")
-    assert run(str(model), str(folder), "--parts", "--depth", "3", "--quiet") == ExitCode.DONE
+    assert run(model, folder, "--parts", "--depth", "3", "--quiet") == ExitCode.DONE
     return folder
 
 
-def test_parts_become_a_folder_of_textures(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_parts_become_a_folder_of_textures(model: Path, tmp_path: Path, cli: Cli) -> None:
     folder = tmp_path / "out"
     options = ("--parts", "--cell", 0.25, "--channels", "base_color", "--dtype", "uint16", "--no-fit")
-    text = result(capsys, model, folder, *options, "--threads", 1)
+    text = cli.result(model, folder, *options, "--threads", 1)
     assert re.fullmatch(rf"{re.escape(str(folder))}: 2 parts, [\d,]+ leaves, [\d.]+ kB, [\d.]+ s\n", text)
     found = octex.TextureSet.open(folder)
     wanted = octex.convert_set(model, cell=0.25, channels=["base_color"], dtype="uint16", fit=False)
     assert found.info() == wanted.info()
-    told = json.loads(result(capsys, model, folder, *options, "--force", "--json"))
+    told = json.loads(cli.result(model, folder, *options, "--force", "--json"))
     assert told.pop("seconds") >= 0
     assert told == {
         "output": str(folder),
@@ -58,10 +56,10 @@ def test_parts_become_a_folder_of_textures(
     assert len(list(folder.iterdir())) == 3
 
 
-def test_info_lists_parts_cells_and_bytes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_lists_parts_cells_and_bytes(made: Path, cli: Cli) -> None:
     found = octex.TextureSet.open(made)
-    assert json.loads(result(capsys, "info", made, "--json")) == found.info()
-    lines = result(capsys, "info", made).splitlines()
+    assert json.loads(cli.result("info", made, "--json")) == found.info()
+    lines = cli.result("info", made).splitlines()
     assert lines[0].split() == ["part", "depth", "finest", "cell", "leaves", "nodes", "bytes"]
     for line, (name, part) in zip(lines[1:3], found.info()["parts"].items(), strict=True):
         words = line.replace(",", "").split()
@@ -73,29 +71,27 @@ def test_info_lists_parts_cells_and_bytes(made: Path, capsys: pytest.CaptureFixt
     assert len(lines) == 4
 
 
-def test_validate_proves_all_parts_or_names_what_is_broken(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert result(capsys, "validate", made) == "valid\n"
+def test_validate_proves_all_parts_or_names_what_is_broken(made: Path, tmp_path: Path, cli: Cli) -> None:
+    assert cli.result("validate", made) == "valid\n"
     octex.TextureSet.open(made).save(tmp_path / "copy")
     path = tmp_path / "copy" / "part-1.octex"
     damaged = bytearray(path.read_bytes())
     damaged[4096] ^= 0xFF  # the node masks of the root
     path.write_bytes(damaged)
-    assert run("validate", str(tmp_path / "copy")) == ExitCode.INVALID
-    assert capsys.readouterr().out.startswith("part 'part-1': ")
+    assert cli.run("validate", tmp_path / "copy") == ExitCode.INVALID
+    assert cli.said()[0].startswith("part 'part-1': ")
     path.unlink()
-    assert run("validate", str(tmp_path / "copy"), "--json") == ExitCode.INVALID
-    assert "the file of part 'part-1' is missing" in json.loads(capsys.readouterr().out)["broken"]
-    assert "set.json: No such file" in refusal(capsys, "validate", tmp_path)
-    assert "is not the folder of a texture set" in refusal(capsys, "info", tmp_path)
+    assert cli.run("validate", tmp_path / "copy", "--json") == ExitCode.INVALID
+    assert "the file of part 'part-1' is missing" in json.loads(cli.said()[0])["broken"]
+    assert "set.json: No such file" in cli.refusal("validate", tmp_path)
+    assert "is not the folder of a texture set" in cli.refusal("info", tmp_path)
 
 
 def test_what_cannot_be_written_is_refused_before_any_work(
     model: Path,
     made: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(octex, "load_surface", None)
@@ -111,27 +107,25 @@ def test_what_cannot_be_written_is_refused_before_any_work(
         (tmp_path / "no" / "folder", "there is no folder"),
     ]
     for folder, message in cases:
-        assert message in refusal(capsys, model, folder, "--parts")
+        assert message in cli.refusal(model, folder, "--parts")
     monkeypatch.setattr("os.access", lambda *_: False)
-    assert "cannot be written" in refusal(capsys, model, tmp_path / "new", "--parts")
+    assert "cannot be written" in cli.refusal(model, tmp_path / "new", "--parts")
     assert sorted(made.iterdir()) == before
 
 
 def test_options_that_do_not_go_with_parts_are_refused(
-    model: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    model: Path, made: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "out"
     for words in (("--separate", "3"), ("--preview", "a.png"), ("--memory", "1GB")):
-        message = refusal(capsys, model, out, "--parts", *words)
+        message = cli.refusal(model, out, "--parts", *words)
         assert f"{words[0]} cannot be used with --parts" in message
     texture = made / "part-0.octex"
-    assert "--parts needs the model, but this is a texture" in refusal(capsys, texture, out, "--parts")
+    assert "--parts needs the model, but this is a texture" in cli.refusal(texture, out, "--parts")
     write_points(octex.open(texture), tmp_path / "dots.ply")
-    assert "--parts needs a surface" in refusal(capsys, tmp_path / "dots.ply", out, "--parts")
-    assert "--depth must be a whole number from 0 to 21" in refusal(
-        capsys, model, out, "--parts", "--depth", 22
-    )
-    message = refusal(capsys, model, out, "--parts", "--crop", "0,0,0,1,1,1")
+    assert "--parts needs a surface" in cli.refusal(tmp_path / "dots.ply", out, "--parts")
+    assert "--depth: 22 is not from 0 to 21" in cli.refusal(model, out, "--parts", "--depth", 22)
+    message = cli.refusal(model, out, "--parts", "--crop", "0,0,0,1,1,1")
     assert message.startswith("--crop is an option of octex edit, not of octree-convert")
     assert not out.exists()
 

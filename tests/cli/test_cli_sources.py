@@ -11,7 +11,7 @@ import pytest
 
 import octex
 from tests.conftest import needs_jit
-from tests.make.command import refusal, result
+from tests.make.command import Cli
 from tests.make.fixtures import ply, ply_square
 
 
@@ -36,22 +36,20 @@ def colors(path: Path) -> np.ndarray:
 
 
 @needs_jit
-def test_another_models_colours_are_transferred(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_models_colours_are_transferred(folder: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
-    said = result(capsys, folder / "wide.ply", out, "--depth", 5, "--transfer", folder / "red.ply")
+    said = cli.result(folder / "wide.ply", out, "--depth", 5, "--transfer", folder / "red.ply")
     assert np.allclose(colors(out), [1, 0, 0]) and "empty" not in said
     limited = ["--depth", 5, "--transfer", folder / "red.ply", "--within", 0.2, "--force"]
-    said = result(capsys, folder / "wide.ply", out, *limited)
+    said = cli.result(folder / "wide.ply", out, *limited)
     assert "stay empty" in said
-    made = json.loads(result(capsys, folder / "wide.ply", out, *limited, "--json", "--quiet"))
+    made = json.loads(cli.result(folder / "wide.ply", out, *limited, "--json", "--quiet"))
     assert made["empty"] > 0
     assert octex.open(out).contains([[0.5, 0.5, 0.0], [1.9, 0.5, 0.0]]).tolist() == [True, False]
 
 
 @needs_jit
-def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_colour_a_model(folder: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
     for options in (
         [],
@@ -61,16 +59,14 @@ def test_points_colour_a_model(folder: Path, tmp_path: Path, capsys: pytest.Capt
         ["--within", "any,90"],
     ):
         given = ["--depth", 5, "--transfer", folder / "green.npz", "--force", *options]
-        result(capsys, folder / "wide.ply", out, *given)
+        cli.result(folder / "wide.ply", out, *given)
         assert np.allclose(colors(out), [0, 1, 0], atol=1e-3)
 
 
 @needs_jit
-def test_points_alone_become_a_texture(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_points_alone_become_a_texture(folder: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out.octex"
-    result(capsys, folder / "green.npz", out, "--preview", tmp_path / "out.png")
+    cli.result(folder / "green.npz", out, "--preview", tmp_path / "out.png")
     assert np.allclose(colors(out), [0, 1, 0], atol=1e-3) and (tmp_path / "out.png").exists()
 
 
@@ -91,20 +87,18 @@ def test_points_alone_become_a_texture(
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+    folder: Path, tmp_path: Path, cli: Cli, arguments: list[str], complaint: str
 ) -> None:
     given = [folder / word if "." in word else word for word in arguments]
-    said = refusal(capsys, given[0], tmp_path / "out.octex", *given[1:])
+    said = cli.refusal(given[0], tmp_path / "out.octex", *given[1:])
     assert complaint in said
     assert not (tmp_path / "out.octex").exists()
 
 
-def test_what_values_are_taken_from_is_not_overwritten(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_values_are_taken_from_is_not_overwritten(folder: Path, tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "red.ply").write_bytes((folder / "red.ply").read_bytes())
-    said = refusal(
-        capsys, folder / "wide.ply", tmp_path / "red.ply", "--transfer", tmp_path / "red.ply", "--force"
+    said = cli.refusal(
+        folder / "wide.ply", tmp_path / "red.ply", "--transfer", tmp_path / "red.ply", "--force"
     )
     assert "red.ply" in said
     assert (tmp_path / "red.ply").read_bytes() == (folder / "red.ply").read_bytes()
@@ -123,20 +117,18 @@ three = 3
 """
 
 
-def test_functions_in_files_are_channels_and_surfaces(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_functions_in_files_are_channels_and_surfaces(folder: Path, tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "shapes.py").write_text(_FUNCTIONS)
     out = tmp_path / "out.octex"
     red = f"base_color={tmp_path / 'shapes.py'}:red"
-    result(capsys, folder / "wide.ply", out, "--depth", 4, "--source", red)
+    cli.result(folder / "wide.ply", out, "--depth", 4, "--source", red)
     assert np.allclose(colors(out), [1, 0, 0])
     ball = f"{tmp_path / 'shapes.py'}:ball"
     where = ["--grid=-1.1,-1.1,-1.1,1.1,1.1,1.1,0.2"]
-    result(capsys, ball, out, "--depth", 4, "--source", red, *where, "--force")
+    cli.result(ball, out, "--depth", 4, "--source", red, *where, "--force")
     texture = octex.open(out)
     assert texture.contains([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]).tolist() == [True, False]
-    result(capsys, folder / "red.ply", out, "--depth", 5, "--also", ball, *where, "--force")
+    cli.result(folder / "red.ply", out, "--depth", 5, "--also", ball, *where, "--force")
     assert octex.open(out).contains([[0.0, 0.0, 1.0], [0.5, 0.5, 0.0]]).all()
 
 
@@ -163,7 +155,7 @@ def rings(points):
 
 
 def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "path", sys.path.copy())
     (tmp_path / "wood.py").write_text(_DATACLASS)
@@ -171,7 +163,7 @@ def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
     (tmp_path / "paints_of_calls.py").write_text("BLUE = (0.0, 0.0, 1.0)")
     out = tmp_path / "out.octex"
     rings = f"base_color={tmp_path / 'wood.py'}:rings"
-    result(capsys, folder / "wide.ply", out, "--depth", 4, "--source", rings)
+    cli.result(folder / "wide.ply", out, "--depth", 4, "--source", rings)
     assert np.allclose(colors(out), [0, 1, 1])
 
 
@@ -191,7 +183,7 @@ def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
 def test_functions_and_models_that_cannot_be_used_are_refused(
     folder: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    cli: Cli,
     monkeypatch: pytest.MonkeyPatch,
     arguments: list[str],
     complaint: str,
@@ -200,4 +192,4 @@ def test_functions_and_models_that_cannot_be_used_are_refused(
     (tmp_path / "shapes.py").write_text(_FUNCTIONS)
     (tmp_path / "broken.py").write_text("def red(:\n")
     given = [folder / word if word.endswith(".ply") else word for word in arguments]
-    assert complaint in refusal(capsys, given[0], tmp_path / "out.octex", *given[1:])
+    assert complaint in cli.refusal(given[0], tmp_path / "out.octex", *given[1:])

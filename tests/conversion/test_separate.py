@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
-from octex.cli.main import main
 from octex.conversion.apart import separate
 from octex.drawing import draw_difference, draw_preview
 from octex.drawing.compare import difference
@@ -26,7 +25,7 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, painting, refusal, result
+from tests.make.command import OUT, VIEW, Cli
 from tests.make.solids import colored, cube, open_cube, sphere
 
 Array = npt.NDArray[Any]
@@ -264,18 +263,17 @@ def test_functions_of_detail_get_positions_as_they_were() -> None:
 
 
 @needs_jit
-def test_the_paint_command_finds_the_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_paint_command_finds_the_parts(tmp_path: Path, cli: Cli) -> None:
     model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
     seen, eye = tmp_path / "a.png", tmp_path / "a.json"
     both = [tmp_path / "a.octex", model]
-    assert main(painting(*both, VIEW, seen, "--camera-out", eye)) == 0
+    cli.result(*both, VIEW, seen, "--camera-out", eye)
     pixels = np.array(PIL.Image.open(seen))
     pixels[..., :3] = 255 - pixels[..., :3]
     PIL.Image.fromarray(pixels).save(seen)
     words = [seen, "--camera", eye, OUT, tmp_path / "b.octex", "--max-depth", "6"]
-    assert main(painting(*both, *words)) == 0
-    capsys.readouterr()
+    cli.result(*both, *words)
     surface = octex.load_surface(model)
     before, after = octex.open(tmp_path / "a.octex"), octex.open(tmp_path / "b.octex")
     rest = surface.rest_positions(after)
@@ -375,18 +373,18 @@ def written(folder: Path, *meshes: tuple[Array, Array]) -> Path:
     return path
 
 
-def test_the_command_says_which_parts_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_which_parts_overlap(tmp_path: Path, cli: Cli) -> None:
     model = written(
         tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0]), cube([0.25, 0.25, 0.25], 0.125), open_cube([4, 0, 0])
     )
-    assert result(capsys, "overlaps", model, "--quiet") == ""
-    assert result(capsys, "overlaps", model).splitlines() == [
+    assert cli.result("overlaps", model, "--quiet") == ""
+    assert cli.result("overlaps", model).splitlines() == [
         f"{model}: 4 parts, 2 pairs that intersect or come near",
         "parts 0 and 1: their surfaces cross or touch; they share a volume of 0.5",
         "parts 0 and 2: their surfaces do not cross; they share a volume of 0.001953",
         "part 3 of 10 triangles is open: only its surface was checked, not what lies inside",
     ]
-    found = json.loads(result(capsys, "overlaps", model, "--margin", 0.2, "--json"))
+    found = json.loads(cli.result("overlaps", model, "--margin", 0.2, "--json"))
     assert (found["parts"], found["margin"], found["model"]) == (4, 0.2, str(model))
     assert found["pairs"] == [
         {"a": 0, "b": 1, "volume": pytest.approx(0.5), "gap": 0.0},
@@ -397,51 +395,49 @@ def test_the_command_says_which_parts_overlap(tmp_path: Path, capsys: pytest.Cap
 
 
 @needs_jit
-def test_the_command_separates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_separates(tmp_path: Path, cli: Cli) -> None:
     model = written(tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0], 0.5), open_cube([4, 0, 0]))
     out = tmp_path / "parts.octex"
-    lines = result(capsys, model, out, "--depth", 6, "--quiet", "--json", "--separate", 4)
+    lines = cli.result(model, out, "--depth", 6, "--quiet", "--json", "--separate", 4)
     made = json.loads(lines)["separated"]
     assert (made["parts"], list(made["moved"]), len(made["unchecked"])) == (3, ["1"], 1)
     texture = octex.open(out)
     surface = octex.load_surface(model)
     cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
     assert are_apart(cells[0], cells[1], 4)
-    text = result(
-        capsys, model, out, "--depth", 6, "--force", "--preview", tmp_path / "a.png", "--separate", 3
-    )
+    text = cli.result(model, out, "--depth", 6, "--force", "--preview", tmp_path / "a.png", "--separate", 3)
     assert "1 of 3 parts moved apart; Surface.rest_positions says where to\n  part 1 by " in text
     assert "1 of them are no solids: only their surfaces were checked" in text
-    lines = result(capsys, "diff", out, model, "--json", "--points", 1000)
+    lines = cli.result("diff", out, model, "--json", "--points", 1000)
     assert json.loads(lines)["channels"]["base_color"]["rms"] < 2
     box = written(tmp_path, cube([0, 0, 0]))
-    text = result(capsys, box, out, "--depth", 3, "--force", "--separate", 3)
+    text = cli.result(box, out, "--depth", 3, "--force", "--separate", 3)
     assert text.endswith("nothing to move apart; where it runs through itself it stays as it is\n")
     boxes = written(tmp_path, cube([0, 0, 0]), cube([9, 0, 0]))
-    text = result(capsys, boxes, out, "--depth", 5, "--force", "--separate", 3)
+    text = cli.result(boxes, out, "--depth", 5, "--force", "--separate", 3)
     assert text.endswith("2 parts, none too near to another: none is moved\n")
 
 
 @needs_jit
-def test_many_moved_parts_are_not_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_moved_parts_are_not_all_listed(tmp_path: Path, cli: Cli) -> None:
     model = written(tmp_path, cube([0, 0, 0], 2.0), *[cube([0.15 * n, 0, 0], 0.1) for n in range(13)])
-    text = result(capsys, model, tmp_path / "a.octex", "--depth", 6, "--no-fit", "--separate", 3)
+    text = cli.result(model, tmp_path / "a.octex", "--depth", 6, "--no-fit", "--separate", 3)
     assert "\n  and 3 more; --json lists them\n" in text
 
 
-def test_bad_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_words_are_refused(tmp_path: Path, cli: Cli) -> None:
     model = written(tmp_path, cube([0, 0, 0]))
-    said = refusal(capsys, "--separate=far", model, tmp_path / "a.octex")
+    said = cli.refusal("--separate=far", model, tmp_path / "a.octex")
     assert "'far' is not a number" in said
-    assert "0.5 is not a number of cells from 1 to a million" in refusal(
-        capsys, model, "a.octex", "--separate", 0.5
+    assert "0.5 is not a number of cells from 1 to a million" in cli.refusal(
+        model, "a.octex", "--separate", 0.5
     )
-    assert "--margin is an option of octex overlaps, not of octree-convert" in refusal(
-        capsys, model, "a.octex", "--margin", 1
+    assert "--margin is an option of octex overlaps, not of octree-convert" in cli.refusal(
+        model, "a.octex", "--margin", 1
     )
-    assert "--separate is an option of octex convert, not of octex overlaps" in refusal(
-        capsys, "overlaps", model, "--separate"
+    assert "--separate is an option of octex convert, not of octex overlaps" in cli.refusal(
+        "overlaps", model, "--separate"
     )
     octex.convert(pair(), 3).save(tmp_path / "b.octex")
-    said = refusal(capsys, tmp_path / "b.octex", tmp_path / "c.octex", "--separate", 3)
+    said = cli.refusal(tmp_path / "b.octex", tmp_path / "c.octex", "--separate", 3)
     assert "--separate needs the model" in said

@@ -11,8 +11,7 @@ from octex.drawing.environment import Environment
 from octex.drawing.pictures import lit
 from octex.drawing.reflection import Material, reflectances, reflected, tone_mapped
 from octex.drawing.shaders import Appearance
-from octex.errors import ArgumentError, ExitCode, ImageError
-from tests.make.command import result, run
+from octex.errors import ArgumentError, ImageError
 from tests.oracles import naive_light
 
 WHITE = Environment.of(np.ones((8, 16, 3)))
@@ -344,7 +343,7 @@ def test_a_preview_in_light_differs_from_the_soft_one():
 # --- from the shell
 
 
-def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
+def test_previews_and_views_are_lit_from_the_shell(tmp_path, cli):
     (tmp_path / "model.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     )
@@ -361,7 +360,7 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         ["lit", "--light", "studio", *camera],
     ):
         png = tmp_path / f"{name}.png"
-        result(capsys, "draw", texture, model, png, "--force", "--quiet", *words)
+        cli.result("draw", texture, model, png, "--force", "--quiet", *words)
         pictures[name] = png.read_bytes()
     assert len(set(pictures.values())) == 6
     for words, said in (
@@ -371,9 +370,4 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, capsys):
         (["--bump", "height=1"], "unknown channel to bend normals by 'height'"),
         (["--bump", "base_color=1", *camera], "--bump needs --light"),
     ):
-        assert said in run_refused(capsys, "draw", texture, model, tmp_path / "x.png", *words)
-
-
-def run_refused(capsys, *words):
-    assert run(*words) == ExitCode.REFUSED
-    return capsys.readouterr().err.splitlines()[-1]
+        assert said in cli.refusal("draw", texture, model, tmp_path / "x.png", "--quiet", *words)

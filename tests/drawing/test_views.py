@@ -15,7 +15,7 @@ from octex.drawing import render_leaves, render_surface, source_shader, texture_
 from octex.errors import ArgumentError, OutputError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import result, run
+from tests.make.command import Cli
 from tests.make.painted import ball
 
 pytestmark = needs_jit
@@ -134,9 +134,8 @@ def test_what_makes_no_sense_is_refused_by_name(
 
 
 def test_the_command_draws_every_kind(
-    texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path, cli: Cli
+) -> None:
     stored, model, eye = tmp_path / "a.octex", tmp_path / "a.obj", tmp_path / "eye.json"
     texture.save(stored)
     rows = [f"v {x} {y} {z} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(CORNERS, COLORS, strict=True)]
@@ -147,7 +146,7 @@ def test_the_command_draws_every_kind(
     def drawn(*words: object) -> np.ndarray:
         path = tmp_path / "drawn.png"
         at = next((n for n, word in enumerate(words) if str(word).startswith("--")), len(words))
-        result(capsys, "draw", *words[:at], path, *words[at:], "--force", "--quiet")
+        cli.result("draw", *words[:at], path, *words[at:], "--force", "--quiet")
         return np.asarray(Image.open(path))
 
     front = ["--camera", f"{eye}#front"]
@@ -174,8 +173,7 @@ def test_the_command_draws_every_kind(
         ([stored, model, "x.png", "--camera-out", "c.json"], "--camera-out cannot be used with --as panels"),
         ([stored, model, "x.jpg"], "OUTPUT has the ending '.jpg'; octex writes .png here"),
     ):
-        assert run("draw", *words) == 2
-        assert message in capsys.readouterr().err
+        assert message in cli.refusal("draw", *words)
 
 
 def test_a_surface_is_lit_by_its_own_normals():

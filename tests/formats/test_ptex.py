@@ -23,7 +23,7 @@ from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Run, workers
-from tests.make.command import run
+from tests.make.command import Cli
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -404,21 +404,18 @@ def test_what_cannot_be_written_is_refused(house: Path, tmp_path: Path) -> None:
             octex.write_ptex(texture, surface, **{"path": tmp_path / "made.ptx", **change})
 
 
-def test_the_command_goes_both_ways(house: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_goes_both_ways(house: Path, tmp_path: Path, cli: Cli) -> None:
     texture = octex.convert(octex.load_surface(house), 4, sources={"base_color": waves})
     texture.save(tmp_path / "house.octex")
     made, back = tmp_path / "house.ptx", tmp_path / "back.octex"
-    assert run("bake", tmp_path / "house.octex", house, made) == 0
-    assert "texels on 14 faces" in capsys.readouterr().out
-    assert run(house, back, "--transfer", made, "--depth", "4") == 0
+    assert "texels on 14 faces" in cli.result("bake", tmp_path / "house.octex", house, made)
+    cli.result(house, back, "--transfer", made, "--depth", "4")
     points = octex.load_surface(house).scatter(2000)
     assert abs(octex.open(back).sample(points) - texture.sample(points)).max() < 0.1
     one = tmp_path / "one.octex"
-    assert run(house, one, "--source", f"base_color={made}", "--depth", "4") == 0
+    cli.result(house, one, "--source", f"base_color={made}", "--depth", "4")
     np.testing.assert_array_equal(octex.open(one).sample(points), octex.open(back).sample(points))
-    capsys.readouterr()
-    assert run(made, tmp_path / "other.octex") == 2
-    assert f"convert its mesh with --transfer {made}" in capsys.readouterr().err
+    assert f"convert its mesh with --transfer {made}" in cli.refusal(made, tmp_path / "other.octex")
 
 
 @pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")

@@ -16,10 +16,10 @@ import pytest
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.cli import main as cli
 from octex.errors import MissingExtraError, ModelError
 from octex.source.surface import Surface
 from tests.make import solids
+from tests.make.command import Cli
 
 Array = npt.NDArray[Any]
 
@@ -129,27 +129,23 @@ def test_what_has_images_is_to_be_baked_first(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("lib3mf")
 def test_the_command_divides_where_colours_change(
-    ball: tuple[octex.OctreeTexture, Surface], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ball: tuple[octex.OctreeTexture, Surface], tmp_path: Path, cli: Cli
 ) -> None:
     texture, surface = ball
     texture.save(tmp_path / "ball.octex")
     octex.write_model(octex.bake_vertices(texture, surface), tmp_path / "ball.obj")
     given = [str(tmp_path / name) for name in ("ball.octex", "ball.obj", "out.3mf")]
-    assert cli.main(["bake", *given, "--unit", "foot", "--vertex-error", "2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["triangles"] > 2 * len(surface.triangles)
+    told = cli.result("bake", *given, "--unit", "foot", "--vertex-error", 2, "--json")
+    assert json.loads(told)["triangles"] > 2 * len(surface.triangles)
     with zipfile.ZipFile(given[2]) as package:
         assert b'unit="foot"' in package.read("3D/3dmodel.model")
-    assert cli.main(["convert", given[0], str(tmp_path / "b.3mf")]) == 2
-    assert "octex bake TEXTURE MODEL" in capsys.readouterr().err
-    assert cli.main(["bake", *given[:2], str(tmp_path / "b.glb"), "--unit", "foot"]) == 2
-    assert "--unit has no effect on" in capsys.readouterr().err
+    assert "octex bake TEXTURE MODEL" in cli.refusal(given[0], tmp_path / "b.3mf")
+    refusal = cli.refusal("bake", *given[:2], tmp_path / "b.glb", "--unit", "foot")
+    assert "--unit has no effect on" in refusal
 
 
 def test_a_missing_extra_is_named_before_any_work(
-    ball: tuple[octex.OctreeTexture, Surface],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    ball: tuple[octex.OctreeTexture, Surface], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     texture, surface = ball
     made = octex.bake_vertices(texture, surface)
@@ -160,6 +156,5 @@ def test_a_missing_extra_is_named_before_any_work(
         words = rf"to write a{ending}, {package} is needed; install it: pip install 'octex\[{extra}\]'"
         with pytest.raises(MissingExtraError, match=words):
             octex.write_model(made, tmp_path / f"a{ending}")
-        out = str(tmp_path / f"a{ending}")
-        assert cli.main(["bake", str(tmp_path / "ball.octex"), str(tmp_path / "ball.obj"), out]) == 2
-        assert f"pip install 'octex[{extra}]'" in capsys.readouterr().err
+        files = (tmp_path / name for name in ("ball.octex", "ball.obj", f"a{ending}"))
+        assert f"pip install 'octex[{extra}]'" in cli.refusal("bake", *files)

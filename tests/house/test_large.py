@@ -299,22 +299,3 @@ def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
     ):
         octex.convert(surface, 3, max_error=2, run=octex.Run(executor=pool), path=tmp_path / "a.octex")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_cluster_on_paper_takes_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "tools"))
-    from simulate_cluster import Measured, Stage, on_paper, run
-
-    less, more = Measured(), Measured()
-    less.leaves, less.stages = 100, {"convert": Stage([1.0, 1.0], [0, 0], 3.0)}
-    more.leaves, more.stages = 200, {"convert": Stage([1.0] * 4, [50] * 4, 4.0)}
-    # 40 tasks of 1 s and half a second of writing; joining: 2 s, and 1 s for each 100 leaves.
-    for workers, tasks in ((1, 60.0), (8, 7.5), (100, 1.5)):
-        total, parts = on_paper(less, more, 2000, workers, 100.0, 1e9)
-        reading = max(20.0 - tasks, 0.0)
-        assert parts["convert"] == pytest.approx((tasks, 22.0 + reading))
-        assert total == pytest.approx(sum(parts["convert"]))
-    measured = run(Path(__file__).parents[2] / "samples" / "droid.glb", 4)
-    assert measured.leaves < measured.cells
-    assert measured.sent > 0
-    assert {name for name, stage in measured.stages.items() if stage.tasks} == {"convert", "fit"}

@@ -28,6 +28,7 @@ from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
+from tests.make.same import assert_equal
 from tests.make.small_surfaces import bent
 from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell
 from tests.make.strategies import with_random_data
@@ -59,27 +60,6 @@ def adaptive(seed: int) -> OctreeTexture:
     return OctreeTexture(tree, channels, UNIT, UNIT_BOUNDS, {"source": "random"})
 
 
-def same(one: OctreeTexture, other: OctreeTexture) -> bool:
-    assert (one.metadata, one.placement) == (other.metadata, other.placement)
-    assert np.array_equal(one.bounds, other.bounds)
-    assert list(one.channels) == list(other.channels)
-    for own, others in (
-        *zip(
-            (*one.tree.arrays, *one.tree.split, *one.tree.kept),
-            (*other.tree.arrays, *other.tree.split, *other.tree.kept),
-            strict=True,
-        ),
-        *(
-            (a, b)
-            for name in one.channels
-            for a, b in zip(one.channels[name][1:], other.channels[name][1:], strict=True)
-        ),
-    ):
-        assert own.dtype == others.dtype
-        assert np.array_equal(own, others)
-    return True
-
-
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
 def test_textures_and_sets_and_fields_are_copied_and_pickled(
     copied: Callable[[object], object], tmp_path: Path
@@ -90,7 +70,7 @@ def test_textures_and_sets_and_fields_are_copied_and_pickled(
     for each in (texture, octex.open(tmp_path / "file.octex")):
         made = copied(each)
         assert isinstance(made, OctreeTexture)
-        assert same(made, each)
+        assert_equal(made, each)
         assert np.array_equal(made.sample(POINTS, width=0.2), texture.sample(POINTS, width=0.2))
         made.validate()
     parts = TextureSet({"a": texture, "b": shell(2)}, {"source": "two"})
@@ -99,7 +79,8 @@ def test_textures_and_sets_and_fields_are_copied_and_pickled(
         made = copied(each)
         assert isinstance(made, TextureSet)
         assert (made.names, dict(made.metadata)) == (("a", "b"), {"source": "two"})
-        assert all(same(made[name], parts[name]) for name in parts)
+        for name in parts:
+            assert_equal(made[name], parts[name])
     field = copied(Field(shell(2).tree))
     assert isinstance(field, Field)
     assert np.array_equal(field.taps(POINTS, UNIT).rows, Field(shell(2).tree).taps(POINTS, UNIT).rows)

@@ -27,31 +27,74 @@ def python(code: str, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def run(*arguments: object, program: str = "octree-convert") -> int:
-    """Run a command of octex, or one of its doors where the first word is no command's."""
+    """Run a command of octex, or one of its doors where the first word is no command's.
+
+    Where OUT or VIEW stands among the words, they are those of `painting`.
+    """
     words = [str(argument) for argument in arguments]
+    if not {OUT, VIEW}.isdisjoint(words):
+        words = painting(*words)
     if words and words[0] in COMMANDS:
         return main(words)
     return main([program.removeprefix("octree-"), *words], program)
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run a command, by default octree-convert, which must refuse in one line; return what it says."""
-    assert run(*arguments) == ExitCode.REFUSED
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    program, _, message = captured.err.rstrip("\n").partition(": error: ")
-    first = str(arguments[0]) if arguments else ""
-    assert program == (f"octex {first}" if first in COMMANDS else "octree-convert")
-    return message
+class Cli:
+    """Runs commands as a user does: what they print, what they refuse. By default octree-convert."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def run(self, *arguments: object) -> int:
+        """Run a command; return its exit code."""
+        return run(*arguments)
+
+    def said(self) -> tuple[str, str]:
+        """Return what was printed on stdout and stderr since it was last asked for."""
+        return self._capsys.readouterr()
+
+    def result(self, *arguments: object) -> str:
+        """Run a command, which must succeed; return what it prints on stdout."""
+        code = self.run(*arguments)
+        out, err = self.said()
+        assert code == ExitCode.DONE, err
+        return out
+
+    def errors(self, *arguments: object, code: int = ExitCode.DONE) -> str:
+        """Run a command; return what it prints on stderr."""
+        assert self.run(*arguments) == code
+        return self.said()[1]
+
+    def refused(self, *arguments: object) -> str:
+        """Run a command, which must refuse in one line; return that."""
+        assert self.run(*arguments) == ExitCode.REFUSED
+        out, err = self.said()
+        assert (out, err.count("\n")) == ("", 1)
+        return err.rstrip("\n")
+
+    def refusal(self, *arguments: object) -> str:
+        """Run a command, which must refuse; return what it says."""
+        program, _, message = self.refused(*arguments).partition(": error: ")
+        first = str(arguments[0]) if arguments else ""
+        assert program == (f"octex {first}" if first in COMMANDS else "octree-convert")
+        return message
 
 
-def result(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run a command, by default octree-convert, which must succeed; return what it prints on stdout."""
-    code = run(*arguments)
-    captured = capsys.readouterr()
-    assert code == ExitCode.DONE, captured.err
-    return captured.out
+class Painting(Cli):
+    """Runs octex paint, or octex draw for a view to paint on: see `painting`."""
+
+    def run(self, *arguments: object) -> int:
+        """Run one of both; return its exit code."""
+        return main(painting(*arguments))
+
+    def refusal(self, *arguments: object) -> str:
+        """Run one of both, which must refuse; return what it says at last."""
+        assert self.run(*arguments) == ExitCode.REFUSED
+        out, err = self.said()
+        assert out == ""
+        program, _, message = err.splitlines()[-1].partition(": error: ")
+        assert program in ("octex paint", "octex draw")
+        return message
 
 
 def painting(*arguments: object) -> list[str]:

@@ -2,7 +2,7 @@
 
 Written from the texts of glTF 2.0 (sections in brackets), KHR_texture_transform, KHR_materials_unlit,
 KHR_materials_emissive_strength, KHR_materials_pbrSpecularGlossiness and mikktspace.c, not from octex.
-Where the texts leave the order of steps open, or octex takes another one, ``literal`` chooses theirs:
+Where the texts leave the order of steps open, or have another one, this takes octex's:
 
 * normal maps: vectors are scaled and normalized before they are interpolated, the texts do it afterwards;
 * colours of materials whose alpha counts are interpolated by coverage, the texts interpolate them apart.
@@ -126,9 +126,8 @@ class Place(NamedTuple):
 class Reference:
     """The surface that a file's scene shows; its triangles in the order of nodes depth first."""
 
-    def __init__(self, path: Path, *, literal: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.document = Document(path)
-        self.literal = literal
         self.instances = [
             instance
             for mesh, matrix in self._nodes()
@@ -286,12 +285,12 @@ class Reference:
 
         if info is None:
             return base[:, :3], coverage(base[:, 3:])
-        if self.literal or mode == "OPAQUE":
-            texel = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]), t[:, 3:]]))
-            return base[:, :3] * texel[:, :3], coverage(base[:, 3:] * texel[:, 3:])
+        plain = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]), t[:, 3:]]))
+        if mode == "OPAQUE":
+            return base[:, :3] * plain[:, :3], coverage(base[:, 3:] * plain[:, 3:])
         texel = self._texels(info, place, lambda t: np.hstack([_linear(t[:, :3]) * t[:, 3:], t[:, 3:]]))
-        with np.errstate(invalid="ignore"):
-            color = texel[:, :3] / texel[:, 3:]
+        with np.errstate(invalid="ignore"):  # between clear texels the plain mean, as octex has it
+            color = np.where(texel[:, 3:] > 0, texel[:, :3] / texel[:, 3:], plain[:, :3])
         return base[:, :3] * color, coverage(base[:, 3:] * texel[:, 3:])
 
     def _base_color(self, place: Place) -> Floats:
@@ -354,11 +353,7 @@ class Reference:
         if info is None:
             return normal
         scale = np.array([info.get("scale", 1), info.get("scale", 1), 1])
-        if self.literal:
-            across, up, out = (self._texels(info, place, lambda t: 2 * t[:, :3] - 1) * scale).T[..., None]
-        else:
-            texel = self._texels(info, place, lambda t: _unit((2 * t[:, :3] - 1) * scale))
-            across, up, out = texel.T[..., None]
+        across, up, out = self._texels(info, place, lambda t: _unit((2 * t[:, :3] - 1) * scale)).T[..., None]
         tangent = place.interpolated(place.instance.tangents)
         along = tangent[:, :3] - normal * np.sum(normal * tangent[:, :3], axis=1, keepdims=True)
         along = _unit(along)

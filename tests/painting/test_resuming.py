@@ -61,7 +61,7 @@ class Counted:
 def scene() -> tuple[octex.Surface, list[octex.Projection], dict[str, Any]]:
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
-    return surface, projections(images, cameras), {"max_depth": 5, "balance": "full"}
+    return surface, projections(images, cameras), {"max_depth": 4, "balance": "full"}
 
 
 @needs_jit
@@ -115,7 +115,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
     moved = [dataclasses.replace(shown[0], camera=shown[1].camera), *shown[1:]]
     assert repainted(moved) == {"decoded": 0, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
     changes: list[dict[str, Any]] = [
-        {"max_depth": 4},
+        {"max_depth": 3},
         {"max_angle": 50.0},
         {"pictures": "best"},
         {"balance": None},

@@ -10,11 +10,10 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.cli.main import main
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.view.zbuffer import z_buffer
-from tests.make.command import OUT, VIEW, painting
+from tests.make.command import OUT, VIEW, Cli
 from tests.make.solids import colored, cube, sphere
 from tests.oracles.naive_geodesics import straight
 
@@ -270,9 +269,7 @@ def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(
     assert paint.tree.n_leaves * cell**2 == pytest.approx((0.6 * scale) ** 2, rel=0.15)
 
 
-def test_the_command_draws_a_disc_flat_and_paints_it_back(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path: Path, cli: Cli) -> None:
     surface = tube(48, 25)
     lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
@@ -280,13 +277,13 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     model.write_text("\n".join(lines))
     octex.convert(octex.load_surface(model), 5, sources={"base_color": 0.25}).save(before)
     view, disc = tmp_path / "view.png", "--unwrap=0,0,1,0.5"
-    assert main(painting(before, model, disc, VIEW, view, "--size", "64,64")) == 0
+    cli.result(before, model, disc, VIEW, view, "--size", "64,64")
     picture = np.array(Image.open(view))
     assert picture.shape == (64, 64, 4)
     assert (picture[32, 32] == [137, 137, 137, 255]).all()
     picture[24:40, 32:] = [255, 0, 0, 255]
     Image.fromarray(picture).save(view)
-    assert main(painting(before, model, view, disc, OUT, after)) == 0
+    cli.result(before, model, view, disc, OUT, after)
     painted = octex.open(after)
     angle = 0.25
     seen = painted.sample(
@@ -297,14 +294,14 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(
     # Of what can be laid flat a conformal disc is the same; its picture is as wide as its triangles.
     flat = tmp_path / "flat.png"
     conformal = f"{disc}:conformal"
-    assert main(painting(before, model, conformal, VIEW, flat, "--size", "64,64")) == 0
+    cli.result(before, model, conformal, VIEW, flat, "--size", "64,64")
     Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(flat)
     words = [before, model, flat, conformal, "--since", "nothing", "--force", OUT, after]
-    assert main(painting(*words)) == 0
+    cli.result(*words)
     white = octex.open(after).sample([[np.sin(a), 0.2, np.cos(a)] for a in (-0.3, 0.0, 0.3)])
     assert np.allclose(white, 1.0, atol=0.03)
-    capsys.readouterr()
-    assert main(painting(before, model, f"{disc}:folded", VIEW, flat)) == 2
-    assert "'folded' is neither conformal nor up=X,Y,Z" in capsys.readouterr().err
-    assert main(painting(before, model, disc, VIEW, tmp_path / "b.png", "--size", "64,32")) == 2
-    assert "square" in capsys.readouterr().err
+    for words, message in (
+        ([f"{disc}:folded", VIEW, flat], "'folded' is neither conformal nor up=X,Y,Z"),
+        ([disc, VIEW, tmp_path / "b.png", "--size", "64,32"], "square"),
+    ):
+        assert message in cli.errors(before, model, *words, code=2)

@@ -16,11 +16,10 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.cameras.files import write_cameras
 from octex.channels import linear_to_srgb
-from octex.cli.main import main
 from octex.painting.picture import Projection
 from octex.photos.misfits import misfits
 from octex.source.surface import Surface
-from tests.make.command import OUT, painting
+from tests.make.command import OUT, Cli
 
 Array = npt.NDArray[Any]
 SIZE = 96
@@ -112,9 +111,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
     assert found(ring(), far) == ({}, None)
 
 
-def test_the_command_paints_the_others_and_names_what_it_leaves_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path: Path, cli: Cli) -> None:
     vertices, triangles = relief()
     lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in triangles + 1]
     (tmp_path / "hill.obj").write_text("\n".join(lines), encoding="utf-8")
@@ -128,11 +125,11 @@ def test_the_command_paints_the_others_and_names_what_it_leaves_out(
     (tmp_path / "5.png").write_bytes(b"nothing")
     images = [str(tmp_path / name) for name in names]
     words = ["--camera", str(tmp_path / "cameras.json"), OUT, str(tmp_path / "out.octex"), "--json"]
-    assert main(painting(str(tmp_path / "hill.obj"), *images, *words, "--max-depth", "6")) == 0
-    captured = capsys.readouterr()
-    made = json.loads(captured.out)
+    assert cli.run(tmp_path / "hill.obj", *images, *words, "--max-depth", "6") == 0
+    told, said = cli.said()
+    made = json.loads(told)
     assert made["painted"] == ["0.png", "1.png", "2.png", "6.png"]
     assert sorted(made["skipped"]) == ["3.png", "4.png", "5.png"]
     for name, reason in (("3", "it differs from all others"), ("4", "4.png"), ("5", "5.png")):
-        assert f"{images[int(name)]} is left out: " in captured.err
-        assert reason in captured.err
+        assert f"{images[int(name)]} is left out: " in said
+        assert reason in said

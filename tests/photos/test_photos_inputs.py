@@ -12,13 +12,12 @@ import pytest
 
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
-from octex.cli.main import main
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Projection, mips_of
 from octex.painting.sharpened import sharpened
 from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
-from tests.make.command import OUT, painting
+from tests.make.command import OUT, Cli, run
 from tests.make.painted import above
 
 Array = npt.NDArray[Any]
@@ -137,25 +136,24 @@ def test_masks_are_found_by_the_pictures_names(tmp_path: Path) -> None:
     PIL.Image.new("L", (32, 32), 0).save(tmp_path / "masks" / "blue.png")
     words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex"), "--quiet"]
     pattern = str(tmp_path / "masks" / "{stem}.png")
-    assert main(painting(*files, *words, "--mask", pattern)) == 0
+    assert run(*files, *words, "--mask", pattern) == 0
     found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found, [[1, 0, 0]], atol=1e-3)
 
 
-def test_masks_that_are_missing_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_masks_that_are_missing_are_named(tmp_path: Path, cli: Cli) -> None:
     files = scene(tmp_path)
     words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex")]
-    assert main(painting(*files, *words, "--mask", str(tmp_path / "{name}.mask.png"))) != 0
-    message = capsys.readouterr().err
+    message = cli.errors(*files, *words, "--mask", tmp_path / "{name}.mask.png", code=ExitCode.REFUSED)
     assert "--mask: 2 of 2 masks are missing" in message
     assert "red.png.mask.png" in message
-    assert main(painting(*files, *words, "--mask", "{stem}.png", "--mask", "m.png")) != 0
-    assert "--mask gives a pattern and more masks; give one of them" in capsys.readouterr().err
+    message = cli.errors(*files, *words, "--mask", "{stem}.png", "--mask", "m.png", code=ExitCode.REFUSED)
+    assert "--mask gives a pattern and more masks; give one of them" in message
 
 
 def test_a_key_keeps_a_backdrop_from_being_painted(tmp_path: Path) -> None:
     files = scene(tmp_path, names=["red.png", "blue.png"], width=32, height=32)
     words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex"), "--quiet"]
-    assert main(painting(*files, *words, "--mask", "#ff0000")) == 0
+    assert run(*files, *words, "--mask", "#ff0000") == 0
     found = open_texture(tmp_path / "out.octex").sample([[0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found, [[0, 0, 1]], atol=1e-3)

@@ -13,14 +13,13 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR, encode
-from octex.cli.main import main
 from octex.painting.picture import mips_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Run, workers
 from octex.photos import refine
 from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import fewer_points, needs_jit
-from tests.make.command import OUT, painting
+from tests.make.command import OUT, run
 from tests.make.painted import above, ball, picture_of
 from tests.photos.test_agreement import ring
 
@@ -244,7 +243,7 @@ def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
     ]
     words += ["--refine-cameras", tmp_path / "refined.json"]
     files = [tmp_path / "ball.obj", *(tmp_path / name for name in names)]
-    assert main(painting(*files, *words)) == 0
+    assert run(*files, *words) == 0
     frames = octex.read_cameras(tmp_path / "refined.json")
     assert [frame.name for frame in frames] == names
     assert not all(

@@ -27,7 +27,7 @@ from octex.source.images.pyramid import WRAPS
 from octex.source.mapped import FRAMES, KINDS, MappedImage, MappedSource
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import refusal, run
+from tests.make.command import Cli, run
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, png, random_image
 from tests.oracles import naive_mapped
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
@@ -550,12 +550,10 @@ def test_the_help_lists_the_mappings_of_the_library() -> None:
         ),
     ],
 )
-def test_projections_that_make_no_sense_are_refused_in_one_line(
-    words: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert refusal(capsys, "a.glb", "b.octex", *words.split()).startswith(message)
+def test_projections_that_make_no_sense_are_refused_in_one_line(words: str, message: str, cli: Cli) -> None:
+    assert cli.refusal("a.glb", "b.octex", *words.split()).startswith(message)
 
 
-def test_a_texture_needs_its_model_for_a_projection(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_texture_needs_its_model_for_a_projection(cli: Cli) -> None:
     words = "a.octex b.octex --source alpha=a.png --project box"
-    assert "needs the model, but this is a texture made from it" in refusal(capsys, *words.split())
+    assert "needs the model, but this is a texture made from it" in cli.refusal(*words.split())

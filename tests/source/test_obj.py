@@ -12,8 +12,8 @@ from octex.errors import ImageError, ModelError, ModelWarning, OctexError
 from octex.source.load import load_surface
 from octex.source.materials import MaterialSource
 from octex.source.surface import Surface
+from tests.make.agreement import assert_agrees
 from tests.make.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
-from tests.source.test_gltf import assert_agrees
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 WOOD = "newmtl wood\nmap_Kd wood.png\n"

@@ -10,13 +10,13 @@ import pytest
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.cli.main import main
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
+from tests.make.command import Cli
 from tests.make.fixtures import MISSING, SQUARE, Gltf, put, rows
 from tests.oracles.naive_poses import posed
 
@@ -258,21 +258,17 @@ def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models: Pa
     assert np.sqrt((errors**2).mean()) < 2
 
 
-def test_a_pose_is_an_option_of_each_command_that_reads_models(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path: Path, cli: Cli) -> None:
     file = str(moving("rotation", "LINEAR").save(tmp_path / "a.glb"))
     out = str(tmp_path / "a.octex")
     for words in (
         ["convert", file, out],
         ["draw", file, f"{tmp_path}/v.png", "--as", "paint", "--camera-out", str(tmp_path / "c.json")],
     ):
-        assert main([*words, "--pose", "B@1"]) == 2
-        assert "has no animation 'B'; it has A (0 to 2.0 s)" in capsys.readouterr().err
-    assert main(["convert", file, out, "--also", file, "--pose", "A@1"]) == 2
-    assert "--pose applies to one model" in capsys.readouterr().err
-    assert main(["convert", f"{tmp_path}/f.py:g", out, "--pose", "A@1"]) == 2
-    assert "--pose applies to meshes, not to functions" in capsys.readouterr().err
+        assert "has no animation 'B'; it has A (0 to 2.0 s)" in cli.refusal(*words, "--pose", "B@1")
+    assert "--pose applies to one model" in cli.refusal(file, out, "--also", file, "--pose", "A@1")
+    refusal = cli.refusal(f"{tmp_path}/f.py:g", out, "--pose", "A@1")
+    assert "--pose applies to meshes, not to functions" in refusal
 
 
 def test_the_fox_runs_as_a_naive_reader_has_it(models: Path) -> None:

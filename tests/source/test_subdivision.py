@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import octex
-from octex.cli.main import main
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Polygons
 from octex.source.subdivision import Scheme, base_level, divided, limits
 from tests.conftest import needs_jit
+from tests.make.command import Cli
 from tests.oracles.naive_subdivision import base, next_level
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -315,7 +315,7 @@ def test_textures_by_hull_and_by_limit_hold_the_same() -> None:
     assert 255 * np.sqrt((difference**2).mean()) < 1
 
 
-def test_subdiv_levels_is_an_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_subdiv_levels_is_an_option(tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / "a.obj"
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"f {' '.join(str(v + 1) for v in q)}" for q in QUADS]
     path.write_text("\n".join(lines))
@@ -325,9 +325,8 @@ def test_subdiv_levels_is_an_option(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--subdiv", "0"], "levels must be a whole number from 1 to 10"),
         (["--subdiv", "1,cage"], "--subdiv: 'cage' is not one of hull, limit"),
     ):
-        assert main(["convert", str(path), out, *words]) == 2
-        assert message in capsys.readouterr().err
+        assert message in cli.refusal(path, out, *words)
     cage = octex.load_surface(path)
-    assert main(["convert", str(path), out, "--subdiv", "2,limit", "--depth", "3"]) == 0
+    cli.result(path, out, "--subdiv", "2,limit", "--depth", 3)
     expected = octex.convert(octex.subdivide(cage, 2, rest="limit"), 3)
     assert octex.open(out).tree.n_leaves == expected.tree.n_leaves

@@ -17,7 +17,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
 from octex.tree.walk import walk_leaves
-from tests.make.command import run
+from tests.make.command import Cli
 from tests.make.vxz import vxz
 
 RNG = np.random.default_rng(3)
@@ -168,15 +168,13 @@ def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path: Path) 
         np.testing.assert_allclose([*stored(found, name).values()], values, rtol=1e-6)
 
 
-def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_them(tmp_path: Path, cli: Cli) -> None:
     np.savez(tmp_path / "a.npz", coords=COORDS, base_color=COLORS)
-    done = run(tmp_path / "a.npz", tmp_path / "a.octex", "--json", "--quiet")
-    assert done == 0
-    assert json.loads(capsys.readouterr().out)["leaves"] == 150
+    told = cli.result(tmp_path / "a.npz", tmp_path / "a.octex", "--json", "--quiet")
+    assert json.loads(told)["leaves"] == 150
     assert octex.open(tmp_path / "a.octex").tree.max_depth == 4
-    refused = run(tmp_path / "a.npz", tmp_path / "b.octex", "--depth", "3")
-    assert refused == 2
-    assert "--depth is not for voxels" in capsys.readouterr().err
+    refused = cli.refusal(tmp_path / "a.npz", tmp_path / "b.octex", "--depth", "3")
+    assert "--depth is not for voxels" in refused
 
 
 VALUES = {"base_color": COLORS, "alpha": ALPHA, "label": ALPHA}

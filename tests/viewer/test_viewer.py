@@ -26,7 +26,7 @@ from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, file_url, opened
-from tests.make.command import refusal, result
+from tests.make.command import Cli
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 from tests.make.small_textures import shell
@@ -92,9 +92,28 @@ MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating
 @needs_jit
 @pytest.mark.parametrize("name", MADE)
 def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_path: Path) -> None:
-    texture, surface = MADE[name]()
-    write_page(texture, tmp_path / "page.html", surface)
-    page = opened(browser, file_url(tmp_path / "page.html"), (760, 300))
+    assert_shown(*MADE[name](), browser, tmp_path)
+
+
+@needs_jit
+@pytest.mark.parametrize("name", ["BoomBoxWithAxes.gltf", "Avocado.gltf", "Suzanne.gltf", "spot.obj"])
+def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(
+    name: str, models: Path, browser: Any, tmp_path: Path
+) -> None:
+    path = next(models.rglob(name), None)
+    if path is None:
+        pytest.skip(f"there is no {name}")
+    surface = octex.load_surface(path)
+    whole, merged = (octex.convert(surface, depth=8, max_error=most) for most in (None, 3))
+    ball = octex.Sphere(surface.scatter(1, seed=1).rest[0], 0.2 * np.ptp(surface.bounds, axis=0).max())
+    for texture in (whole, merged, octex.fill(whole, surface, ball, (1.0, 0.1, 0.0), max_depth=9)):
+        assert_shown(texture, surface.placed_in(texture), browser, tmp_path)
+
+
+def assert_shown(texture: OctreeTexture, surface: Surface, browser: Any, folder: Path) -> None:
+    """A page shows what lookups give; also as cubes without complaint."""
+    write_page(texture, folder / "page.html", surface)
+    page = opened(browser, file_url(folder / "page.html"), (760, 300))
     assert page.complaints == []
     parity(page, texture, surface)
     page.check("#cubes")
@@ -103,12 +122,11 @@ def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_pa
     page.close()
 
 
-def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, float]:
-    """Compare all channels, filters, widths, levels and sides; return the largest differences, of 255."""
+def parity(page: Any, texture: OctreeTexture, surface: Surface) -> None:
+    """Compare all channels, filters, widths, levels and sides."""
     header = pack(texture, surface).header
     texture = prepared(texture).texture  # of 8 bits, 0 to 1
     is_split = texture.tree.split.cells.size > 1
-    found = {}
     deepest = texture.tree.max_depth
     looks = [("quadratic", 0.0, deepest), ("quadratic", -1.0, deepest), ("quadratic", 0.2, 3)]
     looks += [("nearest", -1.0, deepest)]
@@ -119,8 +137,7 @@ def parity(page: Any, texture: OctreeTexture, surface: Surface) -> dict[str, flo
     for facing, (filter, width, level) in product({False, is_split}, looks):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"
-        found[case] = compared(probe, texture.level(level), header, filter, width, facing, case)
-    return found
+        compared(probe, texture.level(level), header, filter, width, facing, case)
 
 
 def compared(
@@ -469,25 +486,23 @@ def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
     assert len(names) > 20
 
 
-def test_octex_view_writes_pages(made: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_octex_view_writes_pages(made: Path, model: Path, cli: Cli) -> None:
     page = made.with_name("page.html")
-    told = json.loads(result(capsys, "view", made, model, page, "--quiet", "--json"))
+    told = json.loads(cli.result("view", made, model, page, "--quiet", "--json"))
     assert told["bytes"] == page.stat().st_size
     assert told["notes"] == []
     text = page.read_text("utf-8")
     assert all(f'id="data-{name}"' in text for name in ("header", "0-levels-0", "0-mesh"))
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
-    result(capsys, "view", made, page, "--force", "--quiet", "--max-size", "500kB")
+    cli.result("view", made, page, "--force", "--quiet", "--max-size", "500kB")
     assert 'id="data-0-mesh"' not in page.read_text("utf-8")
-    assert "'much' is not a size like 20MB" in refusal(capsys, "view", made, page, "--max-size", "much")
+    assert "'much' is not a size like 20MB" in cli.refusal("view", made, page, "--max-size", "much")
 
 
-def test_octex_view_writes_a_page_of_a_folder_of_parts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_octex_view_writes_a_page_of_a_folder_of_parts(tmp_path: Path, cli: Cli) -> None:
     textures, _ = two_parts(tmp_path)
     textures.save(tmp_path / "set")
     given = tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html"
-    result(capsys, "view", *given, "--quiet")
+    cli.result("view", *given, "--quiet")
     text = given[2].read_text("utf-8")
     assert all(f'id="data-{number}-{name}"' in text for number in range(2) for name in ("levels-0", "mesh"))

@@ -17,7 +17,7 @@ from octex.viewer import write_page
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
-from tests.make.command import result
+from tests.make.command import Cli
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
 
@@ -94,12 +94,10 @@ def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path: Path) ->
     assert load_motion(tmp_path / "a.obj") is None
 
 
-def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(tmp_path: Path, cli: Cli) -> None:
     file = broken(NO_SUCH_JOINT).save(tmp_path / "a.glb")
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
-    told = result(capsys, "view", tmp_path / "a.octex", file, tmp_path / "a.html")
+    told = cli.result("view", tmp_path / "a.octex", file, tmp_path / "a.html")
     assert "no animations: a.glb: meshes[0].primitives[0]: vertex 2 is moved by joint 3" in told
     assert 'id="data-0-motion"' not in (tmp_path / "a.html").read_text("utf-8")
 

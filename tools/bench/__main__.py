@@ -28,7 +28,7 @@ from conversion import boombox, large, torus
 from filtered import far, footprints, pages, stretched
 from images import filters, materials
 from light import light
-from lookups import kinds, lookup, mixed, questions, resident, today
+from lookups import lookup, mixed, questions, resident, today
 from measuring import Report, Setup, octex_worker
 from painting import painting, ring
 from painting_page import session
@@ -51,7 +51,6 @@ BENCHMARKS = {
         lookup,
         questions,
         mixed,
-        kinds,
         resident,
         today,
         far,

@@ -25,7 +25,7 @@ from measuring import (
 )
 
 import octex
-from octex.channels import ONE, ChannelFormat
+from octex.channels import BASE_COLOR
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.texture import Channel
 from octex.tree.octree import Octree
@@ -40,24 +40,11 @@ TARGETS = {"nearest": (1.2, 1.3), "linear": (2.0, 2.0), "quadratic": (1.5, 2.0)}
 VOLUMES = {"OpenVDB": ("OVDB acc", "box"), "NanoVDB": ("NANO acc", "tri")}
 
 
-def sphere_texture(depth: int, dtype: str = "uint8", *, adaptive: bool = False) -> octex.OctreeTexture:
-    """Return a band of cells around a sphere with random values, if ``adaptive`` of three sizes."""
-    codes = sphere_cells(depth)
-    depths = np.full(len(codes), depth, np.uint8)
-    if adaptive:
-        patches = codes >> 3 * max(depth - 4, 1)
-        for up in (1, 2):
-            coarse = patches % 3 == up
-            codes[coarse] >>= 3 * up
-            depths[coarse] -= up
-        first = np.append(True, (np.diff(codes) != 0) | (np.diff(depths) != 0))
-        codes, depths = codes[first], depths[first]
-    tree = Octree.from_leaves(codes, depths)
-    random = np.random.default_rng(0)
-    values = (random.random((tree.n_cells, 3), np.float32) * ONE[dtype]).astype(dtype)
-    form = ChannelFormat("base_color", 3, "srgb" if dtype.startswith("u") else "linear", dtype)
-    none = np.empty((0, 3), dtype)
-    channel = Channel(form, values, none, none)
+def sphere_texture(depth: int) -> octex.OctreeTexture:
+    """Return a band of cells around a sphere with random values."""
+    tree = Octree.from_leaves(sphere_cells(depth), depth)
+    values = np.random.default_rng(0).integers(0, 256, (tree.n_cells, 3), np.uint8)
+    channel = Channel(BASE_COLOR, values, values[:0], values[:0])
     return octex.OctreeTexture(tree, {"base_color": channel}, UNIT_CUBE, [[0, 0, 0], [1, 1, 1]])
 
 
@@ -132,30 +119,6 @@ def _two_threads(
         report.at_least(
             f"lookup: two threads, quadratic, {order}", spent["one"].wall / spent["two"].wall, 1.8
         )
-
-
-def kinds(setup: Setup, report: Report) -> None:
-    """Lookups in other types, in an adaptive tree, with gradients, and of several channels."""
-    depth = 6 if setup.quick else 9
-    points = {
-        "coherent": seen_on_sphere(*((64, 36) if setup.quick else (1920, 1080))),
-        "random": scattered_on_sphere(2000 if setup.quick else 500_000),
-    }
-    report.title(f"kinds: lookups in a sphere, {1 << depth} cells along an edge, one thread, M/s")
-    rows = []
-    for what, texture in (
-        *((dtype, sphere_texture(depth, dtype)) for dtype in ONE),
-        ("uint8, cells of three sizes", sphere_texture(depth, adaptive=True)),
-    ):
-        spent = _times(texture, points, ("nearest", "linear", "quadratic", "quartic"), setup)
-        figures = [f"{len(points[order]) / each.cpu / 1e6:.2f}" for (_, order), each in spent.items()]
-        rows.append([f"{what} ({texture.tree.n_leaves:,} leaves)", *figures])
-    heads = [
-        f"{name} {order}"
-        for name in ("nearest", "linear", "quadratic", "quartic")
-        for order in ("coh.", "rnd.")
-    ]
-    report.table(["", *heads], rows)
 
 
 #: The least rate of each question, of that of one colour in an even tree.
