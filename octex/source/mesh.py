@@ -110,10 +110,7 @@ class Mesh:
             raise ModelError(
                 f"{self.name}: {len(posed)} posed positions for {len(self.vertices)} vertices; give one each"
             )
-        return Mesh(
-            posed, self.triangles, rest=self.rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
-            creases=self.creases, name=self.name,
-        )  # fmt: skip
+        return self._at(posed, self.rest)
 
     def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
         """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
@@ -129,8 +126,11 @@ class Mesh:
 
     def moved(self, rest: Float64s) -> Mesh:
         """Return the same mesh with its parts translated at rest; frames do not change."""
+        return self._at(self.vertices, rest)
+
+    def _at(self, vertices: Float64s, rest: Float64s) -> Mesh:
         return Mesh(
-            self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
+            vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
             creases=self.creases, name=self.name,
         )  # fmt: skip
 
@@ -273,11 +273,15 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {kind}")
     if len(triangles) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    low, high = int(triangles.min()), int(triangles.max())
-    if low < 0 or high >= vertices:
-        worst = low if low < 0 else high
-        raise damaged(f"{name}: a triangle uses vertex {worst}, but there are {vertices}")
+    check_below(triangles, vertices, f"{name}: a triangle uses vertex")
     return _owned(triangles, np.int32)
+
+
+def check_below(numbers: Integers, count: int, what: str) -> None:
+    """Raise ModelError that begins with ``what`` unless numbers are from 0 on and below a count."""
+    low, high = int(numbers.min(initial=0)), int(numbers.max(initial=0))
+    if numbers.size and not 0 <= low <= high < count:
+        raise damaged(f"{what} {low if low < 0 else high}, but there are {count}")
 
 
 def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
