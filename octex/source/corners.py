@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Integers
 
 
 class Corners(NamedTuple):
@@ -49,6 +49,16 @@ def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
 def area_vectors(corners: Float64s) -> Float64s:
     """Return the normals (m, 3) of triangles with corners (m, 3, 3), each twice the area long."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+#: Triangles whose doubled area is less than this part of the square of their longest edge have none.
+_THINNEST = 1e-12
+
+
+def has_area(corners: Float64s) -> Bools:
+    """Say which triangles with corners (m, 3, 3) have an area."""
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+    return np.asarray(np.linalg.norm(area_vectors(corners), axis=1) > _THINNEST * longest)
 
 
 def unit_normals(corners: Float64s) -> Float64s:
