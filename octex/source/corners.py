@@ -78,6 +78,16 @@ def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s
     return between
 
 
+def scattered(areas: Float64s, count: int, seed: int) -> tuple[Int64s, Float64s]:
+    """Draw points, uniform by the areas of triangles (m,): their triangles (n,), and barycentric (n, 3)."""
+    random = np.random.default_rng(seed).random((count, 3))
+    cumulative = np.cumsum(areas)
+    chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
+    root = np.sqrt(random[:, 1])
+    barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+    return np.minimum(chosen, len(areas) - 1), barycentric
+
+
 class Polygons(NamedTuple):
     """The polygons that triangles were cut from."""
 

@@ -12,7 +12,16 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError, damaged
-from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners, unit_normals
+from octex.source.corners import (
+    Corners,
+    Creases,
+    Frames,
+    Polygons,
+    area_vectors,
+    at_corners,
+    scattered,
+    unit_normals,
+)  # fmt: skip
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -223,16 +232,12 @@ class Mesh:
         """
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = area_vectors(self.vertices[self.triangles])
-        cumulative = np.cumsum(np.linalg.norm(crosses, axis=1))
-        if not cumulative[-1] > 0:
+        areas = self.areas()
+        if not areas.any():
             raise ModelError(
                 f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
             )
-        random = np.random.default_rng(seed).random((n, 3))
-        chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
-        root = np.sqrt(random[:, 1])
-        barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+        chosen, barycentric = scattered(areas, n, seed)
         normals = rest_normals = unit_normals(self.vertices[self.triangles[chosen]])
         if self.rest is not self.vertices:
             rest_normals = unit_normals(self.rest[self.triangles[chosen]])
